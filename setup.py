@@ -1,0 +1,15 @@
+from catkin_pkg.python_setup import generate_distutils_setup
+from setuptools import setup
+
+setup(
+    **generate_distutils_setup(
+        packages=[
+            "construction_twin",
+            "construction_twin.evaluation",
+            "construction_twin.mqtt",
+            "construction_twin.ros",
+            "construction_twin.rsi",
+        ],
+        package_dir={"": "src"},
+    )
+)

@@ -1,0 +1,112 @@
+#!/usr/bin/env bash
+# Brings a Debian 12 machine to where construction_twin builds and runs. Safe to repeat; quick when nothing changed.
+#
+#   setup/setup.sh           Debian packages, Python venv, catkin workspace
+#
+# Everything it makes lies under .ws/ in the repository, except the Debian packages.
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
+work="$root/.ws"
+venv="$work/venv"
+workspace="$work/catkin"
+python=/usr/bin/python3 # Debian's own: the only Python that sees Debian's rospy, tf2 and PyKDL
+
+say() { printf '[setup] %s\n' "$*"; }
+fail() {
+  printf '[setup] cannot go on: %s\n' "$*" >&2
+  exit 1
+}
+
+check_system() {
+  local id="" version=""
+  if [ -r /etc/os-release ]; then
+    id=$(. /etc/os-release && printf '%s' "${ID:-}")
+    version=$(. /etc/os-release && printf '%s' "${VERSION_ID:-}")
+  fi
+  [ "$id" = debian ] && [ "$version" = 12 ] ||
+    fail "this is '${id:-unknown} ${version:-}', and the ROS 1 packages used here are those of Debian 12 (bookworm). Use a Debian 12 machine or container."
+}
+
+missing_packages() {
+  local wanted
+  wanted=$(grep -vE '^[[:space:]]*(#|$)' "$root/setup/debian-packages.txt" | sort)
+  comm -23 <(printf '%s\n' "$wanted") \
+    <(dpkg-query -W -f '${db:Status-Status} ${Package}\n' 2>/dev/null | sed -n 's/^installed //p' | sort -u)
+}
+
+install_packages() {
+  local missing sudo=""
+  missing=$(missing_packages)
+  [ -n "$missing" ] || return 0
+  if [ "$(id -u)" -ne 0 ]; then
+    command -v sudo >/dev/null || fail "Debian packages are missing and this user is neither root nor able to sudo. As root: apt-get install $(echo $missing)"
+    sudo=sudo
+  fi
+  say "installing $(printf '%s\n' "$missing" | wc -l) Debian packages (a few minutes on a fresh machine)"
+  mkdir -p "$work"
+  local log="$work/apt.log"
+  # env after sudo, because sudo drops the caller's environment
+  { $sudo apt-get update && $sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $missing; } >"$log" 2>&1 ||
+    fail "apt-get failed; its last lines: $(tail -n 3 "$log" | tr '\n' ' ') (all of it: $log)"
+}
+
+make_venv() {
+  local stamp="$venv/.requirements" want
+  want=$(cat "$root/setup/requirements.txt" <("$python" --version))
+  [ -x "$venv/bin/python" ] && [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$want" ] && return 0
+  say "installing Python packages into $venv"
+  mkdir -p "$work"
+  [ -x "$venv/bin/python" ] || "$python" -m venv --system-site-packages "$venv" || fail "$python could not make a venv in $venv"
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$root/setup/requirements.txt" >"$work/pip.log" 2>&1 ||
+    fail "pip failed; its last lines: $(tail -n 3 "$work/pip.log" | tr '\n' ' ') (all of it: $work/pip.log)"
+  printf '%s\n' "$want" >"$stamp"
+}
+
+# What the build depends on: editing a Python module needs no build, a message, a node's name or a CMake file does.
+build_inputs() {
+  cd "$root"
+  { cat CMakeLists.txt package.xml setup.py msg/* srv/* setup/setup.sh; ls . nodes scripts msg srv; printf '%s\n' "$root"; } | sha256sum
+}
+
+# The repository appears in the workspace entry by entry: a link to its root would contain the workspace itself, and rosrun and
+# roslaunch, which search the package folder for executables, would walk in circles.
+link_repository() {
+  local package="$workspace/src/construction_twin" entry
+  mkdir -p "$package" "$root/results"
+  find "$package" -mindepth 1 -maxdepth 1 -type l -delete
+  for entry in "$root"/*; do
+    ln -s "$entry" "$package/"
+  done
+}
+
+build_workspace() {
+  local stamp="$work/built" want
+  want=$(build_inputs)
+  [ -f "$workspace/devel/setup.bash" ] && [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$want" ] && return 0
+  say "building the catkin workspace $workspace"
+  link_repository
+  (
+    cd "$workspace"
+    # an environment that belongs to another ROS installation must not leak into this build
+    unset ROS_PACKAGE_PATH CMAKE_PREFIX_PATH PYTHONPATH ROS_ROOT
+    PATH="$venv/bin:/usr/bin:/bin" catkin_make -DPYTHON_EXECUTABLE="$venv/bin/python" -DCATKIN_ENABLE_TESTING=ON
+  ) >"$work/build.log" 2>&1 || fail "catkin_make failed; its last lines: $(tail -n 5 "$work/build.log" | tr '\n' ' ') (all of it: $work/build.log)"
+  printf '%s\n' "$want" >"$stamp"
+}
+
+write_environment() {
+  cat >"$work/env.bash.new" <<EOF
+# source this file: ROS, this package and its venv in one step (written by setup/setup.sh)
+source "$workspace/devel/setup.bash"
+export PATH="$venv/bin:\$PATH"
+EOF
+  mv "$work/env.bash.new" "$work/env.bash"
+}
+
+check_system
+install_packages
+make_venv
+build_workspace
+write_environment
+say "ready; for your own shell: source $work/env.bash"
