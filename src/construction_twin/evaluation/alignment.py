@@ -1,0 +1,278 @@
+"""Pairs every physical sample with a twin pose: three alignments, because the paper does not say which one it used.
+
+``instant``
+    The physical pose at ROS time t (reception in the bridge) against the twin's pose at the same ROS time. It contains
+    everything a bystander would see: the round trip, the playout delay and the servo's lag.
+``by_command``
+    The physical pose against the twin's pose at the command stamp of the target it answers to: transport drops out, what the
+    arm lags behind its own setpoint stays.
+``lag_removed``
+    ``by_command`` with one constant lag L >= 0, the same for all joints, taken out: twin(command_stamp - L). L minimises
+    the sum of squared differences over all joints and samples.
+
+The twin is known at its own stamps and interpolated linearly in between, with the playout's arithmetic
+(`construction_twin.rsi.playout.interpolate`): what the gateway plays between two commands is then exactly what is compared.
+Differences of stamps are taken in int64, so that float64 keeps them to far below a nanosecond.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from construction_twin.errors import EvaluationError
+from construction_twin.evaluation.recording import Recording, Stream
+from construction_twin.units import CYCLE_NS, NANOSECONDS
+
+#: Largest lag looked for [ns]: far beyond any healthy servo, still short against a task.
+MAX_LAG_NS = NANOSECONDS // 2
+#: The optimiser's tolerance [ns]; it is absolute.
+LAG_TOLERANCE_NS = 1e-3
+#: Samples used by the coarse scan over lags; the final fit uses all.
+SCAN_SAMPLES = 2000
+#: A twin that moves less than this has no lag to show [rad].
+STANDSTILL = 1e-9
+
+
+@dataclass(frozen=True)
+class Window:
+    """The span of ROS time that is evaluated.
+
+    Attributes
+    ----------
+    start, end : int
+        First and last moment [ns], both included.
+    task_end : int
+        Nominal stamp of the last setpoint [ns]; `end` is later by the time the arm needs to answer it.
+    from_plan : bool
+        Whether start and end come from the plans that were played; otherwise from the overlap of both streams.
+    """
+
+    start: int
+    end: int
+    task_end: int
+    from_plan: bool
+
+    @property
+    def duration(self) -> float:
+        """Length of the task, or of the overlap [s]."""
+        return (self.task_end - self.start) / NANOSECONDS
+
+    def contains(self, stamps: np.ndarray) -> np.ndarray:
+        """Return which stamps [ns] lie inside; shape as `stamps`, bool."""
+        return (stamps >= self.start) & (stamps <= self.end)
+
+    def extended(self, delay: int) -> Window:
+        """Return the window with its end moved to `delay` [ns] after the task's, when it comes from a plan."""
+        return Window(self.start, self.task_end + delay, self.task_end, True) if self.from_plan else self
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Differences between paired samples.
+
+    Attributes
+    ----------
+    name : str
+    stamps : array, shape (m,), int64
+        ROS time of the physical samples [ns].
+    errors : array, shape (m, n)
+        physical - twin [rad].
+    skipped : int
+        Samples inside the window without a command stamp, or beyond the twin's recording.
+    """
+
+    name: str
+    stamps: np.ndarray
+    errors: np.ndarray
+    skipped: int
+
+    @property
+    def average(self) -> np.ndarray:
+        """Mean absolute error per joint [rad]; shape (n,)."""
+        return np.abs(self.errors).mean(axis=0)
+
+    @property
+    def maximum(self) -> np.ndarray:
+        """Largest absolute error per joint [rad]; shape (n,)."""
+        return np.abs(self.errors).max(axis=0)
+
+
+class TwinPath:
+    """The twin's motion as a function of time.
+
+    Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out and counted.
+
+    Parameters
+    ----------
+    twin : Stream
+    base : int
+        Stamp that times are counted from [ns].
+
+    Raises
+    ------
+    EvaluationError
+        If fewer than two samples have increasing stamps.
+    """
+
+    def __init__(self, twin: Stream, base: int):
+        newest = np.maximum.accumulate(twin.stamps)
+        increasing = np.concatenate([[True], twin.stamps[1:] > newest[:-1]])
+        if np.count_nonzero(increasing) < 2:
+            raise EvaluationError("the twin's stamps do not increase; was the recording made with a stopped clock?")
+        self.dropped = int(np.count_nonzero(~increasing))
+        self._times = (twin.stamps[increasing] - base).astype(float)
+        self._positions = twin.positions[increasing]
+
+    def covers(self, times: np.ndarray) -> np.ndarray:
+        """Return which times [ns after base] lie within the recorded motion; shape (m,), bool."""
+        return (times >= self._times[0]) & (times <= self._times[-1])
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Return the twin's pose at `times` [ns after base], which must be covered; shape (m, n), rad."""
+        after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
+        start, end = self._times[after - 1], self._times[after]
+        before, behind = self._positions[after - 1], self._positions[after]
+        return before + (behind - before) * ((times - start) / (end - start))[:, None]
+
+
+def task_window(recording: Recording) -> Window:
+    """Return the span from the first finished plan's start to the last one's end, else the overlap of both streams.
+
+    Raises
+    ------
+    EvaluationError
+        If the streams do not overlap.
+    """
+    plans = recording.finished_plans
+    if plans:
+        start, end = min(plan.start for plan in plans), max(plan.end for plan in plans)
+        return Window(start, end, end, True)
+    stamps = recording.twin.stamps, recording.physical.stamps
+    start, end = max(int(s.min()) for s in stamps), min(int(s.max()) for s in stamps)
+    if end <= start:
+        raise EvaluationError("twin and physical samples do not overlap in time; were they recorded on one clock?")
+    return Window(start, end, end, False)
+
+
+def align_instant(recording: Recording, window: Window) -> Alignment:
+    """Pair each physical sample inside the window with the twin's pose at the same ROS time.
+
+    Raises
+    ------
+    EvaluationError
+        If no pair exists.
+    """
+    inside = window.contains(recording.physical.stamps)
+    stamps = recording.physical.stamps[inside]
+    path = TwinPath(recording.twin, window.start)
+    times = (stamps - window.start).astype(float)
+    return _paired("instant", stamps, times, recording.physical.positions[inside], path)
+
+
+def align_by_command(recording: Recording, window: Window) -> Alignment | None:
+    """Pair each physical sample inside the window with the twin's pose at its command stamp.
+
+    Returns
+    -------
+    alignment : Alignment or None
+        None when the recording has no command stamps inside the window.
+
+    Raises
+    ------
+    EvaluationError
+        If there are command stamps, but the twin is not recorded at any of them.
+    """
+    return _align_command("by_command", recording, window, 0.0)
+
+
+def align_lag_removed(recording: Recording, window: Window, lag_ns: float) -> Alignment | None:
+    """Pair each physical sample inside the window with the twin's pose `lag_ns` [ns] before its command stamp.
+
+    Returns and raises as `align_by_command`.
+    """
+    return _align_command("lag_removed", recording, window, lag_ns)
+
+
+def estimate_lag(recording: Recording, window: Window) -> float | None:
+    """Return the constant lag of the arm behind its commands, by least squares over all joints and samples.
+
+    A coarse scan over whole cycles finds the right valley (a repetitive motion has several), a bounded search inside it
+    the minimum, to well below a nanosecond on clean data.
+
+    Parameters
+    ----------
+    recording : Recording
+    window : Window
+
+    Returns
+    -------
+    lag_ns : float or None
+        [ns], 0 to `MAX_LAG_NS`. None when there are no command stamps or the twin does not move.
+    """
+    answered, _ = _answered(recording, window)
+    if answered is None:
+        return None
+    path = TwinPath(recording.twin, window.start)
+    times = (answered.command_stamps - window.start).astype(float)
+    usable = path.covers(times) & path.covers(times - MAX_LAG_NS)
+    times, measured = times[usable], answered.positions[usable]
+    if len(times) < 2 or np.ptp(path(times), axis=0).max() < STANDSTILL:
+        return None
+
+    def squares(lag: float, step: int = 1) -> float:
+        return float(np.sum((measured[::step] - path(times[::step] - lag)) ** 2))
+
+    step = max(1, len(times) // SCAN_SAMPLES)
+    coarse = min(range(0, MAX_LAG_NS + 1, CYCLE_NS), key=lambda lag: squares(lag, step))
+    # Searched as an offset from the coarse value: the optimiser also carries a tolerance relative to its variable.
+    bounds = (max(-coarse, -CYCLE_NS), CYCLE_NS)
+    fine = minimize_scalar(lambda offset: squares(coarse + offset), bounds=bounds, method="bounded",
+                           options={"xatol": LAG_TOLERANCE_NS})
+    return 0.0 if squares(0.0) <= fine.fun else float(coarse + fine.x)
+
+
+def round_trips(recording: Recording, window: Window) -> np.ndarray:
+    """Return reception minus command stamp of every answered sample inside the window [s]; shape (m,), may be empty."""
+    answered, _ = _answered(recording, window)
+    if answered is None:
+        return np.empty(0)
+    return (answered.stamps - answered.command_stamps) / NANOSECONDS
+
+
+@dataclass(frozen=True)
+class _Answered:
+    stamps: np.ndarray
+    positions: np.ndarray
+    command_stamps: np.ndarray
+
+
+def _answered(recording: Recording, window: Window) -> tuple[_Answered | None, int]:
+    """Return the feedback inside the window that knows its command stamp, and how many do not."""
+    feedback = recording.feedback
+    if feedback is None:
+        return None, 0
+    inside = window.contains(feedback.stamps)
+    known = inside & (feedback.command_stamps > 0)
+    missing = int(np.count_nonzero(inside) - np.count_nonzero(known))
+    if not known.any():
+        return None, missing
+    return _Answered(feedback.stamps[known], feedback.positions[known], feedback.command_stamps[known]), missing
+
+
+def _align_command(name: str, recording: Recording, window: Window, lag_ns: float) -> Alignment | None:
+    answered, missing = _answered(recording, window)
+    if answered is None:
+        return None
+    times = (answered.command_stamps - window.start).astype(float) - lag_ns
+    return _paired(name, answered.stamps, times, answered.positions, TwinPath(recording.twin, window.start), missing)
+
+
+def _paired(name, stamps, times, measured, path: TwinPath, missing: int = 0) -> Alignment:
+    covered = path.covers(times)
+    if not covered.any():
+        raise EvaluationError(f"alignment {name}: no physical sample inside the evaluated time meets the twin's recording")
+    errors = measured[covered] - path(times[covered])
+    return Alignment(name, stamps[covered], errors, missing + int(np.count_nonzero(~covered)))

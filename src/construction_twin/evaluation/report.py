@@ -1,0 +1,73 @@
+"""Writes a recording's report: `summary.json`, `table1.csv` and the figures. Imports matplotlib, which takes a second."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+from construction_twin.evaluation import figures
+from construction_twin.evaluation.recording import Recording
+from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.evaluation.tables import table_csv
+from construction_twin.robot import RobotModel
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `write_report` wrote.
+
+    Attributes
+    ----------
+    summary : dict
+        The content of `summary.json`.
+    files : tuple of Path
+    """
+
+    summary: dict
+    files: tuple[Path, ...]
+
+
+def write_report(recording: Recording, robot: RobotModel | None, directory: str | Path) -> Report:
+    """Evaluate a recording and write everything into `directory`, which is made if it does not exist.
+
+    Parameters
+    ----------
+    recording : Recording
+    robot : RobotModel or None
+        For the tool path; without it, or when it has other joints than the recording, `figure8.png` is not written.
+    directory : str or Path
+
+    Returns
+    -------
+    report : Report
+
+    Raises
+    ------
+    EvaluationError
+        If the recording cannot be evaluated; nothing is written then.
+    OSError
+        If a file cannot be written.
+    """
+    evaluation = evaluate(recording)
+    summary = {**summarise(evaluation), "environment": environment()}
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    drawings = {"figure9.png": figures.joint_figure(evaluation), "timing.png": figures.timing_figure(evaluation)}
+    if robot is not None and robot.joint_names == recording.joint_names:
+        drawings["figure8.png"] = figures.tool_path_figure(evaluation, robot)
+    for name, drawing in drawings.items():
+        drawing.savefig(directory / name)
+    (directory / "table1.csv").write_text(table_csv(summary["tables"]), encoding="ascii")
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    (directory / "summary.json").write_text(text, encoding="utf-8")
+    return Report(summary, tuple(directory / name for name in sorted([*drawings, "table1.csv", "summary.json"])))
+
+
+def environment() -> dict:
+    """Return what the machine and the interpreter were."""
+    packages = {name: importlib.metadata.version(name) for name in ("numpy", "scipy")}
+    return {"python": platform.python_version(), "system": platform.platform(), "cpus": os.cpu_count(), **packages}

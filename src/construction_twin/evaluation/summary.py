@@ -1,0 +1,179 @@
+"""Evaluates a recording: the alignments, and all figures of `summary.json` as one mapping.
+
+Whatever the recording does not tell is None (null in the file); nothing is assumed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.evaluation import alignment, paper
+from construction_twin.evaluation.alignment import Alignment, Window
+from construction_twin.evaluation.recording import LinkSnapshot, Recording, Stream
+from construction_twin.evaluation.tables import PERCENTILES, error_table, histogram_percentile, percentiles
+from construction_twin.units import NANOSECONDS
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A recording with its alignments.
+
+    Attributes
+    ----------
+    recording : Recording
+    window : Window
+    lag_ns : float or None
+        Estimated constant lag [ns].
+    alignments : dict of str to Alignment or None
+        Keys of `tables.ALIGNMENTS`.
+    """
+
+    recording: Recording
+    window: Window
+    lag_ns: float | None
+    alignments: dict[str, Alignment | None]
+
+
+def evaluate(recording: Recording) -> Evaluation:
+    """Align a recording in all ways it allows.
+
+    The window is the task's, from its plans' first to last setpoint, extended by the median round trip and the lag, so that
+    the samples which answer the last waypoint belong to it; without plans it is the overlap of both streams.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    evaluation : Evaluation
+
+    Raises
+    ------
+    EvaluationError
+        If twin and physical samples cannot be paired.
+    """
+    window = alignment.task_window(recording)
+    trips = alignment.round_trips(recording, window)
+    round_trip = int(np.median(trips) * NANOSECONDS) if len(trips) else 0
+    lag_ns = alignment.estimate_lag(recording, window.extended(round_trip))
+    window = window.extended(round_trip + int(lag_ns or 0))
+    return Evaluation(
+        recording=recording,
+        window=window,
+        lag_ns=lag_ns,
+        alignments={
+            "by_command": alignment.align_by_command(recording, window),
+            "instant": alignment.align_instant(recording, window),
+            "lag_removed": None if lag_ns is None else alignment.align_lag_removed(recording, window, lag_ns),
+        },
+    )
+
+
+def summarise(evaluation: Evaluation) -> dict:
+    """Return the content of `summary.json`, without ``environment``; every value is JSON-ready."""
+    recording, window = evaluation.recording, evaluation.window
+    names = recording.joint_names
+    first, last = link_span(recording.links, window)
+    tables = {name: error_table(aligned, names) for name, aligned in evaluation.alignments.items()}
+    final_error = np.abs(recording.physical.positions[-1] - recording.twin.positions[-1])
+    mock = dict(recording.mock.get("config", {})) if recording.mock else None
+    return {
+        "waypoints": _waypoints(recording),
+        "samples": int(np.count_nonzero(window.contains(recording.physical.stamps))),
+        "duration_s": window.duration,
+        "decimals": last.counter("decimals") if last else None,
+        "servo": mock.get("servo") if mock else None,
+        "lag_s": None if evaluation.lag_ns is None else evaluation.lag_ns / NANOSECONDS,
+        "tables": tables,
+        "commands_sent": _commands_sent(first, last),
+        "commands_lost": _increase(first, last, "commands_lost"),
+        "late_replies": _increase(first, last, "late_replies"),
+        "reply_us": reply_times(first, last),
+        "round_trip_ms": percentiles(alignment.round_trips(recording, window) * 1e3),
+        "rate_hz": {name: rate(getattr(recording, name), window) for name in ("twin", "physical", "command")},
+        "final_error_rad": dict(zip(names, final_error.tolist())),
+        "robot": recording.robot,
+        "skipped_samples": {name: aligned and aligned.skipped for name, aligned in evaluation.alignments.items()},
+        "mock": mock,
+        "paper": {
+            "table1": {axis: {"avg_rad": e.average, "max_rad": e.maximum} for axis, e in paper.TABLE_1.items()},
+            "waypoints": paper.WAYPOINTS,
+            "samples": paper.SAMPLES,
+            "note": paper.NOTE,
+        },
+    }
+
+
+def link_span(links: tuple[LinkSnapshot, ...], window: Window) -> tuple[LinkSnapshot | None, LinkSnapshot | None]:
+    """Return a snapshot from before the window and one that knows all of it, or the nearest ones there are.
+
+    The gateway's counters reach the bridge once a second, so only a snapshot that much after the window's end is sure to
+    know it; the span between the two is up to 3 s longer than the window.
+    """
+    if not links:
+        return None, None
+    before = [link for link in links if link.received <= window.start]
+    after = [link for link in links if link.received >= window.end + NANOSECONDS]
+    return before[-1] if before else links[0], after[0] if after else links[-1]
+
+
+def reply_times(first: LinkSnapshot | None, last: LinkSnapshot | None) -> dict[str, float | None]:
+    """Return p50, p99, p99_9 and max of the gateway's RSI reply times between two snapshots [us].
+
+    Percentiles are upper bin edges of the gateway's histogram, or ``max`` where that is smaller; ``max`` is the gateway's own
+    ``reply_us_max``, which covers the time since its start.
+    """
+    result: dict = dict.fromkeys([*PERCENTILES, "max"])
+    if first is None or last is None:
+        return result
+    result["max"] = last.counter("reply_us_max")
+    counts = reply_counts(first, last)
+    if counts:
+        figures = {name: histogram_percentile(last.reply_bins, counts, share) for name, share in PERCENTILES.items()}
+        largest = result["max"]
+        known = {name: min(v for v in (edge, largest) if v is not None) for name, edge in figures.items() if edge or largest}
+        result.update(known)
+    return result
+
+
+def reply_counts(first: LinkSnapshot | None, last: LinkSnapshot | None) -> list[int]:
+    """Return the histogram's counts between two snapshots; empty when they do not belong together."""
+    if first is None or last is None or not last.reply_bins or first.reply_bins != last.reply_bins:
+        return []
+    counts = [new - old for new, old in zip(last.reply_counts, first.reply_counts)]
+    return counts if min(counts) >= 0 else []
+
+
+def rate(stream: Stream | None, window: Window) -> float | None:
+    """Return the mean rate of reception inside the window [Hz], None with fewer than two messages there."""
+    if stream is None:
+        return None
+    received = stream.received[window.contains(stream.received)]
+    if len(received) < 2 or received[-1] <= received[0]:
+        return None
+    return (len(received) - 1) * NANOSECONDS / float(received[-1] - received[0])
+
+
+def _waypoints(recording: Recording) -> int | None:
+    counts = [recording.waypoints.get(plan.plan_id) for plan in recording.finished_plans]
+    return sum(counts) if counts and None not in counts else None
+
+
+def _commands_sent(first: LinkSnapshot | None, last: LinkSnapshot | None) -> int | None:
+    # The count belongs to a session: across two sessions a difference says nothing.
+    if first is None or last is None or first is last or first.session != last.session:
+        return None
+    return last.commands_sent - first.commands_sent
+
+
+def _increase(first: LinkSnapshot | None, last: LinkSnapshot | None, name: str) -> int | None:
+    if first is None or last is None or first is last:
+        return None
+    before, after = first.counter(name), last.counter(name)
+    if before is None and first.counters:
+        before = 0  # the gateway lists a counter from its first use on
+    # A counter that falls belongs to a gateway that was restarted in between.
+    return None if before is None or after is None or after < before else int(after - before)

@@ -1,0 +1,159 @@
+"""The paper's Table 1 for this run: error figures per joint, as data, as CSV and on the terminal.
+
+Works on the mapping that `summary.json` holds, so that a stored run prints exactly as a fresh one.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from construction_twin.evaluation.alignment import Alignment
+from construction_twin.evaluation.paper import NOTE, SAMPLES, WAYPOINTS, paper_error
+
+#: The three alignments in the order they are printed, with what each compares.
+ALIGNMENTS = {
+    "by_command": "physical against the twin's pose for the same command",
+    "instant": "physical against the twin's pose at the same ROS time",
+    "lag_removed": "by_command with one constant lag taken out",
+}
+CSV_COLUMNS = ("alignment", "joint", "avg_rad", "max_rad", "paper_avg_rad", "paper_max_rad", "avg_ratio", "max_ratio")
+#: Names and shares of the reported percentiles.
+PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
+
+
+def error_table(alignment: Alignment | None, joint_names: Sequence[str]) -> dict | None:
+    """Return ``{joint: {"avg_rad", "max_rad"}}`` of an alignment, None for None."""
+    if alignment is None:
+        return None
+    figures = zip(joint_names, alignment.average, alignment.maximum)
+    return {name: {"avg_rad": float(average), "max_rad": float(maximum)} for name, average, maximum in figures}
+
+
+def percentiles(values: np.ndarray) -> dict[str, float | None]:
+    """Return p50, p99, p99_9 and max of `values`, shape (k,), in their own unit; all None when empty."""
+    if not len(values):
+        return dict.fromkeys([*PERCENTILES, "max"])
+    shares = {name: float(np.quantile(values, share)) for name, share in PERCENTILES.items()}
+    return {**shares, "max": float(np.max(values))}
+
+
+def histogram_percentile(bins: Sequence[int], counts: Sequence[int], share: float) -> int | None:
+    """Return the upper edge of the bin that holds the given share of all counts.
+
+    The true percentile is at most the value returned and lies above the next lower edge.
+
+    Parameters
+    ----------
+    bins : sequence of int, length b
+        Upper bin edges, increasing.
+    counts : sequence of int, length b or b + 1
+        Counts per bin; the one beyond `bins` is overflow.
+    share : float
+        (0, 1]
+
+    Returns
+    -------
+    edge : int or None
+        None when nothing was counted or the percentile lies in the overflow, which has no upper edge.
+    """
+    total = sum(counts)
+    if not total:
+        return None
+    bin_index = int(np.searchsorted(np.cumsum(counts), share * total - 1e-9))
+    return int(bins[bin_index]) if bin_index < len(bins) else None
+
+
+def table_rows(tables: Mapping) -> Iterator[tuple]:
+    """Yield one row of `CSV_COLUMNS` per alignment and joint; None where unknown. Ratios are this run's over the paper's."""
+    joints = next((table for table in tables.values() if table), {})
+    for alignment in ALIGNMENTS:
+        table = tables.get(alignment)
+        for joint in joints:
+            average, maximum = (table[joint]["avg_rad"], table[joint]["max_rad"]) if table else (None, None)
+            paper = paper_error(joint)
+            paper_figures = (paper.average, paper.maximum) if paper else (None, None)
+            ratios = (_ratio(average, paper_figures[0]), _ratio(maximum, paper_figures[1]))
+            yield alignment, joint, average, maximum, *paper_figures, *ratios
+
+
+def table_csv(tables: Mapping) -> str:
+    """Return `table_rows` as CSV text with a header line; unknown values are empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    writer.writerows(table_rows(tables))
+    return text.getvalue()
+
+
+def render_tables(summary: Mapping, console: Console | None = None) -> None:
+    """Print a summary: one table per alignment beside the paper's figures, then lag, counts, rates and times.
+
+    Parameters
+    ----------
+    summary : Mapping
+        As `summary.json` holds it.
+    console : rich.console.Console, optional
+        Default: standard output.
+    """
+    console = console or Console(highlight=False)
+    rows = list(table_rows(summary["tables"]))
+    for alignment, meaning in ALIGNMENTS.items():
+        if summary["tables"].get(alignment) is None:
+            console.print(f"\n{alignment}: not available, the recording does not hold what it needs ({meaning})", soft_wrap=True)
+            continue
+        console.print()
+        console.print(_rich_table(f"{alignment}: {meaning}", [row[1:] for row in rows if row[0] == alignment]))
+    console.print(f"\nNote: {NOTE}.", soft_wrap=True)
+    for line in summary_lines(summary):
+        console.print(line, soft_wrap=True, markup=False)
+
+
+def summary_lines(summary: Mapping) -> list[str]:
+    """Return the sentences that stand below the tables."""
+    lag = summary["lag_s"]
+    lines = [
+        f"samples: {summary['samples']} (paper {SAMPLES})   waypoints: {_text(summary['waypoints'])} (paper {WAYPOINTS})   "
+        f"duration: {summary['duration_s']:.3f} s   decimals: {_text(summary['decimals'])}   servo: {_text(summary['servo'])}",
+        "lag: unknown" if lag is None else f"lag taken out in lag_removed: {lag * 1e3:.6f} ms (estimated, same for all joints)",
+        f"commands sent: {_text(summary['commands_sent'])}   lost: {_text(summary['commands_lost'])}   "
+        f"late RSI replies: {_text(summary['late_replies'])}",
+        _times("round trip", summary["round_trip_ms"], "ms"),
+        _times("RSI reply time", summary["reply_us"], "us"),
+        "rates: " + "   ".join(f"{name} {_text(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items()),
+        f"largest final error: {max(summary['final_error_rad'].values()):.3e} rad",
+    ]
+    if summary.get("mock"):
+        lines.append("This is a simulation: the arm was the mock controller of this package, not a robot.")
+    return lines
+
+
+def _rich_table(title: str, rows: Sequence[Sequence]) -> Table:
+    # Laid out for 80 columns: a log or a narrow terminal must not cut figures off.
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("joint", no_wrap=True)
+    for heading in ("avg, rad", "max, rad", "paper avg", "paper max", "avg/paper", "max/paper"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for joint, *figures in rows:
+        errors = [_text(value, ".4e") for value in figures[:4]]
+        table.add_row(joint, *errors, *(_text(value, ".3g") for value in figures[4:]))
+    return table
+
+
+def _times(name: str, figures: Mapping, unit: str) -> str:
+    parts = [f"{key.replace('_', '.')} {_text(value, '.3f' if unit == 'ms' else '.0f')}" for key, value in figures.items()]
+    return f"{name} [{unit}]: " + "   ".join(parts)
+
+
+def _text(value, form: str = "") -> str:
+    return "unknown" if value is None else format(value, form)
+
+
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or reference is None else value / reference

@@ -1,0 +1,38 @@
+"""Starts Debian's mosquitto on loopback, after looking whether the port is free. Standard library only."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import socket
+import sys
+
+
+def port_is_free(port: int) -> bool:
+    """Return whether nothing listens on this TCP port of the loopback interface."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Become mosquitto; exit with one sentence when that is not possible."""
+    parser = argparse.ArgumentParser(prog="broker", description="Run mosquitto on loopback with the project's configuration.")
+    parser.add_argument("--config", required=True, help="mosquitto configuration file")
+    parser.add_argument("--port", type=int, default=1883, help="TCP port on 127.0.0.1 [%(default)s]")
+    # roslaunch adds __name:= and __log:= for nodes that speak ROS
+    arguments = parser.parse_args([a for a in (sys.argv[1:] if argv is None else argv) if ":=" not in a])
+    program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:" + os.environ.get("PATH", ""))
+    if program is None:
+        sys.exit("broker: mosquitto is not installed; run setup/setup.sh")
+    if not port_is_free(arguments.port):
+        sys.exit(
+            f"broker: TCP port {arguments.port} on 127.0.0.1 is taken, probably by another MQTT broker; stop it, give another "
+            "broker_port, or use it with broker:=false"
+        )
+    os.execv(program, [program, "-c", arguments.config, "-p", str(arguments.port)])

@@ -1,0 +1,158 @@
+"""MQTT messages around the joint string: topics, user properties, control messages. Standard library only.
+
+Property values are text on the wire; what is not exactly as written here is refused (PayloadError), never guessed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict, dataclass
+
+from construction_twin.errors import ConfigurationError, PayloadError
+
+_NUMBER = re.compile(r"[0-9]{1,20}")
+_SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_LEVEL = re.compile(r"[A-Za-z0-9_-]+")
+#: Control messages are short; anything longer is not one.
+MAX_CONTROL_BYTES = 2048
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topic names of one robot, ``<prefix>/<robot>/...`` (design, section 4)."""
+
+    prefix: str
+    robot: str
+
+    def __post_init__(self):
+        for name in ("prefix", "robot"):
+            if not _LEVEL.fullmatch(getattr(self, name)):
+                raise ConfigurationError(name, getattr(self, name), "letters, digits, - and _, because it becomes a topic level")
+
+    def _topic(self, name: str) -> str:
+        return f"{self.prefix}/{self.robot}/{name}"
+
+    @property
+    def command(self) -> str:
+        """Joint strings to the arm."""
+        return self._topic("command")
+
+    @property
+    def state(self) -> str:
+        """Joint strings from the arm."""
+        return self._topic("state")
+
+    @property
+    def status(self) -> str:
+        """The gateway's retained status."""
+        return self._topic("status")
+
+    @property
+    def bridge_status(self) -> str:
+        """The bridge's retained status."""
+        return self._topic("bridge/status")
+
+    @property
+    def control(self) -> str:
+        """Verbs to the gateway."""
+        return self._topic("control")
+
+    @property
+    def control_ack(self) -> str:
+        """The gateway's answers to verbs."""
+        return self._topic("control/ack")
+
+
+@dataclass(frozen=True)
+class CommandProperties:
+    """User properties beside a command: session id, sequence number, stamp on the sender's clock [ns]."""
+
+    session: str
+    seq: int
+    stamp: int
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return them as MQTT 5 user properties."""
+        return [("session", self.session), ("seq", str(self.seq)), ("stamp", str(self.stamp))]
+
+
+@dataclass(frozen=True)
+class StateProperties:
+    """User properties beside a state: sequence number, the gateway's stamp [ns], command stamp [ns] (0: none)."""
+
+    seq: int
+    stamp: int
+    command_stamp: int
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return them as MQTT 5 user properties."""
+        return [("seq", str(self.seq)), ("stamp", str(self.stamp)), ("command_stamp", str(self.command_stamp))]
+
+
+def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str]:
+    values = dict(pairs)
+    if len(values) != len(pairs) or set(values) != set(names):
+        raise PayloadError("properties", f"user properties {[name for name, _ in pairs][:8]}; expected exactly {list(names)}")
+    return values
+
+
+def _number(name: str, text: str) -> int:
+    if not _NUMBER.fullmatch(text):
+        raise PayloadError("properties", f"property {name} is {text[:32]!r}; expected a whole number")
+    return int(text)
+
+
+def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
+    """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
+    values = _read(pairs, ("session", "seq", "stamp"))
+    if not _SESSION.fullmatch(values["session"]):
+        raise PayloadError("properties", f"property session is {values['session'][:32]!r}; expected letters, digits, - and _")
+    return CommandProperties(values["session"], _number("seq", values["seq"]), _number("stamp", values["stamp"]))
+
+
+def read_state_properties(pairs: list[tuple[str, str]]) -> StateProperties:
+    """Parse a state's user properties; PayloadError (``properties``) when they are not exactly seq, stamp and command_stamp."""
+    values = _read(pairs, ("seq", "stamp", "command_stamp"))
+    return StateProperties(*(_number(name, values[name]) for name in ("seq", "stamp", "command_stamp")))
+
+
+@dataclass(frozen=True)
+class Control:
+    """A message on `control`: who (session), which message (id), what (verb), and the verb's value."""
+
+    id: str
+    session: str
+    verb: str
+    value: object = None
+
+    def to_json(self) -> bytes:
+        """Return the message's payload."""
+        return json.dumps(asdict(self)).encode()
+
+
+def parse_control(payload: bytes) -> Control:
+    """Parse a control message; PayloadError (``control``) when it is not one."""
+    document = _parse_object(payload, "control")
+    if set(document) - {"value"} != {"id", "session", "verb"}:
+        raise PayloadError("control", f"control message with keys {sorted(document)[:8]}; expected id, session, verb and value")
+    if not all(isinstance(document[key], str) and len(document[key]) <= 64 for key in ("id", "session", "verb")):
+        raise PayloadError("control", "control message whose id, session or verb is not a short text")
+    return Control(**document)
+
+
+def parse_status(payload: bytes) -> dict:
+    """Parse a gateway's status (or answer) into a dict; PayloadError (``status``) when it is not a JSON object."""
+    return _parse_object(payload, "status", limit=1 << 20)
+
+
+def _parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
+    if len(payload) > limit:
+        raise PayloadError(reason, f"{reason} message of {len(payload)} bytes; at most {limit} are read")
+    try:
+        document = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not a JSON object")
+    return document

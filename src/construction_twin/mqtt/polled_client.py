@@ -1,0 +1,107 @@
+"""An MQTT connection served from somebody else's select loop: no thread touches it while it works.
+
+The gateway answers RSI packets from the same thread, so reading and writing MQTT must never block and must not compete for the
+interpreter. Only connecting, which can block for seconds, happens in a short-lived thread, and until it has succeeded the
+loop leaves the client alone. Standard library and paho-mqtt only.
+"""
+
+from __future__ import annotations
+
+import selectors
+import threading
+import time
+
+from paho.mqtt import client as paho
+
+#: Pause between attempts to connect [s].
+RETRY = 0.5
+
+
+class PolledClient:
+    """Drives a paho client from a selector loop.
+
+    Parameters
+    ----------
+    client : paho.Client
+        With `connect_async` called and callbacks set.
+    selector : selectors.BaseSelector
+        The loop's selector; the MQTT socket is registered with this object as data.
+    """
+
+    def __init__(self, client: paho.Client, selector: selectors.BaseSelector):
+        self.client = client
+        self._selector = selector
+        self._registered = None
+        self._events = 0
+        self._connector: threading.Thread | None = None
+        self._retry_at = 0.0
+        self._misc_at = 0.0
+
+    @property
+    def connected(self) -> bool:
+        """True between the broker's welcome and the loss of the connection."""
+        return self._registered is not None and self.client.is_connected()
+
+    def read(self) -> None:
+        """Handle one incoming packet; call when the selector says that the socket is readable."""
+        self.client.loop_read(1)
+
+    def service(self, now: float) -> None:
+        """Write what is queued, keep the connection alive, connect again when it is lost.
+
+        Parameters
+        ----------
+        now : float
+            Monotonic time [s].
+        """
+        if self._connector is not None:
+            if self._connector.is_alive():
+                return
+            self._connector = None
+        sock = self.client.socket()
+        if sock is not self._registered:
+            self._register(sock)
+        if sock is None:
+            self._connect(now)
+            return
+        if self.client.want_write():
+            self.client.loop_write()
+        if now >= self._misc_at:
+            self._misc_at = now + 0.5
+            self.client.loop_misc()
+        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if self.client.want_write() else 0)
+        if self.client.socket() is self._registered and wanted != self._events:
+            self._selector.modify(self._registered, wanted, self)
+            self._events = wanted
+
+    def close(self) -> None:
+        """Say goodbye to the broker and wait until that is written, at most 1 s."""
+        self.client.disconnect()
+        deadline = time.monotonic() + 1.0
+        while self.client.want_write() and time.monotonic() < deadline:
+            self.client.loop_write()
+
+    def _register(self, sock) -> None:
+        if self._registered is not None:
+            # the old socket is closed already and its number may be in use again: look it up by key, not by number
+            for key in list(self._selector.get_map().values()):
+                if key.data is self:
+                    self._selector.unregister(key.fileobj)
+        if sock is not None:
+            self._selector.register(sock, selectors.EVENT_READ, self)
+            self._events = selectors.EVENT_READ
+        self._registered = sock
+
+    def _connect(self, now: float) -> None:
+        if now < self._retry_at:
+            return
+        self._retry_at = now + RETRY
+        self._connector = threading.Thread(target=self._try_connect, name="mqtt-connect", daemon=True)
+        self._connector.start()
+
+    def _try_connect(self) -> None:
+        try:
+            self.client.reconnect()
+        except OSError:
+            # refused or unreachable: service() tries again; `connected` stays False and the status says so
+            return

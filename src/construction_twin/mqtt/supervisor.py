@@ -1,0 +1,215 @@
+"""Who may command, and when: the bridge's side of arming and resetting the gateway.
+
+Pure: events in, control messages out; time is an argument [ns]. Angles in rad (axis space).
+
+A session is one continuous right to command. Its change makes the twin take over the arm's pose and executor and gate start over;
+only then, with a command stream within the start tolerance of the arm, is the gateway armed (design, law 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+from construction_twin.errors import ReviewError
+from construction_twin.limits import outside_tolerance
+from construction_twin.mqtt.messages import Control
+from construction_twin.units import NANOSECONDS
+
+#: A pose or command older than this is not used for a decision [ns].
+FRESH = NANOSECONDS // 4
+#: The arm is at rest when its pose has not moved for this long [ns].
+REST = NANOSECONDS // 5
+#: Pause before an unanswered control message is sent again [ns].
+RETRY = NANOSECONDS // 2
+#: A retained "I am here" is believed this long without a newer status; the gateway repeats its status every second [ns].
+STATUS_TIMEOUT = 3 * NANOSECONDS
+
+
+class LinkState(Enum):
+    """State of the link; values are those of `Link.msg`."""
+
+    DISCONNECTED = 0
+    GATEWAY_OFFLINE = 1
+    NO_CONTROLLER = 2
+    MISMATCH = 3
+    RESYNC = 4
+    ARMED = 5
+    NEEDS_RESET = 6
+
+
+class LinkSupervisor:
+    """Decides when to start a session, arm, and resume.
+
+    Parameters
+    ----------
+    config_hash : str
+        Hash of the configuration that this side would give the gateway.
+    decimals : int
+    start_tolerance : float
+        [rad]
+    new_id : callable
+        Returns a new unique id.
+    """
+
+    def __init__(self, config_hash: str, decimals: int, start_tolerance: float, new_id: Callable[[], str]):
+        self._hash = config_hash
+        self._decimals = decimals
+        self._tolerance = start_tolerance
+        self._new_id = new_id
+        self.state = LinkState.DISCONNECTED
+        self.reason = "not connected to the broker yet"
+        self.session = ""
+        self.status: dict = {}
+        self._status_at = 0
+        self._connected = False
+        self._pose: tuple[float, ...] | None = None
+        self._pose_at = 0
+        self._moved_at = 0
+        self._command: tuple[float, ...] | None = None
+        self._command_at = 0
+        self._was_armed = False
+        self._reset_wanted = False
+        self._pending: Control | None = None
+        self._sent_at = 0
+
+    # -- events --------------------------------------------------------------------------------------------------------
+
+    def on_connection(self, connected: bool) -> None:
+        """Take the state of the connection to the broker."""
+        self._connected = connected
+        if not connected:
+            self.status = {}
+
+    def on_status(self, status: dict, now: int) -> None:
+        """Take the gateway's status."""
+        self.status, self._status_at = status, now
+
+    def on_pose(self, q: tuple[float, ...], now: int) -> None:
+        """Take the arm's pose [rad]."""
+        if self._pose is None or outside_tolerance(q, self._pose, self._tolerance / 50) is not None:
+            self._moved_at = now
+            self._pose = q
+        self._pose_at = now
+
+    def on_command(self, q: tuple[float, ...], now: int) -> bool:
+        """Take a command that wants to be sent [rad]; return whether it may be."""
+        self._command, self._command_at = q, now
+        return self.state is LinkState.ARMED
+
+    def on_answer(self, answer: dict, now: int) -> None:
+        """Take the gateway's answer to a control message."""
+        if self._pending is None or answer.get("id") != self._pending.id:
+            return
+        verb, self._pending = self._pending.verb, None
+        if not answer.get("ok"):
+            self.reason = f"gateway refused {verb}: {answer.get('reason')}"
+        elif verb == "arm":
+            self._was_armed = True
+            self._enter(LinkState.ARMED, f"session {self.session}")
+
+    def request_reset(self, now: int) -> None:
+        """Start over from the arm's pose, on a person's request.
+
+        Raises
+        ------
+        ReviewError
+            When there is no arm to start from, or it moves.
+        """
+        if self.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTROLLER, LinkState.MISMATCH):
+            raise ReviewError(f"cannot reset: {self.reason}")
+        if not self._at_rest(now):
+            raise ReviewError("cannot reset: the arm's pose is unknown or still changing; stop it and wait until it is at rest")
+        self._reset_wanted = True
+
+    def drop(self, reason: str) -> None:
+        """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
+        self._enter(LinkState.NEEDS_RESET, reason)
+
+    # -- decisions -----------------------------------------------------------------------------------------------------
+
+    def poll(self, now: int) -> Control | None:
+        """Update the state; return a control message to send now, or None."""
+        obstacle = self._obstacle(now)
+        if obstacle is not None:
+            self._enter(*obstacle)
+            self._pending = None
+            return None
+        if self._reset_wanted:
+            self._reset_wanted = False
+            self._begin_session("reset asked for")
+        gateway = self.status["state"]
+        if self.state is LinkState.ARMED and not self._still_armed(gateway, now):
+            self._enter(LinkState.NEEDS_RESET, f"gateway is {gateway}: {self.status.get('reason')}")
+        elif self.state not in (LinkState.ARMED, LinkState.RESYNC):
+            self._leave_waiting(gateway, now)
+        return self._next_control(gateway, now) if self.state is LinkState.RESYNC else None
+
+    def _obstacle(self, now: int) -> tuple[LinkState, str] | None:
+        if not self._connected:
+            return LinkState.DISCONNECTED, "not connected to the broker"
+        gateway = self.status.get("state", "offline")
+        if gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
+            return LinkState.GATEWAY_OFFLINE, "no gateway answers on the broker; start rsi_gateway on the cell PC"
+        if self.status.get("decimals") != self._decimals:
+            return (
+                LinkState.MISMATCH,
+                f"gateway uses {self.status.get('decimals')} decimals, the bridge {self._decimals}: give both the same number",
+            )
+        if self.status.get("hash") != self._hash:
+            return (
+                LinkState.MISMATCH,
+                "gateway runs another configuration (its hash differs); export it again with `rosrun construction_twin "
+                "export_gateway_config` and restart the gateway",
+            )
+        if gateway in ("no_controller", "joined_running"):
+            return LinkState.NO_CONTROLLER, f"gateway has no RSI session: {self.status.get('reason')}"
+        return None
+
+    def _leave_waiting(self, gateway: str, now: int) -> None:
+        """First start, return after an interruption: begin by itself only where nothing could jump."""
+        if not self._was_armed and gateway == "ready":
+            self._begin_session("first session")
+        elif self._stopped_by_silence(gateway) and self._within_tolerance(now) and self._at_rest(now):
+            self._begin_session("the link is back and the poses agree within the start tolerance")
+        elif gateway not in ("armed", "following", "braking") and self.state is not LinkState.NEEDS_RESET:
+            self._enter(LinkState.NEEDS_RESET, f"gateway is {gateway}: {self.status.get('reason')}; call reset")
+
+    def _stopped_by_silence(self, gateway: str) -> bool:
+        stopped_by = str(self.status.get("reason", "")).split(":")[0]
+        return gateway == "ready" or (gateway == "holding" and stopped_by == "silence")
+
+    def _still_armed(self, gateway: str, now: int) -> bool:
+        # a status sent before the arming was answered still says ready
+        recently = now - self._sent_at < RETRY
+        return recently or (gateway in ("armed", "following") and self.status.get("session") == self.session)
+
+    def _next_control(self, gateway: str, now: int) -> Control | None:
+        if self._pending is not None and now - self._sent_at < RETRY:
+            return None
+        if gateway != "ready":
+            return self._send("reset", now) if gateway != "braking" else None
+        if self._within_tolerance(now):
+            return self._send("arm", now, self._hash)
+        return None
+
+    def _send(self, verb: str, now: int, value: object = None) -> Control:
+        self._pending = Control(self._new_id(), self.session, verb, value)
+        self._sent_at = now
+        return self._pending
+
+    def _begin_session(self, reason: str) -> None:
+        self.session = self._new_id()
+        self._pending = None
+        self._command = None
+        self._enter(LinkState.RESYNC, reason)
+
+    def _at_rest(self, now: int) -> bool:
+        return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
+
+    def _within_tolerance(self, now: int) -> bool:
+        fresh = self._command is not None and now - self._command_at < FRESH and now - self._pose_at < FRESH
+        return fresh and outside_tolerance(self._command, self._pose, self._tolerance) is None
+
+    def _enter(self, state: LinkState, reason: str) -> None:
+        self.state, self.reason = state, reason

@@ -1,0 +1,29 @@
+"""Real-time scheduling where the system permits it; never required. Standard library only."""
+
+from __future__ import annotations
+
+import os
+
+
+def request_realtime(priority: int) -> str:
+    """Ask for SCHED_FIFO at `priority` for this process.
+
+    Parameters
+    ----------
+    priority : int
+        1 to 99; 0 asks for nothing.
+
+    Returns
+    -------
+    outcome : str
+        One sentence for the log.
+    """
+    if priority == 0:
+        return "normal scheduling"
+    if not hasattr(os, "sched_setscheduler"):
+        return f"SCHED_FIFO {priority} was asked for, but this system has none; normal scheduling"
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        return f"SCHED_FIFO {priority} not permitted ({error.strerror}); normal scheduling"
+    return f"SCHED_FIFO {priority}"

@@ -1,0 +1,82 @@
+"""Review: which plan lies on the desk, and what was decided about it. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from construction_twin.errors import ReviewError
+from construction_twin.trajectory import Plan
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was decided about a plan, by whom and why."""
+
+    plan_id: str
+    plan_hash: str
+    approved: bool
+    reviewer: str
+    reason: str
+
+
+class ReviewDesk:
+    """Holds the newest plan until it is approved, rejected or replaced. An approval covers one execution of one plan."""
+
+    def __init__(self):
+        self.plan: Plan | None = None
+        self._decided: set[str] = set()
+
+    def offer(self, plan: Plan) -> None:
+        """Put a plan on the desk in place of the one before, unless it was decided already.
+
+        Raises
+        ------
+        ReviewError
+            When its content does not have the hash it claims.
+        """
+        if plan.hash != plan.trajectory.content_hash():
+            raise ReviewError(f"plan {plan.id} does not have the hash it claims; it was changed on the way, plan again")
+        if plan.id not in self._decided:
+            self.plan = plan
+
+    def clear(self) -> None:
+        """Take the plan off the desk: it can no longer be approved."""
+        if self.plan is not None:
+            self._decided.add(self.plan.id)
+        self.plan = None
+
+    def decide(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
+        """Take the named plan off the desk to carry out a verdict on it.
+
+        Parameters
+        ----------
+        plan_id : str
+        plan_hash : str
+            Hash of the plan that was looked at; "" when the reviewer did not compare.
+        reviewer : str
+            Must not be empty.
+
+        Returns
+        -------
+        plan : Plan
+
+        Raises
+        ------
+        ReviewError
+        """
+        self.check(plan_id, plan_hash, reviewer)
+        plan = self.plan
+        self.clear()
+        return plan
+
+    def check(self, plan_id: str, plan_hash: str, reviewer: str) -> None:
+        """Raise ReviewError when a verdict on this plan by this reviewer cannot be taken."""
+        if not reviewer.strip():
+            raise ReviewError("a verdict needs the reviewer's name")
+        if plan_id in self._decided:
+            raise ReviewError(f"plan {plan_id} was decided already; an approval covers one execution, plan again")
+        if self.plan is None or self.plan.id != plan_id:
+            waiting = f"plan {self.plan.id} is" if self.plan else "no plan is"
+            raise ReviewError(f"plan {plan_id} is not under review; {waiting}")
+        if plan_hash and plan_hash != self.plan.hash:
+            raise ReviewError(f"plan {plan_id} has hash {self.plan.hash}, not {plan_hash}; look at it again")

@@ -1,0 +1,125 @@
+"""Between ROS messages and the library's values: one direction per function, named by it; no parameters, no clock.
+
+Numbers cross unchanged to the last bit: float64 fields as they are, times as whole nanoseconds.
+"""
+
+from __future__ import annotations
+
+import genpy
+import numpy as np
+from geometry_msgs.msg import Point, Transform
+from geometry_msgs.msg import Pose as PoseMsg
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.frames import quaternion_to_rotation
+from construction_twin.kinematics import Pose
+from construction_twin.msg import Plan as PlanMsg
+from construction_twin.trajectory import Plan, Trajectory
+from construction_twin.units import NANOSECONDS
+
+
+def trajectory_to_msg(trajectory: Trajectory) -> JointTrajectory:
+    """Return the message; its header is left empty: a trajectory has no start time of its own."""
+    rows = zip(trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations)
+    return JointTrajectory(
+        joint_names=list(trajectory.joint_names),
+        points=[
+            JointTrajectoryPoint(
+                positions=position.tolist(),
+                velocities=velocity.tolist(),
+                accelerations=acceleration.tolist(),
+                time_from_start=genpy.Duration(0, round(time * 1e9)),
+            )
+            for time, position, velocity, acceleration in rows
+        ],
+    )
+
+
+def trajectory_from_msg(msg: JointTrajectory) -> Trajectory:
+    """Return the trajectory.
+
+    Raises
+    ------
+    TrajectoryError
+        If the message is none: also when velocities or accelerations are missing.
+    """
+    return Trajectory(
+        joint_names=tuple(msg.joint_names),
+        times=[point.time_from_start.to_nsec() / NANOSECONDS for point in msg.points],
+        positions=[point.positions for point in msg.points],
+        velocities=[point.velocities for point in msg.points],
+        accelerations=[point.accelerations for point in msg.points],
+    )
+
+
+def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
+    """Return the message.
+
+    Parameters
+    ----------
+    plan : Plan
+    frame_id : str
+        Frame of `tool_path`.
+    tool_path : array, shape (k, 3)
+        Position of the tool at the waypoints [m].
+
+    Returns
+    -------
+    msg : construction_twin/Plan
+    """
+    msg = PlanMsg(
+        id=plan.id,
+        hash=plan.hash,
+        source=plan.source,
+        planner=plan.planner,
+        duration=plan.trajectory.duration,
+        planning_time=plan.planning_time,
+        trajectory=trajectory_to_msg(plan.trajectory),
+        tool_path=[Point(*position) for position in np.asarray(tool_path).tolist()],
+    )
+    msg.header.stamp = genpy.Time(0, plan.created_ns)
+    msg.header.frame_id = frame_id
+    return msg
+
+
+def plan_from_msg(msg: PlanMsg) -> Plan:
+    """Return the plan.
+
+    Raises
+    ------
+    TrajectoryError
+        If its trajectory is none, or its hash is another trajectory's.
+    """
+    return Plan(
+        id=msg.id,
+        hash=msg.hash,
+        source=msg.source,
+        planner=msg.planner,
+        created_ns=msg.header.stamp.to_nsec(),
+        planning_time=msg.planning_time,
+        trajectory=trajectory_from_msg(msg.trajectory),
+    )
+
+
+def pose_from_msg(msg: PoseMsg) -> Pose:
+    """Return the pose.
+
+    Raises
+    ------
+    KinematicsError
+        If the orientation is not a unit quaternion within 1e-3.
+    """
+    return Pose(_vector(msg.position), quaternion_to_rotation(_quaternion(msg.orientation)))
+
+
+def pose_from_transform_msg(msg: Transform) -> Pose:
+    """Return the pose that a transform gives its child frame in its parent frame; raises like `pose_from_msg`."""
+    return Pose(_vector(msg.translation), quaternion_to_rotation(_quaternion(msg.rotation)))
+
+
+def _vector(msg) -> np.ndarray:
+    return np.array((msg.x, msg.y, msg.z))
+
+
+def _quaternion(msg) -> tuple[float, float, float, float]:
+    return msg.x, msg.y, msg.z, msg.w

@@ -1,0 +1,158 @@
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz, and serves `review_plan` and `stop`."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from dataclasses import asdict
+
+import pydantic
+import rospy
+from std_srvs.srv import Trigger, TriggerResponse
+
+from construction_twin.errors import ConstructionTwinError
+from construction_twin.executor import Executor, ExecutorState
+from construction_twin.gate import SyncState
+from construction_twin.msg import Execution, Link, Plan, Review, Sync
+from construction_twin.realtime import request_realtime
+from construction_twin.ros.convert import plan_from_msg
+from construction_twin.ros.cycle import cycles
+from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns, to_time
+from construction_twin.ros.node import run_node
+from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.review import Verdict
+from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters; see config/executor.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    auto_approve: bool = False
+    realtime_priority: int = pydantic.Field(0, ge=0, le=99)
+
+
+class ExecutorNode:
+    """ROS around an Executor."""
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        robot = robot_from_parameters()
+        self._executor = Executor(robot, settings.auto_approve)
+        self._started = rospy.Time.now()
+        self._lock = threading.Lock()
+        self._session: str | None = None
+        self._reported: tuple = ()
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        self._next = JointPublisher("next/joint_states", robot.joint_names)
+        self._execution = rospy.Publisher("execution", Execution, queue_size=10, latch=True)
+        self._verdicts = rospy.Publisher("review", Review, queue_size=10, latch=True)
+        JointSubscriber("twin/joint_states", robot.joint_names, self._on_twin, self._diagnostics.refuse)
+        rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
+        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
+        rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+        rospy.Service("review_plan", ReviewPlan, self._on_review)
+        rospy.Service("stop", Trigger, self._on_stop)
+        if settings.auto_approve:
+            rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
+        rospy.loginfo(request_realtime(settings.realtime_priority))
+
+    def run(self) -> None:
+        """Publish one setpoint per cycle until shutdown."""
+        for stamp, stalled in cycles():
+            with self._lock:
+                if stalled:
+                    self._executor.stall(f"this process was not run for {stalled / 1e9:.3f} s")
+                setpoint = self._executor.step(stamp, now_ns())
+            if setpoint is not None:
+                self._next.publish(stamp, setpoint)
+            self._publish_changes()
+
+    # -- subscriptions ---------------------------------------------------------------------------------------------------
+
+    def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        with self._lock:
+            self._executor.on_twin(stamp, q, now_ns())
+
+    def _on_sync(self, message: Sync) -> None:
+        with self._lock:
+            self._executor.on_sync(SyncState(message.state), message.agreed)
+
+    def _on_plan(self, message: Plan) -> None:
+        if message.header.stamp < self._started:
+            rospy.logwarn("plan %s is older than this executor and will not be played; plan again", message.id)
+            return
+        try:
+            plan = plan_from_msg(message)
+            with self._lock:
+                self._executor.desk.offer(plan)
+        except ConstructionTwinError as error:
+            self._diagnostics.refuse("plan", str(error))
+
+    def _on_link(self, message: Link) -> None:
+        if message.session == self._session or not message.session:
+            return
+        with self._lock:
+            if self._session is not None:
+                self._executor.restart("new command session")
+            self._session = message.session
+
+    # -- services ----------------------------------------------------------------------------------------------------------
+
+    def _on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
+        try:
+            with self._lock:
+                sentence = self._executor.review(
+                    request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
+                )
+        except ConstructionTwinError as error:
+            rospy.logwarn("review refused: %s", error)
+            return ReviewPlanResponse(False, str(error))
+        return ReviewPlanResponse(True, sentence)
+
+    def _on_stop(self, _request) -> TriggerResponse:
+        with self._lock:
+            sentence = self._executor.stop()
+        rospy.logwarn("stop: %s", sentence)
+        return TriggerResponse(True, sentence)
+
+    # -- reports -----------------------------------------------------------------------------------------------------------
+
+    def _publish_verdict(self, verdict: Verdict) -> None:
+        decision = "approved" if verdict.approved else "not approved"
+        rospy.logwarn("plan %s %s by %s: %s", verdict.plan_id, decision, verdict.reviewer, verdict.reason or "no reason given")
+        message = Review(**asdict(verdict))
+        message.header.stamp = rospy.Time.now()
+        self._verdicts.publish(message)
+
+    def _publish_changes(self) -> None:
+        executor = self._executor
+        with self._lock:
+            verdicts = executor.take_verdicts()
+        for verdict in verdicts:
+            self._publish_verdict(verdict)
+        state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
+        if state == self._reported:
+            return
+        self._reported = state
+        rospy.loginfo("%s: %s", executor.state.name, executor.reason)
+        message = Execution(state=executor.state.value, text=executor.state.name, outcome=executor.outcome, reason=executor.reason)
+        message.header.stamp = rospy.Time.now()
+        if executor.plan is not None:
+            message.plan_id = executor.plan.id
+            message.plan_start = to_time(executor.plan_start)
+            message.duration = executor.plan.trajectory.duration
+        self._execution.publish(message)
+
+    def _report(self) -> tuple[int, str, dict]:
+        executor = self._executor
+        level = WARN if executor.state is ExecutorState.WAITING else OK
+        return level, f"{executor.state.name}: {executor.reason}", {"outcome of the last plan": executor.outcome}
+
+
+def main() -> None:
+    """Run the node."""
+    sys.setswitchinterval(0.001)
+    run_node("executor", ExecutorNode)

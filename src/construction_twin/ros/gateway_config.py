@@ -1,0 +1,60 @@
+"""The gateway's configuration from the parameter server: exported to a file, or handed to a gateway on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+import rospy
+
+from construction_twin.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.ros.params import robot_from_parameters
+from construction_twin.rsi.config import GatewayConfig
+from construction_twin.rsi.export import gateway_config
+
+
+def config_from_parameters() -> GatewayConfig:
+    """Return the configuration that the namespace's `robot_description`, `robot` and `gateway` parameters describe."""
+    if not rospy.has_param("gateway"):
+        raise ConfigurationError(rospy.resolve_name("gateway"), None, "link settings, as launch/bringup.launch loads them")
+    return gateway_config(robot_from_parameters(), rospy.get_param("gateway"))
+
+
+def export_main() -> None:
+    """Write the configuration file for a gateway on another machine."""
+    parser = argparse.ArgumentParser(
+        prog="export_gateway_config",
+        description="Write the configuration of rsi_gateway for the cell PC, from the parameters of a running bringup.",
+    )
+    parser.add_argument("output", help="file to write, e.g. kr120_gateway.json; - for the terminal")
+    parser.add_argument("--namespace", default="kr120", help="namespace of the robot [%(default)s]")
+    arguments = parser.parse_args(rospy.myargv(sys.argv)[1:])
+    os.environ["ROS_NAMESPACE"] = "/" + arguments.namespace.strip("/")
+    rospy.init_node("export_gateway_config", anonymous=True, disable_signals=True)
+    try:
+        config = config_from_parameters()
+    except ConstructionTwinError as error:
+        sys.exit(f"export_gateway_config: {error}")
+    if arguments.output == "-":
+        print(config.to_json(), end="")
+        return
+    Path(arguments.output).write_text(config.to_json(), encoding="utf-8")
+    print(f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals")
+
+
+def run_gateway() -> None:
+    """Start the gateway on this machine as roslaunch would start a node; ROS ends where the gateway begins."""
+    rospy.init_node("rsi_gateway", disable_signals=True, disable_rosout=True)
+    try:
+        config = config_from_parameters()
+    except ConstructionTwinError as error:
+        sys.exit(f"rsi_gateway cannot run: {error}")
+    name = rospy.get_name().strip("/").replace("/", "_")
+    path = Path(os.environ.get("ROS_HOME", Path.home() / ".ros")) / f"{name}.{os.getpid()}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(config.to_json(), encoding="utf-8")
+    rospy.signal_shutdown("handing over to the gateway")
+    arguments = rospy.myargv(sys.argv)[1:]
+    os.execv(sys.executable, [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", str(path), *arguments])

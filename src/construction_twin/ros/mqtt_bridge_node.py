@@ -1,0 +1,268 @@
+"""mqtt_bridge: ROS <-> MQTT in the paper's joint string, and the person's `reset`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+import uuid
+
+import pydantic
+import rospy
+from diagnostic_msgs.msg import KeyValue
+from std_srvs.srv import Trigger, TriggerResponse
+
+from construction_twin.errors import PayloadError, ReviewError
+from construction_twin.mqtt.client import Broker, make_client, received_pairs, user_properties
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
+from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
+from construction_twin.msg import Feedback, Link
+from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.gateway_config import config_from_parameters
+from construction_twin.ros.joint_stream import QUEUE, JointPublisher, JointSubscriber, now_ns, to_time
+from construction_twin.ros.node import run_node
+from construction_twin.ros.params import read_parameters, robot_from_parameters
+
+#: Period at which the link's state is looked at [s].
+POLL = 0.02
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters; see config/mqtt_bridge.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    host: str
+    port: int = pydantic.Field(gt=0, lt=65536)
+    protocol: str = "5"
+    prefix: str = "twin"
+    gate: str = "pca_monitor"
+    reset_timeout: float = pydantic.Field(gt=0)
+
+
+class MqttBridgeNode:
+    """ROS and MQTT around a LinkSupervisor.
+
+    Two locks, never held together with a socket: `_lock` guards the supervisor; paho has its own for the connection.
+    """
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        self._settings = settings
+        robot = robot_from_parameters()
+        config = config_from_parameters()
+        self._names = list(robot.joint_names)
+        self._codec = JointStringCodec.of(robot, config.decimals)
+        self._properties = config.properties and settings.protocol == "5"
+        self._lock = threading.Lock()
+        self._supervisor = LinkSupervisor(config.hash, config.decimals, config.start_tolerance, lambda: uuid.uuid4().hex)
+        self._sequence = 0
+        self._state_sequence = 0
+        self._states = 0
+        self._states_lost = 0
+        self._reported: tuple = ()
+        self._reported_at = 0.0
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        self._physical = JointPublisher("physical/joint_states", robot.joint_names)
+        self._feedback = rospy.Publisher("physical/feedback", Feedback, queue_size=QUEUE, tcp_nodelay=True)
+        self._link = rospy.Publisher("link", Link, queue_size=10, latch=True)
+        self._topics = Topics(settings.prefix, robot.name)
+        self._client = self._connect(Broker(settings.host, settings.port, settings.protocol))
+        gate = rospy.resolve_name(settings.gate)
+        JointSubscriber("command/joint_states", robot.joint_names, self._on_command, self._diagnostics.refuse, gate)
+        rospy.Service("reset", Trigger, self._on_reset)
+        rospy.Service("~stop", Trigger, self._on_stop)
+
+    def run(self) -> None:
+        """Look after the link until shutdown."""
+        while not rospy.is_shutdown():
+            with self._lock:
+                control = self._supervisor.poll(now_ns())
+            if control is not None:
+                self._send_control(control)
+            self._publish_link()
+            time.sleep(POLL)
+        self._client.publish(self._topics.bridge_status, json.dumps({"state": "offline", "reason": "bridge stopped"}), 1, True)
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    # -- ROS to MQTT -----------------------------------------------------------------------------------------------------
+
+    def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
+        with self._lock:
+            send = self._supervisor.on_command(q, now_ns())
+            session = self._supervisor.session
+        if not send:
+            return
+        try:
+            payload = self._codec.encode(q)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return
+        self._sequence += 1
+        beside = user_properties(CommandProperties(session, self._sequence, stamp).pairs()) if self._properties else None
+        self._client.publish(self._topics.command, payload, properties=beside)
+
+    def _send_control(self, control: Control) -> None:
+        rospy.loginfo("%s, session %s", control.verb, control.session)
+        self._client.publish(self._topics.control, control.to_json(), qos=1)
+
+    # -- MQTT to ROS -----------------------------------------------------------------------------------------------------
+
+    def _connect(self, broker: Broker):
+        client = make_client(broker, f"{self._topics.robot}-bridge-{os.getpid()}", self._topics.bridge_status)
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.message_callback_add(self._topics.state, self._on_state)
+        client.message_callback_add(self._topics.status, self._on_status)
+        client.message_callback_add(self._topics.control_ack, self._on_answer)
+        client.connect_async(broker.host, broker.port, broker.keepalive)
+        client.loop_start()
+        return client
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        if reason_code.is_failure:
+            rospy.logerr("broker refused the connection: %s", reason_code)
+            return
+        client.subscribe([(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)])
+        with self._lock:
+            self._supervisor.on_connection(True)
+
+    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+        rospy.logwarn("connection to the broker lost: %s; trying again", reason_code)
+        with self._lock:
+            self._supervisor.on_connection(False)
+
+    def _on_state(self, client, userdata, message) -> None:
+        received = now_ns()
+        pairs = received_pairs(message)
+        try:
+            q = self._codec.decode(message.payload)
+            properties = read_state_properties(pairs) if pairs else None
+        except PayloadError as error:
+            self._diagnostics.refuse(f"state_{error.reason}", str(error))
+            return
+        if properties is not None and not self._in_order(properties.seq):
+            return
+        with self._lock:
+            self._supervisor.on_pose(q, received)
+            self._states += 1
+        self._publish_physical(q, received, properties)
+
+    def _in_order(self, seq: int) -> bool:
+        # a gateway that was restarted counts from 1 again
+        if 1 < seq <= self._state_sequence:
+            self._diagnostics.refuse("state_sequence", f"state seq {seq} after {self._state_sequence}")
+            return False
+        if self._state_sequence and seq > 1:
+            self._states_lost += seq - self._state_sequence - 1
+        self._state_sequence = seq
+        return True
+
+    def _publish_physical(self, q: tuple[float, ...], received: int, properties) -> None:
+        self._physical.publish(received, q)
+        feedback = Feedback(name=self._names, position=q)
+        feedback.header.stamp = to_time(received)
+        if properties is not None:
+            feedback.seq = properties.seq
+            feedback.command_stamp = to_time(properties.command_stamp)
+        self._feedback.publish(feedback)
+
+    def _on_status(self, client, userdata, message) -> None:
+        try:
+            status = parse_status(message.payload)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return
+        if status.get("state") == "offline":
+            self._state_sequence = 0
+        with self._lock:
+            self._supervisor.on_status(status, now_ns())
+
+    def _on_answer(self, client, userdata, message) -> None:
+        try:
+            answer = parse_status(message.payload)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return
+        with self._lock:
+            self._supervisor.on_answer(answer, now_ns())
+
+    # -- services --------------------------------------------------------------------------------------------------------
+
+    def _on_reset(self, _request) -> TriggerResponse:
+        try:
+            with self._lock:
+                self._supervisor.request_reset(now_ns())
+                before = self._supervisor.session
+        except ReviewError as error:
+            return TriggerResponse(False, str(error))
+        deadline = time.monotonic() + self._settings.reset_timeout
+        while time.monotonic() < deadline and not rospy.is_shutdown():
+            with self._lock:
+                state, session, reason = self._supervisor.state, self._supervisor.session, self._supervisor.reason
+            if state is LinkState.ARMED and session != before:
+                return TriggerResponse(True, f"armed, session {session}")
+            time.sleep(POLL)
+        return TriggerResponse(False, f"not armed within {self._settings.reset_timeout:g} s: {state.name}, {reason}")
+
+    def _on_stop(self, _request) -> TriggerResponse:
+        with self._lock:
+            control = Control(uuid.uuid4().hex, self._supervisor.session, "stop")
+            self._supervisor.drop("stopped at the gateway on request; call reset")
+        self._send_control(control)
+        return TriggerResponse(True, "stop sent to the gateway; call reset to go on")
+
+    # -- reports ---------------------------------------------------------------------------------------------------------
+
+    def _publish_link(self) -> None:
+        with self._lock:
+            supervisor = self._supervisor
+            state = (supervisor.state, supervisor.reason, supervisor.session)
+            status = dict(supervisor.status)
+        now = time.monotonic()
+        changed = state != self._reported
+        if not changed and now - self._reported_at < 1.0:
+            return
+        self._reported, self._reported_at = state, now
+        self._link.publish(self._link_message(*state, status))
+        if changed:
+            rospy.loginfo("%s: %s", state[0].name, state[1])
+            report = {"state": state[0].name.lower(), "reason": state[1], "session": state[2]}
+            self._client.publish(self._topics.bridge_status, json.dumps(report), qos=1, retain=True)
+
+    def _link_message(self, state: LinkState, reason: str, session: str, status: dict) -> Link:
+        message = Link(state=state.value, text=state.name, reason=reason, session=session)
+        message.header.stamp = rospy.Time.now()
+        message.gateway_state = str(status.get("state", "offline"))
+        message.commands_sent = self._sequence
+        message.commands_refused = sum(count for name, count in self._diagnostics.refused.items() if not name.startswith("stat"))
+        message.states_received = self._states
+        message.states_refused = sum(count for name, count in self._diagnostics.refused.items() if name.startswith("stat"))
+        counters = dict(status.get("counters", {}))
+        counters["decimals"] = status.get("decimals", "")
+        reply = status.get("reply_us", {})
+        counters["reply_us_max"] = reply.get("max", 0)
+        counters["states_lost"] = self._states_lost
+        message.gateway_counters = [KeyValue(key, str(value)) for key, value in sorted(counters.items())]
+        message.reply_us_bins = reply.get("bins", [])
+        message.reply_us_counts = reply.get("counts", [])
+        return message
+
+    def _report(self) -> tuple[int, str, dict]:
+        supervisor = self._supervisor
+        level = OK if supervisor.state is LinkState.ARMED else WARN
+        values = {"session": supervisor.session, "commands sent": self._sequence, "states received": self._states}
+        values |= {f"gateway {key}": value for key, value in sorted(supervisor.status.get("counters", {}).items())}
+        if not self._properties:
+            values["comparison"] = "instant: the link carries no MQTT 5 properties"
+        return level, f"{supervisor.state.name}: {supervisor.reason}", values
+
+
+def main() -> None:
+    """Run the node."""
+    sys.setswitchinterval(0.001)
+    run_node("mqtt_bridge", MqttBridgeNode)

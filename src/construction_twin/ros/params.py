@@ -1,0 +1,56 @@
+"""Parameters read once at start, checked as a whole, into one immutable object."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import pydantic
+import rospy
+
+from construction_twin.errors import ConfigurationError
+from construction_twin.robot import RobotModel, load_robot
+
+Settings = TypeVar("Settings", bound=pydantic.BaseModel)
+
+
+def read_parameters(model: type[Settings]) -> Settings:
+    """Read the node's private parameters into `model`.
+
+    Roslaunch leaves its own bookkeeping and other nodes' keys elsewhere, so everything under ``~`` must be known to the
+    model: a misspelt key is an error, not a silent default.
+
+    Parameters
+    ----------
+    model : type
+        A pydantic model with ``extra="forbid"``.
+
+    Returns
+    -------
+    settings : Settings
+
+    Raises
+    ------
+    ConfigurationError
+        With the resolved parameter name, its value and what was expected.
+    """
+    values = rospy.get_param("~", {})
+    try:
+        return model.model_validate(values)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        name = "/".join(str(part) for part in first["loc"])
+        raise ConfigurationError(rospy.resolve_name(f"~{name}"), first.get("input"), first["msg"]) from error
+
+
+def robot_from_parameters() -> RobotModel:
+    """Return the robot described by the namespace's ``robot_description`` (URDF) and ``robot`` (YAML) parameters.
+
+    Raises
+    ------
+    ConfigurationError
+        If one is missing or does not make sense.
+    """
+    for name in ("robot_description", "robot"):
+        if not rospy.has_param(name):
+            raise ConfigurationError(rospy.resolve_name(name), None, "a robot, as launch/robot.launch loads it")
+    return load_robot(rospy.get_param("robot_description"), rospy.get_param("robot"))

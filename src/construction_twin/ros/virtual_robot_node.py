@@ -1,0 +1,93 @@
+"""virtual_robot: the kinematic twin. Executes `command/joint_states`, publishes `twin/joint_states`."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from typing import Literal
+
+import pydantic
+import rospy
+
+from construction_twin.msg import Link
+from construction_twin.ros.cycle import cycles
+from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns
+from construction_twin.ros.node import run_node
+from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.twin import VirtualRobot
+from construction_twin.units import CYCLE_NS
+
+#: Cycles without a command after which the held pose is published by the clock.
+IDLE_CYCLES = 3
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters; see config/virtual_robot.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    arm: Literal["mock", "real", "none"]
+    gate: str = "pca_monitor"
+
+
+class VirtualRobotNode:
+    """ROS around a VirtualRobot."""
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        robot = robot_from_parameters()
+        self._robot = VirtualRobot(robot.home if settings.arm == "none" else None)
+        self._lock = threading.Lock()
+        self._published = 0
+        self._session: str | None = None
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        self._twin = JointPublisher("twin/joint_states", robot.joint_names)
+        names, refuse = robot.joint_names, self._diagnostics.refuse
+        JointSubscriber("command/joint_states", names, self._on_command, refuse, rospy.resolve_name(settings.gate))
+        if settings.arm != "none":
+            rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+            JointSubscriber("physical/joint_states", names, self._on_physical, refuse)
+
+    def run(self) -> None:
+        """Publish the held pose while no commands come, until shutdown."""
+        for stamp, _ in cycles():
+            with self._lock:
+                if self._robot.pose is not None and stamp - self._published > IDLE_CYCLES * CYCLE_NS:
+                    self._publish(stamp)
+
+    def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
+        with self._lock:
+            if self._robot.execute(stamp, q):
+                self._publish(stamp)
+                return
+        self._diagnostics.refuse("order", "command before the arm's pose was taken over, or not newer than the last one")
+
+    def _on_physical(self, _stamp: int, q: tuple[float, ...]) -> None:
+        with self._lock:
+            if self._robot.take_over(q):
+                rospy.loginfo("took over the physical arm's pose")
+                self._publish(now_ns())
+
+    def _on_link(self, message: Link) -> None:
+        if not message.session or message.session == self._session:
+            return
+        with self._lock:
+            if self._session is not None:
+                self._robot.restart()
+            self._session = message.session
+
+    def _publish(self, stamp: int) -> None:
+        self._published = stamp
+        self._twin.publish(stamp, self._robot.pose)
+
+    def _report(self) -> tuple[int, str, dict]:
+        if self._robot.pose is None:
+            return WARN, "waiting for the physical arm's pose", {}
+        return OK, "executing", {}
+
+
+def main() -> None:
+    """Run the node."""
+    sys.setswitchinterval(0.001)
+    run_node("virtual_robot", VirtualRobotNode)

@@ -1,0 +1,147 @@
+"""The gateway's configuration: one JSON file, made from URDF and robot YAML, with a hash that the bridge compares.
+
+The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
+file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
+command line. Standard library only. SI units throughout.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from construction_twin.errors import ConfigurationError
+from construction_twin.limits import MotionLimits
+
+#: Written into the file; another number means another meaning of its keys.
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class GatewayConfig:
+    """What the gateway must know about the robot and the link.
+
+    Axis order is A1 first; values are those of the controller's axes, which may differ from the URDF's joints in sign and offset.
+
+    Attributes
+    ----------
+    robot : str
+        Name of the robot in MQTT topics.
+    axes : tuple of str
+        RSI axis names, e.g. ``A1``.
+    lower, upper : tuple of float
+        Range [rad].
+    velocity, acceleration : tuple of float
+        [rad/s], [rad/s^2].
+    decimals : int
+        Decimals of a degree in the joint string.
+    properties : bool
+        Whether commands carry the MQTT 5 properties session, seq and stamp.
+    start_tolerance : float
+        A stream may begin this close to the held pose [rad].
+    playout_delay : float
+        Distance of the playout to the newest command [s].
+    silence : float
+        The stream may be overdue this long before the gateway brakes and holds [s].
+    max_age : float
+        A command may have travelled this much longer than the quickest one [s].
+    reference : str
+        ``ASPos`` or ``AIPos``: what the corrections are relative to.
+    sentype : str
+        SENTYPE of the controller's Ethernet XML.
+    timeout : float
+        Silence of the controller after which its session is over [s].
+    """
+
+    robot: str
+    axes: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    decimals: int = 3
+    properties: bool = True
+    start_tolerance: float = math.radians(0.05)
+    playout_delay: float = 0.02
+    silence: float = 0.1
+    max_age: float = 0.5
+    reference: str = "ASPos"
+    sentype: str = "ImFree"
+    timeout: float = 0.4
+
+    def __post_init__(self):
+        count = len(self.axes)
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            values = getattr(self, name)
+            if len(values) != count or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
+                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
+        if any(low >= high for low, high in zip(self.lower, self.upper)):
+            raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
+        if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
+            raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
+        if not isinstance(self.decimals, int) or not 1 <= self.decimals <= 6:
+            raise ConfigurationError("decimals", self.decimals, "1 to 6")
+        if self.reference not in ("ASPos", "AIPos"):
+            raise ConfigurationError("reference", self.reference, "ASPos or AIPos")
+        for name in ("start_tolerance", "playout_delay", "silence", "max_age", "timeout"):
+            if not isinstance(getattr(self, name), (int, float)) or not getattr(self, name) > 0:
+                raise ConfigurationError(name, getattr(self, name), "a positive number")
+
+    @property
+    def limits(self) -> MotionLimits:
+        """The axes' limits."""
+        return MotionLimits(self.axes, self.lower, self.upper, self.velocity, self.acceleration)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over the whole configuration, independent of the file's layout."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+    def to_json(self) -> str:
+        """Return the file's text."""
+        return json.dumps({"format": FORMAT, "hash": self.hash, "motion": asdict(self)}, indent=2) + "\n"
+
+
+def parse_config(text: str, where: str) -> GatewayConfig:
+    """Parse and check a configuration file's text.
+
+    Parameters
+    ----------
+    text : str
+        What `GatewayConfig.to_json` returned.
+    where : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    config : GatewayConfig
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not such a file, or was edited by hand (its hash no longer fits).
+    """
+    try:
+        document = json.loads(text)
+        motion = {key: tuple(value) if isinstance(value, list) else value for key, value in document["motion"].items()}
+        known = {field.name for field in fields(GatewayConfig)}
+        if document["format"] != FORMAT or set(motion) != known:
+            raise ConfigurationError(where, sorted(set(motion) ^ known), f"format {FORMAT} with exactly its keys; export it again")
+        config = GatewayConfig(**motion)
+    except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
+    if document.get("hash") != config.hash:
+        raise ConfigurationError(where, document.get("hash"), f"hash {config.hash}; the file was edited, export it again")
+    return config
+
+
+def load_config(path: str) -> GatewayConfig:
+    """Read a configuration file; ConfigurationError when it is missing or does not fit."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(path, error.strerror, "a readable file written by export_gateway_config") from error
+    return parse_config(text, path)

@@ -1,0 +1,123 @@
+"""The last stage before the corrections: a position that follows targets and never leaves the joint limits.
+
+One step per controller cycle. A target that the limits allow is met exactly; any other is chased inside the limits until it
+is met again (`settling`). Whatever comes in, every output lies inside the range, within velocity, and within acceleration
+plus the format's allowance (design, law 3). Standard library only; rad and rad per cycle.
+"""
+
+from __future__ import annotations
+
+import math
+
+from construction_twin.limits import RANGE_SLACK, MotionLimits
+from construction_twin.units import CYCLE, format_allowance
+
+
+def braking_step(distance: float, deceleration: float) -> float:
+    """Return the largest step after which braking still ends within `distance`.
+
+    Discrete and exact: a step v followed by v - a, v - 2a, ... adds up to `distance`.
+
+    Parameters
+    ----------
+    distance : float
+        [rad]; zero or less gives zero.
+    deceleration : float
+        Change of the step per cycle [rad], positive.
+
+    Returns
+    -------
+    step : float
+        [rad] per cycle.
+    """
+    if distance <= 0.0:
+        return 0.0
+    cycles = math.floor((math.sqrt(1.0 + 8.0 * distance / deceleration) - 1.0) / 2.0)
+    return (distance + deceleration * cycles * (cycles + 1) / 2.0) / (cycles + 1)
+
+
+class Follower:
+    """Per-joint target following inside the limits.
+
+    Parameters
+    ----------
+    limits : MotionLimits
+    decimals : int
+        Decimals of a degree on the wire, for the allowance.
+    q : tuple, shape (n,)
+        Start position, at rest [rad].
+    """
+
+    def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...]):
+        allowance = format_allowance(decimals)
+        self._lower, self._upper = limits.lower, limits.upper
+        self._speed = tuple(v * CYCLE for v in limits.velocity)
+        self._budget = tuple(a * CYCLE * CYCLE for a in limits.acceleration)
+        self._wide_budget = tuple((a + allowance) * CYCLE * CYCLE for a in limits.acceleration)
+        self._rounding = math.radians(10.0**-decimals)
+        self._target = list(q)
+        self._step = [0.0] * len(q)
+        self.position: tuple[float, ...] = tuple(q)
+        #: True while a joint has not met its target yet.
+        self.settling = False
+
+    @property
+    def at_rest(self) -> bool:
+        """True when the last step was no step."""
+        return not any(self._step)
+
+    def follow(self, target: tuple[float, ...]) -> tuple[float, ...]:
+        """Take one step towards `target` [rad] and return the new position [rad]."""
+        position = []
+        settling = False
+        for index, goal in enumerate(target):
+            last = self.position[index]
+            if self._allowed(index, goal, goal - last):
+                self._step[index] = goal - last
+                position.append(goal)
+            else:
+                settling = True
+                self._step[index] = self._chase(index, last, goal)
+                position.append(last + self._step[index])
+            self._target[index] = goal
+        self.settling = settling
+        self.position = tuple(position)
+        return self.position
+
+    def brake(self) -> tuple[float, ...]:
+        """Take one step of braking within the limits and return the new position [rad]."""
+        for index, step in enumerate(self._step):
+            slower = max(0.0, abs(step) - self._budget[index])
+            self._step[index] = self._keep_room(index, math.copysign(slower, step))
+        self.position = tuple(last + step for last, step in zip(self.position, self._step))
+        self._target = list(self.position)
+        return self.position
+
+    def _allowed(self, index: int, goal: float, step: float) -> bool:
+        lower, upper = self._lower[index], self._upper[index]
+        if not lower - RANGE_SLACK <= goal <= upper + RANGE_SLACK:
+            return False
+        if abs(step) > self._speed[index] + self._rounding:
+            return False
+        if abs(step - self._step[index]) > self._wide_budget[index] * (1 + 1e-9):
+            return False
+        # rounding can make a step look faster than the motion is; the wide budget takes that out in the first braking cycle
+        speed = abs(step) - self._rounding
+        room = upper - goal if step > 0.0 else goal - lower
+        return speed <= 0.0 or speed * speed / (2 * self._budget[index]) <= room + RANGE_SLACK
+
+    def _chase(self, index: int, last: float, goal: float) -> float:
+        budget, speed = self._budget[index], self._speed[index]
+        drift = goal - self._target[index]
+        behind = self._target[index] - last
+        wanted = drift + math.copysign(braking_step(abs(behind), budget), behind)
+        wanted = min(max(wanted, -speed), speed)
+        previous = self._step[index]
+        return self._keep_room(index, min(max(wanted, previous - budget), previous + budget))
+
+    def _keep_room(self, index: int, step: float) -> float:
+        """Return `step`, slowed as far as the wide budget allows when it would leave no room to brake inside the range."""
+        last, previous, wide = self.position[index], self._step[index], self._wide_budget[index]
+        if step > 0.0:
+            return max(min(step, braking_step(self._upper[index] - last, self._budget[index])), previous - wide)
+        return min(max(step, -braking_step(last - self._lower[index], self._budget[index])), previous + wide)

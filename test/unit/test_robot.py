@@ -1,0 +1,212 @@
+"""Loading a robot: what the files say arrives in SI, and what makes no sense is named."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+
+from construction_twin.errors import ConfigurationError, JointRangeError
+from construction_twin.robot import AxisMapping, expand_xacro, load_robot, parse_urdf, read_robot_files
+
+ROOT = Path(__file__).parents[2]
+XACRO = ROOT / "urdf" / "kr120r2500.urdf.xacro"
+YAML = ROOT / "config" / "kr120.yaml"
+URDF_TEXT = expand_xacro(XACRO)
+DESCRIPTION = yaml.safe_load(YAML.read_text())
+JOINTS = tuple(f"joint_a{number}" for number in range(1, 7))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return read_robot_files(XACRO, YAML)
+
+
+@pytest.fixture
+def description() -> dict:
+    return copy.deepcopy(DESCRIPTION)
+
+
+def refused(urdf: str, description) -> ConfigurationError:
+    with pytest.raises(ConfigurationError) as caught:
+        load_robot(urdf, description)
+    return caught.value
+
+
+def test_joints_are_the_chains_from_base_to_tip(robot):
+    assert robot.name == "kr120"
+    assert (robot.base_link, robot.tip_link) == ("base_link", "tool0")
+    assert robot.joint_names == JOINTS
+
+
+def test_limits_and_home_are_si(robot):
+    assert robot.upper[1] == math.radians(-5)
+    assert robot.velocity[0] == math.radians(123)
+    assert robot.acceleration == tuple(map(math.radians, (155.8, 134.2, 368.7, 998.8, 518.0, 492.1)))
+    assert robot.home == (0.0, -math.pi / 2, math.pi / 2, 0.0, math.pi / 2, 0.0)
+
+
+def test_full_acceleration_takes_a_tenth_of_a_second(robot):
+    assert [a / j for a, j in zip(robot.acceleration, robot.jerk)] == pytest.approx([0.1] * 6)
+
+
+def test_axes_map_to_rsi_unturned(robot):
+    assert robot.axes == tuple(AxisMapping(f"A{number}", 1, 0.0) for number in range(1, 7))
+
+
+def test_axis_order_follows_the_joints_not_the_file(description):
+    description["axes"] = dict(reversed(description["axes"].items()))
+    description["axes"]["joint_a2"] = {"rsi": "A2", "sign": -1, "offset_deg": 90}
+    robot = load_robot(URDF_TEXT, description)
+    assert [axis.rsi for axis in robot.axes] == ["A1", "A2", "A3", "A4", "A5", "A6"]
+    assert robot.axes[1] == AxisMapping("A2", -1, math.pi / 2)
+
+
+def test_home_is_in_range(robot):
+    robot.check_range(robot.home)
+
+
+def test_range_includes_its_ends(robot):
+    robot.check_range(robot.lower)
+    robot.check_range(robot.upper)
+
+
+@pytest.mark.parametrize("value", [math.radians(-4.999), math.nan, math.inf])
+def test_range_error_names_the_joint(robot, value):
+    q = list(robot.home)
+    q[1] = value
+    with pytest.raises(JointRangeError) as caught:
+        robot.check_range(q)
+    assert caught.value.joint == "joint_a2"
+    assert (caught.value.lower, caught.value.upper) == (robot.lower[1], robot.upper[1])
+
+
+def test_range_of_another_number_of_joints_is_a_programming_error(robot):
+    with pytest.raises(ValueError, match="5 joint values for 6 joints"):
+        robot.check_range(robot.home[:5])
+
+
+@pytest.mark.parametrize(
+    "key, value, where",
+    [
+        ("home_deg", [0, -90, 90, 0, 90], "robot/home_deg"),
+        ("home_deg", [0, -90, 90, 0, 130, 0], "robot/home_deg"),
+        ("home_deg", [0, math.nan, 90, 0, 90, 0], "robot/home_deg/1"),
+        ("acceleration_deg_s2", [155.8, 134.2, 368.7, 998.8, 518.0, 0.0], "robot/acceleration_deg_s2/5"),
+        ("acceleration_deg_s2", [155.8] * 7, "robot/acceleration_deg_s2"),
+        ("jerk_deg_s3", [-1.0] * 6, "robot/jerk_deg_s3/0"),
+        ("jerk_deg_s3", "fast", "robot/jerk_deg_s3"),
+        ("name", "KR 120", "robot/name"),
+        ("base_link", "pedestal", "robot/base_link"),
+        ("tip_link", "gripper", "robot/tip_link"),
+        ("tip_link", "base", "robot/tip_link"),
+        ("axes", {"joint_a1": {"rsi": "A1", "sign": 1, "offset_deg": 0}}, "robot/axes"),
+        ("speed", 3, "robot/speed"),
+    ],
+)
+def test_wrong_key_is_named_with_value_and_expectation(description, key, value, where):
+    description[key] = value
+    error = refused(URDF_TEXT, description)
+    assert error.where == where
+    assert error.expected
+    assert where in str(error) and repr(error.value) in str(error)
+
+
+@pytest.mark.parametrize("key", list(DESCRIPTION))
+def test_missing_key_is_named(description, key):
+    del description[key]
+    assert refused(URDF_TEXT, description).where == f"robot/{key}"
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [("sign", 2), ("sign", 0), ("rsi", "A7"), ("rsi", "joint_a1"), ("offset_deg", math.inf), ("scale", 1)],
+)
+def test_wrong_axis_field_is_named(description, field, value):
+    description["axes"]["joint_a3"][field] = value
+    assert refused(URDF_TEXT, description).where == f"robot/axes/joint_a3/{field}"
+
+
+def test_two_joints_on_one_rsi_axis_are_refused(description):
+    description["axes"]["joint_a3"]["rsi"] = "A2"
+    assert refused(URDF_TEXT, description).where == "robot/axes"
+
+
+def test_chain_without_joints_is_refused(description):
+    description["tip_link"] = "link_0"
+    assert refused(URDF_TEXT, description).where == "robot/tip_link"
+
+
+def test_tip_that_does_not_descend_from_the_base_is_refused(description):
+    description["base_link"] = "link_3"
+    description["tip_link"] = "link_1"
+    assert "descendant" in refused(URDF_TEXT, description).expected
+
+
+ONE_JOINT = """<robot name="x"><link name="base_link"/><link name="tool0"/>
+<joint name="j" type="{type}"><parent link="base_link"/><child link="tool0"/>{limit}</joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    "type, limit",
+    [
+        ("continuous", ""),
+        ("prismatic", '<limit lower="0" upper="1" effort="1" velocity="1"/>'),
+        ("revolute", ""),
+        ("revolute", '<limit effort="1" velocity="1"/>'),
+        ("revolute", '<limit lower="1" upper="-1" effort="1" velocity="1"/>'),
+        ("revolute", '<limit lower="-inf" upper="1" effort="1" velocity="1"/>'),
+        ("revolute", '<limit lower="-1" upper="1" effort="1" velocity="0"/>'),
+        ("revolute", '<limit lower="-1" upper="1" effort="1" velocity="nan"/>'),
+        ("revolute", '<limit lower="-1" upper="1" effort="1" velocity="1"/><mimic joint="k"/>'),
+    ],
+)
+def test_joint_the_twin_cannot_drive_is_named(description, type, limit):
+    assert "joint j" in refused(ONE_JOINT.format(type=type, limit=limit), description).where
+
+
+@pytest.mark.parametrize("text", ["", "<robot", "<robot/>", '<robot name="x"><joint name="j" type="bogus"/></robot>'])
+def test_what_is_no_urdf_is_refused(description, text):
+    assert refused(text, description).where == "robot_description"
+
+
+def test_urdf_with_encoding_declaration_and_unknown_tags_loads_quietly(description, capfd):
+    text = ONE_JOINT.format(type="revolute", limit='<limit lower="-1" upper="1" effort="1" velocity="1"/><magic/>')
+    parse_urdf('<?xml version="1.0" encoding="utf-8"?>' + text)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("content", ["- a list", "a: [", ""])
+def test_yaml_that_is_no_mapping_names_the_file(tmp_path, content):
+    path = tmp_path / "arm.yaml"
+    path.write_text(content)
+    with pytest.raises(ConfigurationError) as caught:
+        read_robot_files(XACRO, path)
+    assert caught.value.where == str(path)
+
+
+def test_plain_urdf_is_read_as_it_is(tmp_path, robot):
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF_TEXT)
+    assert read_robot_files(path, YAML).joint_names == robot.joint_names
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        None,
+        '<robot name="x"><link',
+        '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="${nobody}"/></robot>',
+        '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="/none.xacro"/></robot>',
+    ],
+)
+def test_xacro_that_does_not_expand_names_the_file(tmp_path, content):
+    path = tmp_path / "arm.urdf.xacro"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ConfigurationError) as caught:
+        expand_xacro(path)
+    assert caught.value.where == str(path)

@@ -1,0 +1,218 @@
+"""Timing: limits at every 4 ms sample, ends exactly at rest, requested durations and waypoint counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from construction_twin.errors import DurationError, JointRangeError, PlanningError, TrajectoryError
+from construction_twin.robot import read_robot_files
+from construction_twin.timing import LIMIT_SHARE, limit_use, time_path, with_midpoints
+from construction_twin.trajectory import Trajectory
+from construction_twin.units import CYCLE, format_allowance
+
+ROOT = Path(__file__).parents[2]
+ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+LOWER, UPPER = np.array(ROBOT.lower), np.array(ROBOT.upper)
+HOME = np.array(ROBOT.home)
+GOAL = HOME + np.array([0.9, 0.4, -0.5, 1.0, -0.6, 2.0])
+
+shares = st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6)
+inner_shares = st.lists(st.floats(0.2, 0.8), min_size=6, max_size=6)
+speed_scales = st.floats(0.02, 1.0)
+
+
+def in_range(shares) -> np.ndarray:
+    return np.clip(LOWER + np.array(shares) * (UPPER - LOWER), LOWER, UPPER)
+
+
+def check_motion(motion: Trajectory, start: np.ndarray, goal: np.ndarray, share: float = 1.0) -> None:
+    """Assert what every timed path promises, with arithmetic of its own."""
+    assert motion.positions[0].tobytes() == start.tobytes() and motion.positions[-1].tobytes() == goal.tobytes()
+    for rest in (motion.velocities[[0, -1]], motion.accelerations[[0, -1]]):
+        assert not rest.any()
+    samples = [motion.sample(i * CYCLE) for i in range(-2, int(motion.duration / CYCLE) + 4)]
+    q, qd, qdd = (np.array(column) for column in zip(*samples))
+    velocity = share * LIMIT_SHARE * np.array(ROBOT.velocity) * (1 + 1e-6)
+    acceleration = share * LIMIT_SHARE * np.array(ROBOT.acceleration) * (1 + 1e-6)
+    assert np.all(q >= LOWER - 1e-9) and np.all(q <= UPPER + 1e-9)
+    assert np.all(np.abs(qd) <= velocity) and np.all(np.abs(np.diff(q, axis=0)) / CYCLE <= velocity)
+    assert np.all(np.abs(qdd) <= acceleration)
+    assert np.all(np.abs(np.diff(q, n=2, axis=0)) / CYCLE**2 <= acceleration + 1e-9)
+
+
+@settings(max_examples=80, deadline=None, derandomize=True)
+@given(start=shares, goal=shares, speed_scale=speed_scales)
+def test_straight_motions_stay_within_the_limits(start, goal, speed_scale):
+    start, goal = in_range(start), in_range(goal)
+    if np.max(np.abs(goal - start)) <= 1e-9:
+        return
+    check_motion(time_path(np.array([start, goal]), ROBOT, speed_scale=speed_scale), start, goal, speed_scale)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(points=st.lists(inner_shares, min_size=3, max_size=6), scale=speed_scales)
+def test_curved_motions_stay_within_the_limits(points, scale):
+    path = np.array([in_range(point) for point in points])
+    if np.max(np.abs(np.diff(path, axis=0))) <= 1e-9:
+        return
+    check_motion(time_path(path, ROBOT, speed_scale=scale), path[0], path[-1], scale)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(waypoints=st.integers(2, 400), slower=st.floats(1.0, 5.0))
+def test_limits_hold_for_any_number_of_waypoints_and_duration(waypoints, slower):
+    path = np.array([HOME, HOME + 0.3, GOAL])
+    fastest = time_path(path, ROBOT, waypoints=waypoints)
+    check_motion(fastest, HOME, GOAL)
+    duration = slower * fastest.duration + 1e-6
+    motion = time_path(path, ROBOT, duration=duration, waypoints=waypoints)
+    check_motion(motion, HOME, GOAL)
+    assert len(motion.times) == waypoints and motion.duration == pytest.approx(duration, abs=1e-9)
+
+
+def test_the_paper_s_task_has_1500_waypoints_in_75_2_s():
+    motion = time_path(np.array([HOME, GOAL]), ROBOT, duration=75.2, waypoints=1500)
+    assert len(motion.times) == 1500 and motion.duration == 75.2
+    check_motion(motion, HOME, GOAL)
+
+
+def test_starts_and_stops_smoothly():
+    motion = time_path(np.array([HOME, GOAL]), ROBOT)
+    grid = np.arange(0.0, motion.duration + CYCLE, CYCLE)
+    acceleration = motion.sample_many(grid)[2]
+    steps = np.abs(np.diff(acceleration, axis=0)) / np.array(ROBOT.jerk) / CYCLE
+    assert np.max(steps) <= 1.0 + 1e-6  # no jump from one cycle to the next beyond what the jerk limit allows
+    assert np.max(np.abs(acceleration[[0, -1]])) < 1e-6
+
+
+def test_rounded_to_the_wire_it_is_still_within_the_limits():
+    motion = time_path(np.array([HOME, GOAL]), ROBOT)
+    q = np.radians(np.round(np.degrees(motion.sample_many(np.arange(0.0, motion.duration + CYCLE, CYCLE))[0]), 3))
+    assert np.all(np.abs(np.diff(q, axis=0)) / CYCLE <= ROBOT.velocity)
+    assert np.all(np.abs(np.diff(q, n=2, axis=0)) / CYCLE**2 <= np.array(ROBOT.acceleration) + format_allowance(3))
+
+
+def test_uses_the_limits_it_is_given():
+    use = limit_use(time_path(np.array([HOME, GOAL]), ROBOT), ROBOT)
+    assert max(use.velocity, use.acceleration) == pytest.approx(LIMIT_SHARE, rel=5e-3)
+    assert use.jerk <= 1.0
+
+
+def test_a_straight_path_is_played_straight():
+    motion = time_path(np.array([HOME, GOAL]), ROBOT)
+    q = motion.sample_many(np.linspace(0, motion.duration, 500))[0]
+    progress = (q - HOME) / (GOAL - HOME)
+    assert np.max(np.ptp(progress, axis=1)) < 1e-9
+    assert np.all(np.diff(progress[:, 0]) >= -1e-12)
+
+
+def test_a_curved_path_passes_its_points():
+    path = np.array([HOME, HOME + 0.2, HOME + [0.4, 0.1, 0, 0, 0, 0.5], GOAL])
+    motion = time_path(path, ROBOT)
+    q = motion.sample_many(np.linspace(0, motion.duration, 4000))[0]
+    for point in path:
+        assert np.min(np.max(np.abs(q - point), axis=1)) < 2e-3
+
+
+@pytest.mark.parametrize("distance", [1e-8, 1e-6, 1e-3])
+def test_tiny_motions_work(distance):
+    goal = HOME + [0, 0, 0, distance, 0, 0]
+    motion = time_path(np.array([HOME, goal]), ROBOT)
+    check_motion(motion, HOME, goal)
+    assert motion.duration < 0.5
+
+
+def test_a_corner_near_the_range_is_not_overshot():
+    corner = HOME.copy()
+    corner[1] = UPPER[1] - 1e-3
+    beyond = corner + [1.0, -0.02, 0, 0, 0, 0]
+    path = np.array([HOME, corner, beyond])
+    check_motion(time_path(path, ROBOT), HOME, beyond)
+
+
+def test_repeated_points_are_one():
+    once = time_path(np.array([HOME, HOME + 0.2, GOAL]), ROBOT)
+    twice = time_path(np.array([HOME, HOME, HOME + 0.2, HOME + 0.2, GOAL, GOAL]), ROBOT)
+    assert once.content_hash() == twice.content_hash()
+
+
+def test_the_same_request_gives_the_same_trajectory():
+    hashes = {time_path(np.array([HOME, GOAL]), ROBOT, duration=9.0).content_hash() for _ in range(2)}
+    assert len(hashes) == 1
+
+
+def test_half_the_speed_scale_takes_longer():
+    durations = [time_path(np.array([HOME, GOAL]), ROBOT, speed_scale=scale).duration for scale in (1.0, 0.5)]
+    assert durations[1] > 1.3 * durations[0]
+
+
+def test_too_short_a_duration_names_the_shortest_possible():
+    with pytest.raises(DurationError) as caught:
+        time_path(np.array([HOME, GOAL]), ROBOT, duration=0.5)
+    assert caught.value.requested == 0.5
+    motion = time_path(np.array([HOME, GOAL]), ROBOT, duration=caught.value.minimum)
+    check_motion(motion, HOME, GOAL)
+
+
+@pytest.mark.parametrize("goal", [HOME, HOME + 5e-10])
+def test_a_path_that_ends_where_it_starts_says_so(goal):
+    with pytest.raises(TrajectoryError, match="already there"):
+        time_path(np.array([HOME, goal]), ROBOT)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (np.array([HOME]), "at least 2 points of 6 joints"),
+        (np.zeros((2, 5)), "shape"),
+        (HOME, "shape"),
+        (np.array([HOME, HOME * np.nan]), "point 1 of the path: joint_a1 is nan"),
+    ],
+)
+def test_a_path_that_is_none_is_refused(path, message):
+    with pytest.raises(TrajectoryError, match=message):
+        time_path(path, ROBOT)
+
+
+def test_a_point_out_of_range_is_refused():
+    with pytest.raises(JointRangeError, match="joint_a2"):
+        time_path(np.array([HOME, [0, 0.5, 0, 0, 0, 0]]), ROBOT)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("duration", value) for value in (0.0, -1.0, np.nan, np.inf)),
+        *(("speed_scale", value) for value in (0.0, 1.1, np.nan)),
+        ("waypoints", 1),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_refused(name, value):
+    with pytest.raises(PlanningError, match="request"):
+        time_path(np.array([HOME, GOAL]), ROBOT, **{name: value})
+
+
+def test_limit_use_measures_a_known_motion():
+    # one quintic from rest to rest: peak velocity 15/8 d/T, peak acceleration 10/sqrt(3) d/T^2, peak jerk 60 d/T^3
+    end = HOME + [0.4, 0, 0, 0, 0, 0]
+    motion = Trajectory(ROBOT.joint_names, [0.0, 2.0], [HOME, end], np.zeros((2, 6)), np.zeros((2, 6)))
+    use = limit_use(motion, ROBOT)
+    assert use.velocity == pytest.approx(15 / 8 * 0.2 / ROBOT.velocity[0], rel=1e-4)
+    assert use.acceleration == pytest.approx(10 / np.sqrt(3) * 0.1 / ROBOT.acceleration[0], rel=1e-4)
+    assert use.jerk == pytest.approx(60 * 0.05 / ROBOT.jerk[0], rel=1e-4)
+
+
+def test_limit_use_refuses_a_motion_out_of_range():
+    end = HOME + [9.0, 0, 0, 0, 0, 0]
+    motion = Trajectory(ROBOT.joint_names, [0.0, 2.0], [HOME, end], np.zeros((2, 6)), np.zeros((2, 6)))
+    with pytest.raises(JointRangeError, match="joint_a1"):
+        limit_use(motion, ROBOT)
+
+
+def test_with_midpoints_halves_every_segment():
+    assert with_midpoints(np.array([[0.0], [2.0], [3.0]])).ravel().tolist() == [0.0, 1.0, 2.0, 2.5, 3.0]
