@@ -66,7 +66,7 @@ make_venv() {
 # What the build depends on: editing a Python module needs no build, a message, a node's name or a CMake file does.
 build_inputs() {
   cd "$root"
-  { cat CMakeLists.txt package.xml setup.py msg/* srv/* setup/setup.sh; ls . nodes scripts msg srv; printf '%s\n' "$root"; } | sha256sum
+  { cat CMakeLists.txt package.xml setup.py msg/* srv/* setup/setup.sh; ls . nodes msg srv; printf '%s\n' "$root"; } | sha256sum
 }
 
 # The repository appears in the workspace entry by entry: a link to its root would contain the workspace itself, and rosrun and

@@ -131,8 +131,7 @@ def _reply_panel(axes, evaluation: Evaluation) -> None:
     axes.set_yscale("log")
     filled = np.flatnonzero(counts)
     axes.set_xlim(edges[filled[0]] * 0.8, max(edges[filled[-1] + 1] * 1.25, 1250.0))
-    axes.axvline(1000.0, color=INK, lw=1, ls=":")
-    axes.annotate("1 ms", (1000.0, 0.97), xycoords=("data", "axes fraction"), fontsize=8, ha="right", va="top", rotation=90)
+    _mark(axes, 1000.0, "1 ms")
     return None
 
 
@@ -155,7 +154,10 @@ def _bins(values: np.ndarray) -> np.ndarray:
 
 def _mark(axes, value: float, text: str) -> None:
     axes.axvline(value, color=INK, lw=0.8, ls=":")
-    axes.annotate(text, (value, 0.97), xycoords=("data", "axes fraction"), fontsize=7, ha="right", va="top", rotation=90)
+    axes.annotate(
+        text, (value, 0.97), xytext=(-2, 0), textcoords="offset points", xycoords=("data", "axes fraction"), fontsize=7,
+        ha="right", va="top", rotation=90, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+    )  # fmt: skip
 
 
 def _no_data(axes, reason: str) -> None:

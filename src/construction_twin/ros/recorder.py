@@ -54,7 +54,10 @@ class Recorder:
         self._end(signal.SIGINT)
 
     def connected(self) -> bool:
-        """Return whether the recorder subscribes to every topic and is connected to every one that has a publisher.
+        """Return whether the recorder subscribes to every topic and every publisher of one sends to it.
+
+        The publishers are asked, not the recorder: it counts a connection before the publisher has taken it up, which on a
+        busy machine can cost the first second of the recording.
 
         Raises
         ------
@@ -66,18 +69,18 @@ class Recorder:
         try:
             publishers, subscribers, _ = self._master.getSystemState()
             subscribed = {topic for topic, nodes in subscribers if self._name in nodes}
-            published = {topic for topic, _ in publishers}.intersection(self._topics)
-            return subscribed.issuperset(self._topics) and self._incoming() >= published
+            wanted = {(topic, node) for topic, nodes in publishers if topic in self._topics for node in nodes}
+            return subscribed.issuperset(self._topics) and wanted <= self._sent_by({node for _, node in wanted})
         except (rosgraph.MasterException, rosgraph.MasterError, OSError, xmlrpc.client.Error):
-            return False  # the recorder is still registering
+            return False  # a node is still registering, or just left
 
-    def _incoming(self) -> set[str]:
-        """Return the topics on which the recorder holds a live connection."""
-        node = xmlrpc.client.ServerProxy(self._master.lookupNode(self._name))
-        status, message, connections = node.getBusInfo(self._name)
-        if status != 1:
-            raise TransportError(f"the recorder does not report its connections: {message}")
-        return {topic for _, _, direction, _, topic, live, *_ in connections if direction == "i" and live}
+    def _sent_by(self, nodes: set[str]) -> set[tuple[str, str]]:
+        """Return the pairs of topic and node of what these nodes send to the recorder."""
+        sent = set()
+        for node in nodes:
+            _, _, connections = xmlrpc.client.ServerProxy(self._master.lookupNode(node)).getBusInfo(self._name)
+            sent |= {(c[4], node) for c in connections if c[2] == "o" and c[1] == self._name and c[5]}
+        return sent
 
     def stop(self, timeout: float) -> None:
         """End the recording and wait until the bag is closed.

@@ -1,8 +1,9 @@
 """The mock KR C4 on the network: UDP client and 4 ms clock around `mock_controller`. Runs without ROS.
 
 The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, this process can
-be: a packet that leaves more than half a cycle late gives up the grid points it would collide with (`overruns`), so that
-the PC always has at least half a cycle to answer and never meets a burst. IPOC advances by 4 per packet whatever happens.
+be: then the packets that are due follow each other by half a cycle until the grid is met again, so that the PC always has
+that long to answer, IPOC advances by 4 per packet and keeps up with time. Only after a stall longer than `CATCH_UP` are
+grid points given up. Late packets and grid points given up are counted (`overruns`, `skipped`).
 
     python -m construction_twin.rsi.mock --help
 """
@@ -36,6 +37,10 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS, degrees, radians
 
 log = logging.getLogger(__name__)
 
+#: Packets that are late by no more than this are all sent [ns].
+CATCH_UP = 25 * CYCLE_NS
+#: Shortest distance of two packets [ns].
+_CLOSEST = CYCLE_NS // 2
 #: Datagrams read before the clock is looked at again: a flood must not stop it.
 _DRAIN_LIMIT = 64
 _ROOT = Path(__file__).resolve().parents[3]
@@ -155,7 +160,9 @@ class MockRsi:
     Attributes
     ----------
     overruns : int
-        Grid points given up because this process was late.
+        Packets that left more than half a cycle late, because this process was not run in time.
+    skipped : int
+        Grid points given up because it was not run for longer than `CATCH_UP`.
     foreign : int
         Datagrams that did not come from the gateway.
     send_errors : int
@@ -176,7 +183,7 @@ class MockRsi:
         report: Callable[[str], None] = log.info,
     ):
         self.controller = controller
-        self.overruns = self.foreign = self.send_errors = 0
+        self.overruns = self.skipped = self.foreign = self.send_errors = 0
         self._gateway = _resolve(*gateway)
         self._restart_after = round(restart_after * NANOSECONDS)
         self._observe = observe
@@ -189,8 +196,8 @@ class MockRsi:
     @property
     def counters(self) -> dict[str, int]:
         """The controller's counters and those of the transport."""
-        own = {"overruns": self.overruns, "foreign": self.foreign, "send_errors": self.send_errors}
-        return self.controller.counters | own
+        names = ("overruns", "skipped", "foreign", "send_errors")
+        return self.controller.counters | {name: getattr(self, name) for name in names}
 
     def request(self, action: Callable[[], Result], timeout: float = 1.0) -> Result:
         """Run `action` between two cycles of the loop and return its result; for other threads.
@@ -207,16 +214,17 @@ class MockRsi:
     def run(self, stop: threading.Event) -> None:
         """Run until `stop` is set; at most one cycle longer."""
         try:
-            deadline = time.monotonic_ns()
+            due = time.monotonic_ns()
             while not stop.is_set():
                 self._serve_requests()
-                self._follow_session(deadline)
+                self._follow_session(due)
                 packet = self.controller.begin_cycle()
                 if packet is not None:
                     self._send(packet)
-                deadline = self._next_deadline(deadline, time.monotonic_ns())
+                sent = time.monotonic_ns()
+                due = self._next_due(due, sent)
                 self._observe(self)
-                self._receive_until(deadline)
+                self._receive_until(max(due, sent + _CLOSEST))
         finally:
             if self._socket is not None:
                 self._socket.close()
@@ -263,10 +271,12 @@ class MockRsi:
             # e.g. no route: a controller does not notice, its replies just stay away
             self.send_errors += 1
 
-    def _next_deadline(self, deadline: int, sent: int) -> int:
-        skipped = (sent - deadline + CYCLE_NS // 2) // CYCLE_NS
-        self.overruns += skipped
-        return deadline + (1 + skipped) * CYCLE_NS
+    def _next_due(self, due: int, sent: int) -> int:
+        late = sent - due
+        self.overruns += late > _CLOSEST
+        skipped = late // CYCLE_NS if late > CATCH_UP else 0
+        self.skipped += skipped
+        return due + (1 + skipped) * CYCLE_NS
 
     def _receive_until(self, deadline: int) -> None:
         remaining = deadline - time.monotonic_ns()

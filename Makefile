@@ -1,0 +1,22 @@
+# construction_twin: `make demo` and `make test` do all the set-up they need.
+
+.PHONY: help setup demo test clean
+
+help:
+	@echo "make demo             run the paper's experiment headless and print its Table 1"
+	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
+	@echo "make test             build and run every test"
+	@echo "make setup            only install and build"
+	@echo "make clean            remove the workspace and the venv (.ws)"
+
+setup:
+	@bash setup/setup.sh
+
+demo: setup
+	@bash scripts/demo.sh $(ARGS)
+
+test: setup
+	@bash -c 'source .ws/env.bash && python scripts/run_tests.py $(ARGS)'
+
+clean:
+	rm -rf .ws

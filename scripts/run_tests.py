@@ -1,0 +1,79 @@
+"""Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [unit|integration|NAME...]`.
+
+Unit tests run under pytest, each `test/integration/*.test` under rostest with a ROS master of its own. A rostest that yields no
+result counts as one failure.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / ".ws" / "test_results"
+
+
+def count(file: Path) -> tuple[int, int]:
+    """Return (passed, failed) of a JUnit file; a missing or broken one is one failure."""
+    try:
+        suites = list(ElementTree.parse(file).getroot().iter("testsuite"))
+    except (OSError, ElementTree.ParseError):
+        return 0, 1
+    total = sum(int(suite.get("tests", 0)) for suite in suites)
+    failed = sum(int(suite.get("failures", 0)) + int(suite.get("errors", 0)) for suite in suites)
+    skipped = sum(int(suite.get("skipped", suite.get("skip", 0))) for suite in suites)
+    return (total - failed - skipped, failed) if total else (0, 1)
+
+
+def run_unit() -> tuple[int, int]:
+    """Run pytest over test/unit."""
+    file = RESULTS / "unit.xml"
+    code = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "--timeout=300", f"--junitxml={file}", str(ROOT / "test" / "unit")], cwd=ROOT
+    ).returncode
+    passed, failed = count(file)
+    return passed, failed if failed or code == 0 else 1
+
+
+def run_rostest(test: Path) -> tuple[int, int]:
+    """Run one rostest and show its output when it fails."""
+    results = RESULTS / test.stem
+    started = time.monotonic()
+    run = subprocess.run(
+        ["rostest", "--time-limit=400", f"--results-base-dir={results}", "construction_twin", test.name],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    )
+    counts = [count(file) for file in sorted(results.rglob("*.xml"))] or [(0, 1)]
+    passed, failed = sum(p for p, _ in counts), sum(f for _, f in counts)
+    if run.returncode and not failed:
+        failed = 1
+    print(f"{test.name}: {passed} passed, {failed} failed in {time.monotonic() - started:.0f} s", flush=True)
+    if failed:
+        print(run.stdout[-20000:], flush=True)
+    return passed, failed
+
+
+def main(selection: list[str]) -> int:
+    """Run what was selected; return the exit code."""
+    shutil.rmtree(RESULTS, ignore_errors=True)
+    RESULTS.mkdir(parents=True)
+    totals = []
+    if not selection or "unit" in selection:
+        totals.append(run_unit())
+    for test in sorted((ROOT / "test" / "integration").glob("*.test")):
+        if not selection or "integration" in selection or test.stem in selection:
+            totals.append(run_rostest(test))
+    passed, failed = sum(p for p, _ in totals), sum(f for _, f in totals)
+    print(f"{passed} passed, {failed} failed")
+    return 1 if failed or not passed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
