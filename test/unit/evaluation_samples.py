@@ -36,8 +36,16 @@ def interpolated(twin: Stream, at: np.ndarray) -> np.ndarray:
 
 
 def run(
-    duration: float = 10.0, lag_ns: int = 12_000_000, error=0.0, decimals: int | None = None, arm_decimals: int | None = None,
-    plans: bool = True, feedback: bool = True, links=(), mock=None, phase_ns: int = 1_300_000,
+    duration: float = 10.0,
+    lag_ns: int = 12_000_000,
+    error=0.0,
+    decimals: int | None = None,
+    arm_decimals: int | None = None,
+    plans: bool = True,
+    feedback: bool = True,
+    links=(),
+    mock=None,
+    phase_ns: int = 1_300_000,
 ) -> Recording:
     """Return a run whose arm follows its commands `lag_ns` late, `error` [rad] off, answering `ROUND_TRIP_NS` later."""
     twin = twin_stream(duration, decimals)

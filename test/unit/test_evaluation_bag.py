@@ -86,7 +86,8 @@ def test_everything_written_is_read_back_unchanged(recording, full_bag):
 
 def test_bag_gives_the_same_figures_as_the_run_itself(recording, full_bag):
     expected = summarise(evaluate(recording))
-    assert summarise(evaluate(read_recording(full_bag))) == {**expected, "servo": "realistic", "mock": {"servo": "realistic"}}
+    expected |= {"servo": "realistic", "mock": {"servo": "realistic"}}
+    assert summarise(evaluate(read_recording(full_bag))) == expected
     assert expected["lag_s"] == pytest.approx(0.012, abs=1e-9)
 
 
@@ -145,7 +146,8 @@ def test_bags_that_cannot_be_used_say_why(tmp_path):
 
 def test_inconsistent_messages_say_so(tmp_path):
     good = JointState(name=["j"], position=[0.0])
-    for bad, sentence in ((JointState(name=["k"], position=[0.0]), "lacks j"), (JointState(name=["j"]), "0 positions for 1")):
+    foreign, empty = JointState(name=["k"], position=[0.0]), JointState(name=["j"])
+    for bad, sentence in ((foreign, "lacks j"), (empty, "0 positions for 1")):
         with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
             for topic in ("twin", "physical"):
                 bag.write(f"/a/{topic}/joint_states", good, at(BASE))

@@ -4,8 +4,8 @@
     The physical pose at ROS time t (reception in the bridge) against the twin's pose at the same ROS time. It contains
     everything a bystander would see: the round trip, the playout delay and the servo's lag.
 ``by_command``
-    The physical pose against the twin's pose at the command stamp of the target it answers to: transport drops out, what the
-    arm lags behind its own setpoint stays.
+    The physical pose against the twin's pose at the command stamp of the target it answers to: transport drops out, what
+    the arm lags behind its own setpoint stays.
 ``lag_removed``
     ``by_command`` with one constant lag L >= 0, the same for all joints, taken out: twin(command_stamp - L). L minimises
     the sum of squared differences over all joints and samples.

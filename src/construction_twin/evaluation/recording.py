@@ -179,6 +179,6 @@ class Recording:
 
     @property
     def finished_plans(self) -> tuple[PlayedPlan, ...]:
-        """The plans that were played to their end, without those from before the recording (a latched topic still tells)."""
+        """The plans played to their end, without those from before the recording, which a latched topic still tells."""
         begin = int(self.twin.stamps.min())
         return tuple(plan for plan in self.plans if plan.outcome == "finished" and plan.start >= begin)

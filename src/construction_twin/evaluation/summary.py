@@ -123,8 +123,8 @@ def link_span(links: tuple[LinkSnapshot, ...], window: Window) -> tuple[LinkSnap
 def reply_times(first: LinkSnapshot | None, last: LinkSnapshot | None) -> dict[str, float | None]:
     """Return p50, p99, p99_9 and max of the gateway's RSI reply times between two snapshots [us].
 
-    Percentiles are upper bin edges of the gateway's histogram, or ``max`` where that is smaller; ``max`` is the gateway's own
-    ``reply_us_max``, which covers the time since its start.
+    Percentiles are upper bin edges of the gateway's histogram, or ``max`` where that is smaller; ``max`` is the gateway's
+    own ``reply_us_max``, which covers the time since its start.
     """
     result: dict = dict.fromkeys([*PERCENTILES, "max"])
     if first is None or last is None:
@@ -134,8 +134,8 @@ def reply_times(first: LinkSnapshot | None, last: LinkSnapshot | None) -> dict[s
     if counts:
         figures = {name: histogram_percentile(last.reply_bins, counts, share) for name, share in PERCENTILES.items()}
         largest = result["max"]
-        known = {name: min(v for v in (edge, largest) if v is not None) for name, edge in figures.items() if edge or largest}
-        result.update(known)
+        for name, edge in figures.items():
+            result[name] = min((value for value in (edge, largest) if value is not None), default=None)
     return result
 
 

@@ -71,7 +71,7 @@ def histogram_percentile(bins: Sequence[int], counts: Sequence[int], share: floa
 
 
 def table_rows(tables: Mapping) -> Iterator[tuple]:
-    """Yield one row of `CSV_COLUMNS` per alignment and joint; None where unknown. Ratios are this run's over the paper's."""
+    """Yield a row of `CSV_COLUMNS` per alignment and joint; None where unknown. Ratios are this run's over the paper's."""
     joints = next((table for table in tables.values() if table), {})
     for alignment in ALIGNMENTS:
         table = tables.get(alignment)
@@ -106,7 +106,8 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
     rows = list(table_rows(summary["tables"]))
     for alignment, meaning in ALIGNMENTS.items():
         if summary["tables"].get(alignment) is None:
-            console.print(f"\n{alignment}: not available, the recording does not hold what it needs ({meaning})", soft_wrap=True)
+            text = f"\n{alignment}: not available, the recording does not hold what it needs ({meaning})"
+            console.print(text, soft_wrap=True)
             continue
         console.print()
         console.print(_rich_table(f"{alignment}: {meaning}", [row[1:] for row in rows if row[0] == alignment]))
@@ -119,9 +120,10 @@ def summary_lines(summary: Mapping) -> list[str]:
     """Return the sentences that stand below the tables."""
     lag = summary["lag_s"]
     lines = [
-        f"samples: {summary['samples']} (paper {SAMPLES})   waypoints: {_text(summary['waypoints'])} (paper {WAYPOINTS})   "
-        f"duration: {summary['duration_s']:.3f} s   decimals: {_text(summary['decimals'])}   servo: {_text(summary['servo'])}",
-        "lag: unknown" if lag is None else f"lag taken out in lag_removed: {lag * 1e3:.6f} ms (estimated, same for all joints)",
+        f"samples: {summary['samples']} (paper {SAMPLES})   waypoints: {_text(summary['waypoints'])} (paper {WAYPOINTS})",
+        f"duration: {summary['duration_s']:.3f} s   decimals: {_text(summary['decimals'])}   "
+        f"servo: {_text(summary['servo'])}",
+        "lag: unknown" if lag is None else f"lag taken out in lag_removed: {lag * 1e3:.6f} ms (estimated, one for all joints)",
         f"commands sent: {_text(summary['commands_sent'])}   lost: {_text(summary['commands_lost'])}   "
         f"late RSI replies: {_text(summary['late_replies'])}",
         _times("round trip", summary["round_trip_ms"], "ms"),

@@ -127,7 +127,7 @@ def _arrays(messages: list, joints: tuple[str, ...], topic: str) -> dict[str, np
         if names not in columns:
             missing = [joint for joint in joints if joint not in names]
             if missing:
-                raise EvaluationError(f"a message on {topic} lacks {', '.join(missing)}; every message must name all joints")
+                raise EvaluationError(f"a message on {topic} lacks {', '.join(missing)}; each must name all joints")
             columns[names] = [names.index(joint) for joint in joints]
         if len(message.position) != len(names):
             raise EvaluationError(f"a message on {topic} has {len(message.position)} positions for {len(names)} joints")

@@ -70,8 +70,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="evaluate", description="Compare twin and physical arm in a bag: tables, figures and summary.json."
     )
     parser.add_argument("bag", type=Path, help="a bag with at least .../twin/joint_states and .../physical/joint_states")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG's name + _evaluation)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _evaluation)")
     parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
-    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro for the tool path (default: {XACRO})")
+    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro for figure 8 (default: {XACRO})")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")
     return parser

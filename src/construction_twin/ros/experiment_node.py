@@ -128,9 +128,10 @@ class Experiment:
         return Report(report.summary, (bag, *report.files))
 
     def _check_goals(self) -> None:
+        joints = len(self._robot.joint_names)
         for goal in self._settings.goals_deg:
-            if len(goal) != len(self._robot.joint_names):
-                raise ExperimentError(f"a goal has {len(goal)} values; {self._robot.name} has {len(self._robot.joint_names)} joints")
+            if len(goal) != joints:
+                raise ExperimentError(f"a goal in ~goals_deg has {len(goal)} values; {self._robot.name} has {joints} joints")
             self._robot.check_range(radians(goal))
 
     def _plan(self, goal_deg: list[float]) -> str:
@@ -174,7 +175,8 @@ class Experiment:
                 return now
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
-                raise ExperimentError(f"the plan lasts {now.duration:g} s but plays for {played:.0f} s; is the executor alive?")
+                times = f"lasts {now.duration:g} s but plays for {played:.0f} s"
+                raise ExperimentError(f"the plan {times}; is the executor alive?")
             show(min(1.0, max(0.0, played / now.duration)))
             self._pause()
 

@@ -65,7 +65,8 @@ class Recorder:
             If the recorder has ended.
         """
         if self._process.poll() is not None:
-            raise TransportError(f"the recorder of {self.path} ended with status {self._process.returncode}; is the disk full?")
+            status = self._process.returncode
+            raise TransportError(f"the recorder of {self.path} ended with status {status}; is the disk full?")
         try:
             publishers, subscribers, _ = self._master.getSystemState()
             subscribed = {topic for topic, nodes in subscribers if self._name in nodes}
@@ -97,7 +98,8 @@ class Recorder:
         """
         self._end(signal.SIGINT, timeout)
         if not self.path.exists():
-            raise TransportError(f"{self.path} was not closed within {timeout:g} s; `rosbag reindex` can repair the .active file")
+            remedy = "`rosbag reindex` can repair the .active file"
+            raise TransportError(f"{self.path} was not closed within {timeout:g} s; {remedy}")
 
     def _end(self, number: signal.Signals, timeout: float = 10.0) -> None:
         if self._process.poll() is None:
