@@ -6,17 +6,7 @@ import os
 import socket
 import sys
 
-
-def taken(kind: socket.SocketKind, port: int) -> bool:
-    """Return whether a port of the loopback interface cannot be bound."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        if kind is socket.SOCK_STREAM:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return True
-    return False
+from construction_twin.ports import port_is_free
 
 
 def main(arguments: list[str]) -> int:
@@ -30,7 +20,7 @@ def main(arguments: list[str]) -> int:
         port = int(given.get("rsi_port", "49152"))
         ports.append(("RSI gateway", socket.SOCK_DGRAM, port, 'give another one: make demo ARGS="rsi_port:=49153"'))
     for name, kind, port, advice in ports:
-        if taken(kind, port):
+        if not port_is_free(kind, port):
             protocol = "TCP" if kind is socket.SOCK_STREAM else "UDP"
             print(f"demo: {protocol} port {port} for the {name} is taken; end what holds it, or {advice}", file=sys.stderr)
             return 1

@@ -144,7 +144,7 @@ class MotionRefused(ConstructionTwinError):
     Attributes
     ----------
     reason : str
-        Counter name: ``range``, ``velocity``, ``acceleration``, ``start``, ``order``, ``values``.
+        Counter name: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``, ``values``.
     joint : str
         Joint that failed, or "" when the setpoint as a whole did.
     value, limit : float

@@ -19,7 +19,12 @@ KEYS = [
     "waypoints", "samples", "duration_s", "decimals", "servo", "lag_s", "tables", "commands_sent", "commands_lost",
     "late_replies", "reply_us", "round_trip_ms", "rate_hz", "final_error_rad",
 ]  # fmt: skip
-MOCK = {"state": "running", "counters": {}, "config": {"servo": "ideal", "Timeout": 100, "HOLDON": 1, "Precision": 6}}
+MOCK = {
+    "state": "running",
+    "correction_lower_deg": [-185.0],
+    "counters": {},
+    "config": {"servo": "ideal", "timeout": 100, "correction_lower_deg": []},
+}
 
 
 def printed(summary) -> str:
@@ -51,7 +56,7 @@ def test_summary_of_a_known_run(full_summary):
     assert full_summary["samples"] == pytest.approx(2510, abs=2)
     assert full_summary["lag_s"] == pytest.approx(0.012, abs=1e-9)
     assert full_summary["servo"] == "ideal" and full_summary["decimals"] == 3
-    assert full_summary["mock"]["Timeout"] == 100
+    assert full_summary["mock"] == {"servo": "ideal", "timeout": 100, "correction_lower_deg": [-185.0]}
     assert full_summary["round_trip_ms"] == pytest.approx({"p50": 23.0, "p99": 23.0, "p99_9": 23.0, "max": 23.0})
     assert full_summary["rate_hz"] == pytest.approx({"twin": 250.0, "physical": 250.0, "command": 250.0})
     assert max(full_summary["final_error_rad"].values()) == 0.0

@@ -5,6 +5,7 @@ Whatever the recording does not tell is None (null in the file); nothing is assu
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from construction_twin.evaluation.alignment import Alignment, Window
 from construction_twin.evaluation.recording import LinkSnapshot, Recording, Stream
 from construction_twin.evaluation.tables import PERCENTILES, error_table, histogram_percentile, percentiles
 from construction_twin.units import NANOSECONDS
+
+_MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg", "correction_monitor_deg")
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def summarise(evaluation: Evaluation) -> dict:
     first, last = link_span(recording.links, window)
     tables = {name: error_table(aligned, names) for name, aligned in evaluation.alignments.items()}
     final_error = np.abs(recording.physical.positions[-1] - recording.twin.positions[-1])
-    mock = dict(recording.mock.get("config", {})) if recording.mock else None
+    mock = _mock_settings(recording.mock) if recording.mock else None
     return {
         "waypoints": _waypoints(recording),
         "samples": int(np.count_nonzero(window.contains(recording.physical.stamps))),
@@ -123,19 +126,17 @@ def link_span(links: tuple[LinkSnapshot, ...], window: Window) -> tuple[LinkSnap
 def reply_times(first: LinkSnapshot | None, last: LinkSnapshot | None) -> dict[str, float | None]:
     """Return p50, p99, p99_9 and max of the gateway's RSI reply times between two snapshots [us].
 
-    Percentiles are upper bin edges of the gateway's histogram, or ``max`` where that is smaller; ``max`` is the gateway's
-    own ``reply_us_max``, which covers the time since its start.
+    All are upper bin edges of the gateway's histogram, 10 % apart, or the largest time since the gateway's start where that
+    is smaller.
     """
     result: dict = dict.fromkeys([*PERCENTILES, "max"])
-    if first is None or last is None:
-        return result
-    result["max"] = last.counter("reply_us_max")
     counts = reply_counts(first, last)
-    if counts:
-        figures = {name: histogram_percentile(last.reply_bins, counts, share) for name, share in PERCENTILES.items()}
-        largest = result["max"]
-        for name, edge in figures.items():
-            result[name] = min((value for value in (edge, largest) if value is not None), default=None)
+    if not sum(counts):
+        return result
+    largest = last.counter("reply_us_max")
+    for name, share in {**PERCENTILES, "max": 1.0}.items():
+        edges = (histogram_percentile(last.reply_bins, counts, share), largest)
+        result[name] = min((edge for edge in edges if edge is not None), default=None)
     return result
 
 
@@ -155,6 +156,12 @@ def rate(stream: Stream | None, window: Window) -> float | None:
     if len(received) < 2 or received[-1] <= received[0]:
         return None
     return (len(received) - 1) * NANOSECONDS / float(received[-1] - received[0])
+
+
+def _mock_settings(status: Mapping) -> dict:
+    """Return the mock's configuration; limits left open there are those that were in effect."""
+    in_effect = {key: status[key] for key in _MOCK_LIMITS if key in status}
+    return {**status.get("config", {}), **in_effect}
 
 
 def _waypoints(recording: Recording) -> int | None:

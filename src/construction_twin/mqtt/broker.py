@@ -8,16 +8,7 @@ import shutil
 import socket
 import sys
 
-
-def port_is_free(port: int) -> bool:
-    """Return whether nothing listens on this TCP port of the loopback interface."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-    return True
+from construction_twin.ports import port_is_free
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -30,7 +21,7 @@ def main(argv: list[str] | None = None) -> None:
     program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:" + os.environ.get("PATH", ""))
     if program is None:
         sys.exit("broker: mosquitto is not installed; run setup/setup.sh")
-    if not port_is_free(arguments.port):
+    if not port_is_free(socket.SOCK_STREAM, arguments.port):
         sys.exit(
             f"broker: TCP port {arguments.port} on 127.0.0.1 is taken, probably by another MQTT broker; stop it, give another "
             "broker_port, or use it with broker:=false"

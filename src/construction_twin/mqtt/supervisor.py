@@ -122,6 +122,20 @@ class LinkSupervisor:
             raise ReviewError("cannot reset: the arm's pose is unknown or still changing; stop it and wait until it is at rest")
         self._reset_wanted = True
 
+    def request_arm(self, now: int) -> None:
+        """Begin a session on a person's request where nothing needs to move for it.
+
+        Raises
+        ------
+        ReviewError
+            When it is armed already, there is no arm, or twin and arm are not at rest within the start tolerance.
+        """
+        if self.state is not LinkState.NEEDS_RESET:
+            raise ReviewError(f"nothing to arm: {self.state.name}, {self.reason}")
+        if not (self._within_tolerance(now) and self._at_rest(now)):
+            raise ReviewError("twin and arm are not at rest within the start tolerance of each other; call reset instead")
+        self._reset_wanted = True
+
     def drop(self, reason: str) -> None:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
         self._enter(LinkState.NEEDS_RESET, reason)

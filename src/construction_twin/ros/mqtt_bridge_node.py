@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 import uuid
+from collections.abc import Callable
 
 import pydantic
 import rospy
@@ -73,7 +74,8 @@ class MqttBridgeNode:
         self._client = self._connect(Broker(settings.host, settings.port, settings.protocol))
         gate = rospy.resolve_name(settings.gate)
         JointSubscriber("command/joint_states", robot.joint_names, self._on_command, self._diagnostics.refuse, gate)
-        rospy.Service("reset", Trigger, self._on_reset)
+        rospy.Service("reset", Trigger, lambda _: self._begin_session(self._supervisor.request_reset))
+        rospy.Service("~arm", Trigger, lambda _: self._begin_session(self._supervisor.request_arm))
         rospy.Service("~stop", Trigger, self._on_stop)
 
     def run(self) -> None:
@@ -193,10 +195,10 @@ class MqttBridgeNode:
 
     # -- services --------------------------------------------------------------------------------------------------------
 
-    def _on_reset(self, _request) -> TriggerResponse:
+    def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
         try:
             with self._lock:
-                self._supervisor.request_reset(now_ns())
+                request(now_ns())
                 before = self._supervisor.session
         except ReviewError as error:
             return TriggerResponse(False, str(error))

@@ -99,7 +99,9 @@ class Follower:
             return False
         if abs(step) > self._speed[index] + self._rounding:
             return False
-        if abs(step - self._step[index]) > self._wide_budget[index] * (1 + 1e-9):
+        # met is met only at the target's own speed as well: who arrives faster shoots past, and with few decimals for ever
+        drift = goal - self._target[index]
+        if max(abs(step - self._step[index]), abs(step - drift)) > self._wide_budget[index] * (1 + 1e-9):
             return False
         # rounding can make a step look faster than the motion is; the wide budget takes that out in the first braking cycle
         speed = abs(step) - self._rounding

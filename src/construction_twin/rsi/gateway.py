@@ -135,7 +135,7 @@ class GatewayService:
         newest = None
         while True:
             try:
-                data, ancillary, _, source = self._sock.recvmsg(_MAX_DATAGRAM, 64)
+                data, ancillary, source = self._receive()
             except BlockingIOError:
                 return newest
             except OSError as error:
@@ -148,6 +148,13 @@ class GatewayService:
             if newest is not None:
                 self.gateway.counters["telegrams_skipped"] += 1
             newest = data, source, _arrival(ancillary)
+
+    def _receive(self) -> tuple[bytes, list, tuple]:
+        if not hasattr(self._sock, "recvmsg"):  # Windows
+            data, source = self._sock.recvfrom(_MAX_DATAGRAM)
+            return data, [], source
+        data, ancillary, _, source = self._sock.recvmsg(_MAX_DATAGRAM, 64)
+        return data, ancillary, source
 
     def _answer(self, reply: bytes, source: tuple) -> None:
         try:

@@ -69,6 +69,10 @@ class Playout:
         """How far playout time has run past the newest command [ns]; 0 while commands are ahead of it."""
         return max(0, self._now - self.newest)
 
+    def lead(self, stamp: int) -> int:
+        """Return how far `stamp` [ns] lies ahead of playout time [ns]."""
+        return stamp - self._now
+
     def push(self, stamp: int, q: tuple[float, ...]) -> None:
         """Append a command that is newer than all before."""
         if not self._commands:
@@ -112,5 +116,6 @@ class Playout:
         # the largest lead in the window is the one with the least network delay in it
         offset = self._window_lead - self.delay
         self._window_cycles, self._window_lead = 0, 0
-        if abs(offset) > CYCLE_NS // 2 and self._resting > REALIGN_WINDOW:
+        # everything still to be played must stand still too, not only the newest
+        if abs(offset) > CYCLE_NS // 2 and self._resting > max(REALIGN_WINDOW, len(self._commands)):
             self._now += offset

@@ -21,6 +21,9 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: IPOC counts milliseconds (rsi.md, section 4).
 IPOC_NS = 1_000_000
+#: Share of its distance to the arrivals by which the grid of unstamped commands moves per command: follows the drift between two
+#: clocks within minutes, and lets 10 ms of network jitter through as less than a microsecond.
+ARRIVAL_SMOOTHING = 16_384
 
 
 class State(Enum):
@@ -267,7 +270,10 @@ class Gateway:
     def _arrival_stamp(self, now: int) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap longer than `silence`."""
         expected = self._last_command + CYCLE_NS
-        return now if abs(now - expected) > self.config.silence * NANOSECONDS else expected
+        distance = now - expected
+        if abs(distance) > self.config.silence * NANOSECONDS:
+            return now
+        return expected + distance // ARRIVAL_SMOOTHING
 
     def _take(self, stamp: int, q: tuple[float, ...]) -> None:
         if self.state is State.ARMED:
@@ -279,6 +285,10 @@ class Gateway:
             self._check.start(stamp, q)
             self._enter(State.FOLLOWING, f"stream of session {self.session} began")
         else:
+            lead = self._playout.lead(stamp) / NANOSECONDS
+            if lead > self.config.max_age:
+                # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
+                raise MotionRefused("lead", "", lead, self.config.max_age, "s")
             self._check.accept(stamp, q)
         self._last_command = stamp
         self._playout.push(stamp, q)

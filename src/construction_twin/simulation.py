@@ -1,0 +1,205 @@
+"""The whole chain in one process on a simulated clock: exact, reproducible, as fast as the processor allows.
+
+Executor, gate, twin, bridge, gateway and mock controller are the same objects that the nodes run; only sockets and clocks are
+replaced, by a queue of events in integer nanoseconds. This is where exact figures are asserted (design, law 6).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
+from construction_twin.executor import Executor, ExecutorState
+from construction_twin.gate import Gate, GateSettings
+from construction_twin.limits import MotionLimits
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.messages import CommandProperties, StateProperties
+from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
+from construction_twin.robot import RobotModel
+from construction_twin.rsi.codec import SensorEncoder, parse_robot
+from construction_twin.rsi.config import GatewayConfig
+from construction_twin.rsi.mock_controller import MockController
+from construction_twin.rsi.session import Gateway
+from construction_twin.trajectory import Plan
+from construction_twin.twin import VirtualRobot
+from construction_twin.units import CYCLE_NS, NANOSECONDS
+
+#: Simulated time begins here [ns]: stamps as large as real ones, so that rounding is as real.
+EPOCH = 1_790_000_000 * NANOSECONDS
+#: The supervisor is asked this often [ns], as in the bridge.
+POLL = 20_000_000
+
+
+@dataclass(frozen=True)
+class SimulatedLink:
+    """Delays of the simulated network and the controller's phase.
+
+    Attributes
+    ----------
+    command_delay, state_delay : callable
+        Return the travel time of the next message [ns].
+    phase : int
+        Offset of the controller's clock against the executor's grid [ns].
+    """
+
+    command_delay: Callable[[], int] = lambda: 300_000
+    state_delay: Callable[[], int] = lambda: 300_000
+    phase: int = 1_700_000
+
+
+class SimulatedChain:
+    """One robot, its twin and everything between them.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    config : GatewayConfig
+    controller : MockController
+    gate : GateSettings
+    link : SimulatedLink
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        config: GatewayConfig,
+        controller: MockController,
+        gate: GateSettings = GateSettings(),
+        link: SimulatedLink = SimulatedLink(),
+    ):
+        self.robot = robot
+        self.now = EPOCH
+        self.controller = controller
+        self.gateway = Gateway(config)
+        self.executor = Executor(robot)
+        self.codec = JointStringCodec.of(robot, config.decimals)
+        self.gate = Gate(MotionLimits.of(robot), self.codec, gate)
+        self.twin = VirtualRobot(None)
+        ids = map(str, itertools.count(1))
+        self.supervisor = LinkSupervisor(config.hash, config.decimals, config.start_tolerance, lambda: next(ids))
+        #: What the gateway answered [rad]: (IPOC, correction).
+        self.corrections: list[tuple[int, tuple[float, ...]]] = []
+        self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
+        self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
+        self.commands_sent = 0
+        self._link = link
+        self._sensor = SensorEncoder(config.sentype, config.axes)
+        self._session = ""
+        self._events: list[tuple[int, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self.supervisor.on_connection(True)
+        self._at(EPOCH + CYCLE_NS, self._execute)
+        self._at(EPOCH + CYCLE_NS + link.phase, self._control)
+        self._at(EPOCH, self._supervise)
+
+    def run_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Let simulated time pass until `condition` holds; return False when it did not within `timeout` [s]."""
+        deadline = self.now + round(timeout * NANOSECONDS)
+        while not condition():
+            if self.now > deadline:
+                return False
+            self.now, _, action = heapq.heappop(self._events)
+            action()
+        return True
+
+    def run_for(self, duration: float) -> None:
+        """Let `duration` [s] of simulated time pass."""
+        end = self.now + round(duration * NANOSECONDS)
+        self.run_until(lambda: self.now >= end, duration + 1.0)
+
+    @property
+    def ready(self) -> bool:
+        """True when commands flow and the executor waits for a plan."""
+        return self.supervisor.state is LinkState.ARMED and self.executor.state is ExecutorState.IDLE
+
+    def play(self, plan: Plan) -> None:
+        """Put a plan on the desk and approve it."""
+        self.executor.desk.offer(plan)
+        self.executor.review(plan.id, plan.hash, True, "simulation")
+
+    def recording(self) -> Recording:
+        """Return what a bag of this run would hold."""
+        stamps, poses = map(np.array, zip(*self.twin_poses))
+        received, measured, seq, command_stamps = map(np.array, zip(*self.feedback))
+        plan, names = self.executor.plan, self.robot.joint_names
+        played = () if plan is None else (
+            PlayedPlan(plan.id, self.executor.plan_start, plan.trajectory.duration, self.executor.outcome),
+        )
+        return Recording(
+            robot=f"/{self.robot.name}",
+            joint_names=names,
+            twin=Stream(stamps, poses, stamps),
+            physical=Stream(received, measured, received),
+            feedback=FeedbackStream(received, measured, received, seq, command_stamps),
+            plans=played,
+        )
+
+    # -- events ----------------------------------------------------------------------------------------------------------
+
+    def _at(self, time: int, action: Callable[[], None]) -> None:
+        heapq.heappush(self._events, (time, next(self._order), action))
+
+    def _execute(self) -> None:
+        """One cycle of executor, gate, twin and the bridge's sending half."""
+        stamp = self.now
+        self._at(stamp + CYCLE_NS, self._execute)
+        self.executor.on_sync(self.gate.state, self.gate.agreed(stamp))
+        theta_next = self.executor.step(stamp, stamp)
+        command = None if theta_next is None else self.gate.pass_next(stamp, theta_next, stamp)
+        if command is not None and self.twin.execute(stamp, command):
+            self._send(stamp, command)
+        if self.twin.pose is not None:
+            self.twin_poses.append((stamp, self.twin.pose))
+            self.executor.on_twin(stamp, self.twin.pose, stamp)
+            self.gate.on_twin(stamp, self.twin.pose)
+
+    def _send(self, stamp: int, command: tuple[float, ...]) -> None:
+        if not self.supervisor.on_command(command, stamp):
+            return
+        self.commands_sent += 1
+        payload = self.codec.encode(command)
+        properties = CommandProperties(self.supervisor.session, self.commands_sent, stamp)
+        arrival = stamp + self._link.command_delay()
+        self._at(arrival, lambda: self.gateway.on_command(payload, properties, arrival))
+
+    def _control(self) -> None:
+        """One cycle of the controller, and the gateway's answer to it."""
+        self._at(self.now + CYCLE_NS, self._control)
+        packet = self.controller.begin_cycle()
+        self.gateway.poll(self.now)
+        if packet is None:
+            return
+        telegram = parse_robot(packet, self.gateway.config.axes)
+        correction = self.gateway.on_telegram(telegram, "controller", self.now)
+        if correction is not None:
+            self.corrections.append((telegram.ipoc, correction))
+            self.controller.receive(self._sensor.encode(correction, telegram.ipoc))
+        message = self.gateway.state_message(self.now)
+        if message is not None:
+            self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))
+
+    def _receive(self, payload: bytes, properties: StateProperties) -> None:
+        q = self.codec.decode(payload)
+        self.twin.take_over(q)
+        self.supervisor.on_pose(q, self.now)
+        self.gate.on_physical(q, properties.command_stamp, self.now)
+        self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
+
+    def _supervise(self) -> None:
+        self._at(self.now + POLL, self._supervise)
+        self.supervisor.on_status(self.gateway.status(), self.now)
+        control = self.supervisor.poll(self.now)
+        if control is not None:
+            ok, reason = self.gateway.on_control(control)
+            self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
+        if self.supervisor.session != self._session:
+            if self._session:
+                self.executor.restart("new command session")
+                self.gate.restart("new command session")
+                self.twin.restart()
+            self._session = self.supervisor.session
