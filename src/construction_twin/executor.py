@@ -19,8 +19,8 @@ from construction_twin.units import CYCLE, NANOSECONDS
 START_TOLERANCE = 1e-6
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
-#: Share of the acceleration limits that a stop uses; the rest covers that a cycle is not infinitely short.
-STOP_SHARE = 0.95
+#: Halvings with which a stop looks for the shortest next step on the path that every joint can brake to.
+STOP_HALVINGS = 10
 
 
 class ExecutorState(Enum):
@@ -47,19 +47,20 @@ class Executor:
         self._auto_approve = auto_approve
         self.desk = ReviewDesk()
         self.state = ExecutorState.WAITING
-        self.reason = "started"
+        self.reason = "started; waits for twin and physical arm to agree"
         self.outcome = ""
         self.plan: Plan | None = None
         self.plan_start = 0
         self._verdicts: list[Verdict] = []
         self._sync = SyncState.WAITING
         self._agreed = False
+        self._unarmed = ""
         self._twin: tuple[int, tuple[float, ...], int] | None = None
         self._setpoint: tuple[float, ...] | None = None
         self._setpoint_stamp = 0
+        self._before: tuple[float, ...] = ()
         self._elapsed = 0.0
-        self._rate = 1.0
-        self._next_stamp = 0
+        self._progress = CYCLE
 
     # -- inputs --------------------------------------------------------------------------------------------------------
 
@@ -72,6 +73,12 @@ class Executor:
         self._sync, self._agreed = state, agreed
         if self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING) and state is not SyncState.IN_SYNC:
             self._finish("held", f"the gate holds ({state.name})")
+
+    def on_link(self, armed: bool, reason: str) -> None:
+        """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played."""
+        self._unarmed = "" if armed else reason
+        if not armed and self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING):
+            self._finish("dropped", f"the arm is no longer armed: {reason}")
 
     def restart(self, reason: str) -> None:
         """Drop everything and wait for twin and arm to agree again."""
@@ -107,6 +114,9 @@ class Executor:
         self.desk.clear()
         if self.state is not ExecutorState.PLAYING:
             return f"nothing is playing ({self.state.name})"
+        if self.plan_start == 0:
+            self._finish("stopped", "stopped before it began")
+            return f"plan {self.plan.id} had not begun"
         self._enter(ExecutorState.STOPPING, "stop requested")
         return f"braking plan {self.plan.id}"
 
@@ -161,24 +171,35 @@ class Executor:
         else:
             self._slow_down()
         q, _, _ = trajectory.sample(self._elapsed)
+        self._before = self._setpoint
         self._setpoint, self._setpoint_stamp = tuple(q.tolist()), stamp
         if self._elapsed >= trajectory.duration:
             self._finish("finished", "goal reached")
-        elif self.state is ExecutorState.STOPPING and self._rate == 0.0:
+        elif self.state is ExecutorState.STOPPING and self._progress == 0.0:
             self._finish("stopped", "stopped on request")
         return self._setpoint
 
     def _slow_down(self) -> None:
-        """Lower the playing rate as fast as every joint's acceleration limit allows: the arm brakes on its path."""
-        _, velocity, acceleration = self.plan.trajectory.sample(self._elapsed)
-        change = -self._rate / CYCLE
-        for v, a, limit in zip(velocity, acceleration, self._robot.acceleration):
-            if abs(v) > 1e-9:
-                lowest = (-STOP_SHARE * limit - a * self._rate**2) / v if v > 0 else (STOP_SHARE * limit - a * self._rate**2) / v
-                change = max(change, min(lowest, 0.0))
-        rate = max(0.0, self._rate + change * CYCLE)
-        self._elapsed = min(self._elapsed + (self._rate + rate) / 2 * CYCLE, self.plan.trajectory.duration)
-        self._rate = rate
+        """Advance on the path as little as every joint's acceleration limit allows: the arm brakes on its path."""
+        self._progress = self._least_progress()
+        self._elapsed = min(self._elapsed + self._progress, self.plan.trajectory.duration)
+
+    def _least_progress(self) -> float:
+        if self._can_brake_to(0.0):
+            return 0.0
+        least, most = 0.0, self._progress
+        for _ in range(STOP_HALVINGS):
+            middle = (least + most) / 2
+            least, most = (least, middle) if self._can_brake_to(middle) else (middle, most)
+        return most
+
+    def _can_brake_to(self, progress: float) -> bool:
+        """Tell whether every joint may go there in one cycle: the same second difference that gate and gateway measure."""
+        q, _, _ = self.plan.trajectory.sample(self._elapsed + progress)
+        return all(
+            abs(value - 2 * last + before) <= limit * CYCLE * CYCLE
+            for value, last, before, limit in zip(q.tolist(), self._setpoint, self._before, self._robot.acceleration)
+        )
 
     # -- plans ---------------------------------------------------------------------------------------------------------
 
@@ -187,13 +208,16 @@ class Executor:
             raise ReviewError(f"the executor is {self.state.name} ({self.reason}); approve when it is idle")
         if self._sync is not SyncState.IN_SYNC:
             raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
+        if self._unarmed:
+            raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
         off = outside_tolerance(tuple(plan.trajectory.positions[0]), self._setpoint, START_TOLERANCE)
         if off is not None:
             distance = plan.trajectory.positions[0][off] - self._setpoint[off]
-            raise ReviewError(f"plan {plan.id} starts {distance:.6f} rad from the present pose at {self._robot.joint_names[off]}; plan again")
+            joint = self._robot.joint_names[off]
+            raise ReviewError(f"plan {plan.id} starts {distance:.6f} rad from the present pose at {joint}; plan again")
 
     def _approve_by_itself(self) -> None:
-        if self._sync is not SyncState.IN_SYNC:
+        if self._sync is not SyncState.IN_SYNC or self._unarmed:
             return
         plan = self.desk.plan
         try:
@@ -203,7 +227,7 @@ class Executor:
             self._verdicts.append(Verdict(plan.id, plan.hash, False, "auto_approve", str(error)))
 
     def _play(self, plan: Plan, reason: str) -> None:
-        self.plan, self.plan_start, self._elapsed, self._rate = plan, 0, 0.0, 1.0
+        self.plan, self.plan_start, self._elapsed, self._progress = plan, 0, 0.0, CYCLE
         self.outcome = ""
         self._enter(ExecutorState.PLAYING, reason)
 

@@ -79,6 +79,7 @@ class Gate:
         self.reason = reason
         self._check = MotionCheck(self._limits, self._codec.decimals)
         self._agreed_since: int | None = None
+        self._stamp = 0
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the twin's pose [rad] with the stamp of the command it executes [ns]."""
@@ -86,12 +87,13 @@ class Gate:
 
     def on_physical(self, q: tuple[float, ...], command_stamp: int, now: int) -> Comparison | None:
         """Take a physical pose; see `PoseComparison.compare`."""
+        continued = self._fresh(now)
         comparison = self.comparison.compare(q, command_stamp, now)
         if comparison is None:
             return None
         if not comparison.agrees:
             self._agreed_since = None
-        elif self._agreed_since is None:
+        elif self._agreed_since is None or not continued:
             self._agreed_since = now
         return comparison
 
@@ -102,7 +104,7 @@ class Gate:
         return (
             self._fresh(now)
             and self._agreed_since is not None
-            and now - self._agreed_since >= self.settings.agree_time * NANOSECONDS
+            and self.comparison.last.at - self._agreed_since >= self.settings.agree_time * NANOSECONDS
         )
 
     def pass_next(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...] | None:
@@ -120,8 +122,13 @@ class Gate:
         Returns
         -------
         command : tuple, shape (n,) or None
-            Pose to execute, rounded to the wire [rad]; None while the gate has never been open.
+            Pose to execute, rounded to the wire [rad]; None while the gate has never been open, and for a setpoint that is not
+            newer than the last one: whatever went out with its stamp would be refused further on.
         """
+        if stamp <= self._stamp:
+            self.refused += 1
+            return None
+        self._stamp = stamp
         if self.state is not SyncState.IN_SYNC:
             self._try_to_open(stamp, theta_next, now)
         elif not self._may_stay_open(now):

@@ -57,6 +57,28 @@ def outside_tolerance(q: tuple[float, ...], reference: tuple[float, ...], tolera
     return None
 
 
+def braking_distance(step: float, deceleration: float) -> float:
+    """Return how far braking goes on after a step.
+
+    Discrete and exact: the sum of step - deceleration, step - 2 deceleration, ... as long as they are positive. The textbook's
+    v^2 / 2a is half a step longer and would refuse a motion that ends at the end of its range at full deceleration.
+
+    Parameters
+    ----------
+    step : float
+        [rad] per cycle, not negative.
+    deceleration : float
+        Change of the step per cycle [rad], positive.
+
+    Returns
+    -------
+    distance : float
+        [rad]
+    """
+    cycles = math.floor(step / deceleration)
+    return cycles * step - deceleration * cycles * (cycles + 1) / 2
+
+
 class MotionCheck:
     """Checks each setpoint of a stream against the one before: range, velocity, acceleration, room to brake.
 
@@ -132,5 +154,6 @@ class MotionCheck:
         speed = abs(velocity) - noise
         if speed > 0.0:
             room = limits.upper[index] - value if velocity > 0.0 else value - limits.lower[index]
-            if speed * speed / (2 * acceleration) > room + RANGE_SLACK:
-                raise MotionRefused("braking_room", limits.names[index], speed * speed / (2 * acceleration), room)
+            needed = braking_distance(speed * CYCLE, acceleration * CYCLE * CYCLE)
+            if needed > room + RANGE_SLACK:
+                raise MotionRefused("braking_room", limits.names[index], needed, room)

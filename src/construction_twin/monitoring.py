@@ -43,7 +43,8 @@ def next_pose(
     Liang et al., section 3.3, Algorithm 1.
     """
     for virtual, physical, limit in zip(theta_virtual, theta_physical, threshold):
-        if abs(virtual - physical) > limit:
+        # written so that a nan does not pass
+        if not abs(virtual - physical) <= limit:
             return theta_virtual, True
     return theta_next, False
 

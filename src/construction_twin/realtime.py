@@ -6,7 +6,7 @@ import os
 
 
 def request_realtime(priority: int) -> str:
-    """Ask for SCHED_FIFO at `priority` for this process.
+    """Ask for SCHED_FIFO at `priority` for every thread of this process; threads and programs started later inherit it.
 
     Parameters
     ----------
@@ -23,7 +23,8 @@ def request_realtime(priority: int) -> str:
     if not hasattr(os, "sched_setscheduler"):
         return f"SCHED_FIFO {priority} was asked for, but this system has none; normal scheduling"
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        for thread in map(int, os.listdir("/proc/self/task")):
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         return f"SCHED_FIFO {priority} not permitted ({error.strerror}); normal scheduling"
     return f"SCHED_FIFO {priority}"

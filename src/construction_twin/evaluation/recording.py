@@ -95,8 +95,9 @@ class LinkSnapshot:
     received : int
         [ns]
     session : str
-        Id of the command session that `commands_sent` counts in.
+        Id of the command session at that moment.
     commands_sent : int
+        Since the bridge started.
     counters : Mapping of str to str
         The gateway's counters as it reported them.
     reply_bins : tuple of int

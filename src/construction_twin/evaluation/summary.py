@@ -170,7 +170,7 @@ def _waypoints(recording: Recording) -> int | None:
 
 
 def _commands_sent(first: LinkSnapshot | None, last: LinkSnapshot | None) -> int | None:
-    # The count belongs to a session: across two sessions a difference says nothing.
+    # Counted since the bridge started; another session may be that of a restarted bridge.
     if first is None or last is None or first is last or first.session != last.session:
         return None
     return last.commands_sent - first.commands_sent

@@ -14,6 +14,7 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.errors import ConfigurationError
 
@@ -64,6 +65,17 @@ def make_client(broker: Broker, client_id: str, will_topic: str) -> paho.Client:
     client.on_socket_open = lambda client, userdata, sock: sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     client.reconnect_delay_set(min_delay=1, max_delay=2)
     return client
+
+
+def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tuple[str, int | SubscribeOptions]]:
+    """Return topics and their QoS in the form that `client.subscribe` takes, so that a retain flag stays visible.
+
+    Without "retain as published" a broker shows the flag only on what it had stored, not on what is published while we listen.
+    MQTT 3.1.1 has no such option.
+    """
+    if client.protocol != MQTTProtocolVersion.MQTTv5:
+        return list(topics)
+    return [(topic, SubscribeOptions(qos=qos, retainAsPublished=True)) for topic, qos in topics]
 
 
 def user_properties(pairs: list[tuple[str, str]]) -> Properties:

@@ -81,7 +81,8 @@ class JointStringCodec:
         if self._mapping:
             q = [sign * value + offset for value, (sign, offset) in zip(q, self._mapping)]
         text = self._template % degrees(q)
-        if len(text) != self.length:
+        # a huge angle in rad is infinite in degrees, and "+0000inf" would have the right length
+        if len(text) != self.length or "inf" in text:
             raise PayloadError("range", f"{text!r} does not fit the format: a joint is at or beyond 1000 degrees")
         return text.replace("-" + self._zero[1:], self._zero).encode("ascii")
 

@@ -10,8 +10,11 @@ import re
 from dataclasses import asdict, dataclass
 
 from construction_twin.errors import ConfigurationError, PayloadError
+from construction_twin.units import NANOSECONDS
 
-_NUMBER = re.compile(r"[0-9]{1,20}")
+_NUMBER = re.compile(r"[0-9]{1,19}")
+#: A ROS time, into which every stamp is turned, ends here [ns].
+_MAX_NUMBER = (1 << 32) * NANOSECONDS - 1
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _LEVEL = re.compile(r"[A-Za-z0-9_-]+")
 #: Control messages are short; anything longer is not one.
@@ -98,8 +101,8 @@ def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str
 
 
 def _number(name: str, text: str) -> int:
-    if not _NUMBER.fullmatch(text):
-        raise PayloadError("properties", f"property {name} is {text[:32]!r}; expected a whole number")
+    if not _NUMBER.fullmatch(text) or int(text) > _MAX_NUMBER:
+        raise PayloadError("properties", f"property {name} is {text[:32]!r}; expected a whole number up to {_MAX_NUMBER}")
     return int(text)
 
 
@@ -142,8 +145,24 @@ def parse_control(payload: bytes) -> Control:
 
 
 def parse_status(payload: bytes) -> dict:
-    """Parse a gateway's status (or answer) into a dict; PayloadError (``status``) when it is not a JSON object."""
-    return _parse_object(payload, "status", limit=1 << 20)
+    """Parse a gateway's status (or answer) into a dict; PayloadError (``status``) when it is not one.
+
+    What is reported on ROS is checked here: a word as `state`, whole numbers as counters, the reply-time histogram.
+    """
+    status = _parse_object(payload, "status", limit=1 << 20)
+    reply = status.get("reply_us", {})
+    if not isinstance(status.get("state", ""), str) or not isinstance(reply, dict):
+        raise PayloadError("status", f"status message {payload[:80]!r} whose state or reply_us is not what the interface says")
+    counters = status.get("counters", {})
+    if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
+        raise PayloadError("status", "status message whose counters are not whole numbers by name")
+    if not all(isinstance(reply.get(key, []), list) and all(map(_is_count, reply.get(key, []))) for key in ("bins", "counts")):
+        raise PayloadError("status", "status message whose reply_us is not a histogram of whole numbers")
+    return status
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and 0 <= value < 1 << 63
 
 
 def _parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:

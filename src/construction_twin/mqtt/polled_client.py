@@ -8,6 +8,7 @@ loop leaves the client alone. Standard library and paho-mqtt only.
 from __future__ import annotations
 
 import selectors
+import socket
 import threading
 import time
 
@@ -75,11 +76,17 @@ class PolledClient:
             self._events = wanted
 
     def close(self) -> None:
-        """Say goodbye to the broker and wait until that is written, at most 1 s."""
+        """Say goodbye to the broker and wait until it has hung up, at most 1 s."""
+        sock = self.client.socket()
+        # paho closes its socket at once; with an answer still unread the broker would see a reset, and could lose our last words
+        line = sock.dup() if sock is not None else None
         self.client.disconnect()
         deadline = time.monotonic() + 1.0
         while self.client.want_write() and time.monotonic() < deadline:
             self.client.loop_write()
+        if line is not None:
+            with line:
+                _hear_out(line, deadline)
 
     def _register(self, sock) -> None:
         if self._registered is not None:
@@ -105,3 +112,14 @@ class PolledClient:
         except OSError:
             # refused or unreachable: service() tries again; `connected` stays False and the status says so
             return
+
+
+def _hear_out(line: socket.socket, deadline: float) -> None:
+    try:
+        while (remaining := deadline - time.monotonic()) > 0:
+            line.settimeout(remaining)
+            if not line.recv(4096):
+                return
+    except OSError:
+        # timed out or reset: nobody is left to hear
+        return

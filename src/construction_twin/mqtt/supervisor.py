@@ -8,6 +8,7 @@ only then, with a command stream within the start tolerance of the arm, is the g
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from enum import Enum
 
@@ -56,6 +57,8 @@ class LinkSupervisor:
         self._hash = config_hash
         self._decimals = decimals
         self._tolerance = start_tolerance
+        # an arm that rests between two values of the wire flickers by one digit
+        self._rest_band = max(start_tolerance / 50, math.radians(1.5 * 10.0**-decimals))
         self._new_id = new_id
         self.state = LinkState.DISCONNECTED
         self.reason = "not connected to the broker yet"
@@ -65,11 +68,13 @@ class LinkSupervisor:
         self._connected = False
         self._pose: tuple[float, ...] | None = None
         self._pose_at = 0
+        self._rest_pose: tuple[float, ...] = ()
         self._moved_at = 0
         self._command: tuple[float, ...] | None = None
         self._command_at = 0
         self._was_armed = False
         self._reset_wanted = False
+        self._stopped: str | None = None
         self._pending: Control | None = None
         self._sent_at = 0
 
@@ -87,10 +92,9 @@ class LinkSupervisor:
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
         """Take the arm's pose [rad]."""
-        if self._pose is None or outside_tolerance(q, self._pose, self._tolerance / 50) is not None:
-            self._moved_at = now
-            self._pose = q
-        self._pose_at = now
+        if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_band) is not None:
+            self._rest_pose, self._moved_at = q, now
+        self._pose, self._pose_at = q, now
 
     def on_command(self, q: tuple[float, ...], now: int) -> bool:
         """Take a command that wants to be sent [rad]; return whether it may be."""
@@ -101,10 +105,13 @@ class LinkSupervisor:
         """Take the gateway's answer to a control message."""
         if self._pending is None or answer.get("id") != self._pending.id:
             return
-        verb, self._pending = self._pending.verb, None
+        verb = self._pending.verb
         if not answer.get("ok"):
+            # stays pending: asked again after the usual pause, not with every poll
             self.reason = f"gateway refused {verb}: {answer.get('reason')}"
-        elif verb == "arm":
+            return
+        self._pending = None
+        if verb == "arm":
             self._was_armed = True
             self._enter(LinkState.ARMED, f"session {self.session}")
 
@@ -138,6 +145,8 @@ class LinkSupervisor:
 
     def drop(self, reason: str) -> None:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
+        self._stopped = reason
+        self._pending = None
         self._enter(LinkState.NEEDS_RESET, reason)
 
     # -- decisions -----------------------------------------------------------------------------------------------------
@@ -147,7 +156,7 @@ class LinkSupervisor:
         obstacle = self._obstacle(now)
         if obstacle is not None:
             self._enter(*obstacle)
-            self._pending = None
+            self._pending, self._reset_wanted = None, False
             return None
         if self._reset_wanted:
             self._reset_wanted = False
@@ -182,16 +191,19 @@ class LinkSupervisor:
 
     def _leave_waiting(self, gateway: str, now: int) -> None:
         """First start, return after an interruption: begin by itself only where nothing could jump."""
-        if not self._was_armed and gateway == "ready":
+        if self._stopped is not None:
+            self._enter(LinkState.NEEDS_RESET, self._stopped)
+        elif not self._was_armed and gateway == "ready":
             self._begin_session("first session")
-        elif self._stopped_by_silence(gateway) and self._within_tolerance(now) and self._at_rest(now):
+        elif self._without_fault(gateway) and self._within_tolerance(now) and self._at_rest(now):
             self._begin_session("the link is back and the poses agree within the start tolerance")
-        elif gateway not in ("armed", "following", "braking") and self.state is not LinkState.NEEDS_RESET:
+        elif self.state is not LinkState.NEEDS_RESET:
             self._enter(LinkState.NEEDS_RESET, f"gateway is {gateway}: {self.status.get('reason')}; call reset")
 
-    def _stopped_by_silence(self, gateway: str) -> bool:
+    def _without_fault(self, gateway: str) -> bool:
+        """True when nothing but an interrupted link keeps the gateway from following; "armed" is a stream that never began."""
         stopped_by = str(self.status.get("reason", "")).split(":")[0]
-        return gateway == "ready" or (gateway == "holding" and stopped_by == "silence")
+        return gateway in ("ready", "armed") or (gateway == "holding" and stopped_by == "silence")
 
     def _still_armed(self, gateway: str, now: int) -> bool:
         # a status sent before the arming was answered still says ready
@@ -214,7 +226,7 @@ class LinkSupervisor:
 
     def _begin_session(self, reason: str) -> None:
         self.session = self._new_id()
-        self._pending = None
+        self._pending, self._stopped = None, None
         self._command = None
         self._enter(LinkState.RESYNC, reason)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 from dataclasses import asdict
+from typing import Literal
 
-import pydantic
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
@@ -14,24 +14,25 @@ from construction_twin.errors import ConstructionTwinError
 from construction_twin.executor import Executor, ExecutorState
 from construction_twin.gate import SyncState
 from construction_twin.msg import Execution, Link, Plan, Review, Sync
-from construction_twin.realtime import request_realtime
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.cycle import cycles
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns, to_time
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.review import Verdict
 from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
+from construction_twin.units import NANOSECONDS
+
+#: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
+SYNC_TIMEOUT = NANOSECONDS // 2
 
 
-class Settings(pydantic.BaseModel):
-    """Private parameters; see config/executor.yaml."""
+class Settings(NodeSettings):
+    """Private parameters, given in launch/twin.launch."""
 
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
+    arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
-    realtime_priority: int = pydantic.Field(0, ge=0, le=99)
 
 
 class ExecutorNode:
@@ -44,6 +45,7 @@ class ExecutorNode:
         self._started = rospy.Time.now()
         self._lock = threading.Lock()
         self._session: str | None = None
+        self._sync_at = 0
         self._reported: tuple = ()
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._next = JointPublisher("next/joint_states", robot.joint_names)
@@ -52,17 +54,20 @@ class ExecutorNode:
         JointSubscriber("twin/joint_states", robot.joint_names, self._on_twin, self._diagnostics.refuse)
         rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
-        rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+        if settings.arm != "none":
+            self._executor.on_link(False, "no report of the link yet")
+            rospy.Subscriber("link", Link, self._on_link, queue_size=5)
         rospy.Service("review_plan", ReviewPlan, self._on_review)
         rospy.Service("stop", Trigger, self._on_stop)
         if settings.auto_approve:
             rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
-        rospy.loginfo(request_realtime(settings.realtime_priority))
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
         for stamp, stalled in cycles():
             with self._lock:
+                if stamp - self._sync_at > SYNC_TIMEOUT:
+                    self._executor.on_sync(SyncState.STALE, False)
                 if stalled:
                     self._executor.stall(f"this process was not run for {stalled / 1e9:.3f} s")
                 setpoint = self._executor.step(stamp, now_ns())
@@ -78,6 +83,7 @@ class ExecutorNode:
 
     def _on_sync(self, message: Sync) -> None:
         with self._lock:
+            self._sync_at = now_ns()
             self._executor.on_sync(SyncState(message.state), message.agreed)
 
     def _on_plan(self, message: Plan) -> None:
@@ -92,12 +98,12 @@ class ExecutorNode:
             self._diagnostics.refuse("plan", str(error))
 
     def _on_link(self, message: Link) -> None:
-        if message.session == self._session or not message.session:
-            return
         with self._lock:
-            if self._session is not None:
-                self._executor.restart("new command session")
-            self._session = message.session
+            if message.session and message.session != self._session:
+                if self._session is not None:
+                    self._executor.restart("new command session")
+                self._session = message.session
+            self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
 
     # -- services ----------------------------------------------------------------------------------------------------------
 

@@ -15,11 +15,18 @@ from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.export import gateway_config
 
 
-def config_from_parameters() -> GatewayConfig:
-    """Return the configuration that the namespace's `robot_description`, `robot` and `gateway` parameters describe."""
-    if not rospy.has_param("gateway"):
-        raise ConfigurationError(rospy.resolve_name("gateway"), None, "link settings, as launch/bringup.launch loads them")
-    return gateway_config(robot_from_parameters(), rospy.get_param("gateway"))
+def config_from_parameters(namespace: str = "") -> GatewayConfig:
+    """Return the configuration that a namespace's `robot_description`, `robot` and `gateway` parameters describe.
+
+    Parameters
+    ----------
+    namespace : str, optional
+        ``/kr120/``; the node's own by default.
+    """
+    name = namespace + "gateway"
+    if not rospy.has_param(name):
+        raise ConfigurationError(rospy.resolve_name(name), None, "link settings, as launch/bringup.launch loads them")
+    return gateway_config(robot_from_parameters(namespace), rospy.get_param(name))
 
 
 def export_main() -> None:
@@ -31,10 +38,9 @@ def export_main() -> None:
     parser.add_argument("output", help="file to write, e.g. kr120_gateway.json; - for the terminal")
     parser.add_argument("--namespace", default="kr120", help="namespace of the robot [%(default)s]")
     arguments = parser.parse_args(rospy.myargv(sys.argv)[1:])
-    os.environ["ROS_NAMESPACE"] = "/" + arguments.namespace.strip("/")
     rospy.init_node("export_gateway_config", anonymous=True, disable_signals=True)
     try:
-        config = config_from_parameters()
+        config = config_from_parameters(f"/{arguments.namespace.strip('/')}/")
     except ConstructionTwinError as error:
         sys.exit(f"export_gateway_config: {error}")
     if arguments.output == "-":

@@ -54,7 +54,8 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
         q = tuple(message.position)
     else:
         if len(message.name) != len(message.position) or set(message.name) != set(names) or len(message.name) != len(names):
-            raise PayloadError("names", f"joint state names {message.name}, {len(message.position)} positions; expected {list(names)}")
+            found = f"joint state names {message.name}, {len(message.position)} positions"
+            raise PayloadError("names", f"{found}; expected {list(names)}")
         by_name = dict(zip(message.name, message.position))
         q = tuple(by_name[name] for name in names)
     if not all(map(math.isfinite, q)):
@@ -108,7 +109,8 @@ class JointSubscriber:
     def _receive(self, message: JointState) -> None:
         caller = message._connection_header["callerid"]
         if self._publisher is not None and caller != self._publisher:
-            self._refused("publisher", f"message from {caller}; only {self._publisher} may publish {self._subscriber.resolved_name}")
+            topic = self._subscriber.resolved_name
+            self._refused("publisher", f"message from {caller}; only {self._publisher} may publish {topic}")
             return
         try:
             q = joint_values(message, self._names)

@@ -14,7 +14,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.realtime import request_realtime
 from construction_twin.ros.diagnostics import ERROR, OK, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.node import run_node
@@ -49,7 +48,6 @@ class MockRsiNode:
         """Run the controller until shutdown."""
         stop = threading.Event()
         rospy.on_shutdown(stop.set)
-        rospy.loginfo(request_realtime(self._settings.realtime_priority))
         # a full collection over every imported module takes longer than a cycle, and a thread keeps the interpreter for 5 ms
         gc.freeze()
         sys.setswitchinterval(0.0005)

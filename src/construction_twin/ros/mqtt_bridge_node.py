@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.errors import PayloadError, ReviewError
-from construction_twin.mqtt.client import Broker, make_client, received_pairs, user_properties
+from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, user_properties
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
@@ -25,16 +25,14 @@ from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.gateway_config import config_from_parameters
 from construction_twin.ros.joint_stream import QUEUE, JointPublisher, JointSubscriber, now_ns, to_time
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
 
 #: Period at which the link's state is looked at [s].
 POLL = 0.02
 
 
-class Settings(pydantic.BaseModel):
+class Settings(NodeSettings):
     """Private parameters; see config/mqtt_bridge.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     host: str
     port: int = pydantic.Field(gt=0, lt=65536)
@@ -129,7 +127,7 @@ class MqttBridgeNode:
         if reason_code.is_failure:
             rospy.logerr("broker refused the connection: %s", reason_code)
             return
-        client.subscribe([(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)])
+        client.subscribe(subscriptions(client, [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)]))
         with self._lock:
             self._supervisor.on_connection(True)
 
@@ -142,8 +140,11 @@ class MqttBridgeNode:
         received = now_ns()
         pairs = received_pairs(message)
         try:
+            if message.retain:
+                raise PayloadError("retained", "retained state: nobody knows how old it is")
             q = self._codec.decode(message.payload)
-            properties = read_state_properties(pairs) if pairs else None
+            # where the link carries properties, a pose without them is not the gateway's
+            properties = read_state_properties(pairs) if pairs or self._properties else None
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
             return

@@ -8,10 +8,13 @@ from collections.abc import Callable
 import rospy
 
 from construction_twin.errors import ConstructionTwinError
+from construction_twin.realtime import request_realtime
 
 
 def run_node(name: str, start: Callable[[], object]) -> None:
     """Initialise ROS, build the node, serve until shutdown.
+
+    The private parameter ``~realtime_priority``, where a node has one, applies to all its threads.
 
     Parameters
     ----------
@@ -23,6 +26,7 @@ def run_node(name: str, start: Callable[[], object]) -> None:
     rospy.init_node(name)
     try:
         node = start()
+        rospy.loginfo(request_realtime(rospy.get_param("~realtime_priority", 0)))
         if hasattr(node, "run"):
             node.run()
         else:

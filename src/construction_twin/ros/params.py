@@ -13,6 +13,20 @@ from construction_twin.robot import RobotModel, load_robot
 Settings = TypeVar("Settings", bound=pydantic.BaseModel)
 
 
+class NodeSettings(pydantic.BaseModel):
+    """Private parameters of a node on the 250 Hz path.
+
+    Attributes
+    ----------
+    realtime_priority : int
+        SCHED_FIFO priority where the system permits it; 0: none.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    realtime_priority: int = pydantic.Field(0, ge=0, le=99)
+
+
 def read_parameters(model: type[Settings]) -> Settings:
     """Read the node's private parameters into `model`.
 
@@ -42,15 +56,21 @@ def read_parameters(model: type[Settings]) -> Settings:
         raise ConfigurationError(rospy.resolve_name(f"~{name}"), first.get("input"), first["msg"]) from error
 
 
-def robot_from_parameters() -> RobotModel:
-    """Return the robot described by the namespace's ``robot_description`` (URDF) and ``robot`` (YAML) parameters.
+def robot_from_parameters(namespace: str = "") -> RobotModel:
+    """Return the robot described by a namespace's ``robot_description`` (URDF) and ``robot`` (YAML) parameters.
+
+    Parameters
+    ----------
+    namespace : str, optional
+        ``/kr120/``; the node's own by default.
 
     Raises
     ------
     ConfigurationError
         If one is missing or does not make sense.
     """
-    for name in ("robot_description", "robot"):
+    names = [namespace + name for name in ("robot_description", "robot")]
+    for name in names:
         if not rospy.has_param(name):
             raise ConfigurationError(rospy.resolve_name(name), None, "a robot, as launch/robot.launch loads it")
-    return load_robot(rospy.get_param("robot_description"), rospy.get_param("robot"))
+    return load_robot(*map(rospy.get_param, names))

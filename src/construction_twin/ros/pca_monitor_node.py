@@ -18,15 +18,13 @@ from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, from_time, joint_values, now_ns
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.srv import PlanToJoints
 from construction_twin.units import NANOSECONDS
 
 
-class Settings(pydantic.BaseModel):
+class Settings(NodeSettings):
     """Private parameters; see config/pca_monitor.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     arm: Literal["mock", "real", "none"]
     decimals: int = pydantic.Field(ge=1, le=6)
@@ -34,7 +32,7 @@ class Settings(pydantic.BaseModel):
     lag_allowance: float = pydantic.Field(ge=0)
     feedback_timeout: float = pydantic.Field(gt=0)
     agree_time: float = pydantic.Field(ge=0)
-    sync_rate: float = pydantic.Field(gt=0)
+    sync_rate: float = pydantic.Field(ge=5)
     executor: str = "executor"
 
 
@@ -80,11 +78,14 @@ class PcaMonitorNode:
             was = self._gate.state
             command = self._gate.pass_next(stamp, theta_next, now)
             closed = was is SyncState.IN_SYNC and self._gate.state is not SyncState.IN_SYNC
+            # before anybody can hear that the gate closed: the executor then drops the plan
+            interrupted = self._interrupted_plan() if closed else None
         if command is not None:
             self._command.publish(stamp, command)
         if closed:
             rospy.logwarn("gate closed, %s: %s", self._gate.state.name, self._gate.reason)
-            self._replan(command)
+        if interrupted is not None:
+            self._replan(interrupted, command)
         self._publish_sync(now)
 
     def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
@@ -114,13 +115,16 @@ class PcaMonitorNode:
         self._plan = message
 
     def _on_execution(self, message: Execution) -> None:
-        self._playing = message.plan_id if message.state in (Execution.PLAYING, Execution.STOPPING) else None
+        # a plan that a person stops is not taken up again
+        self._playing = message.plan_id if message.state == Execution.PLAYING else None
 
-    def _replan(self, held: tuple[float, ...]) -> None:
-        """Ask once, beside the stream, for a plan from the held pose to the goal of the plan that was interrupted."""
+    def _interrupted_plan(self) -> Plan | None:
         plan = self._plan
-        if self._gate.state is SyncState.REFUSING or plan is None or plan.id != self._playing:
-            return
+        refusing = self._gate.state is SyncState.REFUSING
+        return None if refusing or plan is None or plan.id != self._playing else plan
+
+    def _replan(self, plan: Plan, held: tuple[float, ...]) -> None:
+        """Ask once, beside the stream, for a plan from the held pose to the goal of the plan that was interrupted."""
         goal = plan.trajectory.points[-1].positions
         threading.Thread(target=self._request_plan, args=(held, goal, self._gate.state.name), daemon=True).start()
 

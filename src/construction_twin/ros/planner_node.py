@@ -19,6 +19,7 @@ from construction_twin.kinematics import Chain, Pose
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.planning import Planner, PlannerSettings, PlanRequest
 from construction_twin.ros.convert import plan_to_msg, pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.diagnostics import OK, NodeDiagnostics
 from construction_twin.ros.joint_stream import joint_values, now_ns
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
@@ -54,6 +55,9 @@ class PlannerNode:
         self._twin: tuple[float, JointState] | None = None
         # one plan at a time: planner and kinematics are not made for several threads, and `plan` latches one
         self._busy = threading.Lock()
+        self._plans = 0
+        self._last = "no plan asked for yet"
+        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._tf = tf2_ros.Buffer()
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._publisher = rospy.Publisher("plan", PlanMsg, queue_size=1, latch=True)
@@ -85,13 +89,17 @@ class PlannerNode:
                 plan = make_plan()
                 self._publish(plan)
         except ConstructionTwinError as error:
-            rospy.logwarn("no plan: %s", error)
+            self._last = f"no plan: {error}"
+            self._diagnostics.refused[type(error).__name__] += 1
+            rospy.logwarn("%s", self._last)
             return response(success=False, message=str(error))
         trajectory = plan.trajectory
         sentence = (
             f"plan {plan.id} for {plan.source!r}: {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints, "
             f"made by {plan.planner} in {plan.planning_time:.3f} s; waiting for review"
         )
+        self._plans += 1
+        self._last = sentence
         rospy.loginfo("%s", sentence)
         return response(True, sentence, plan.id, plan.hash, trajectory.duration)
 
@@ -129,6 +137,9 @@ class PlannerNode:
             position=base_T_frame.position + base_T_frame.rotation @ pose.position,
             rotation=base_T_frame.rotation @ pose.rotation,
         )
+
+    def _report(self) -> tuple[int, str, dict]:
+        return OK, self._last, {"plans": self._plans}
 
 
 def _plan_request(request) -> PlanRequest:

@@ -6,7 +6,6 @@ import sys
 import threading
 from typing import Literal
 
-import pydantic
 import rospy
 
 from construction_twin.msg import Link
@@ -14,7 +13,7 @@ from construction_twin.ros.cycle import cycles
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.twin import VirtualRobot
 from construction_twin.units import CYCLE_NS
 
@@ -22,10 +21,8 @@ from construction_twin.units import CYCLE_NS
 IDLE_CYCLES = 3
 
 
-class Settings(pydantic.BaseModel):
-    """Private parameters; see config/virtual_robot.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+class Settings(NodeSettings):
+    """Private parameters, given in launch/twin.launch: the physical arm, and the only node whose commands count."""
 
     arm: Literal["mock", "real", "none"]
     gate: str = "pca_monitor"
@@ -61,7 +58,7 @@ class VirtualRobotNode:
             if self._robot.execute(stamp, q):
                 self._publish(stamp)
                 return
-        self._diagnostics.refuse("order", "command before the arm's pose was taken over, or not newer than the last one")
+        self._diagnostics.refuse("order", "command before the arm's pose was taken over, away from it, or not newer than the last")
 
     def _on_physical(self, _stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:

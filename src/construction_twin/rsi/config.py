@@ -74,6 +74,8 @@ class GatewayConfig:
 
     def __post_init__(self):
         count = len(self.axes)
+        if not count or not isinstance(self.axes, tuple) or not all(isinstance(axis, str) for axis in self.axes):
+            raise ConfigurationError("axes", self.axes, "at least one axis name")
         for name in ("lower", "upper", "velocity", "acceleration"):
             values = getattr(self, name)
             if len(values) != count or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
@@ -82,13 +84,16 @@ class GatewayConfig:
             raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
         if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
             raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
-        if not isinstance(self.decimals, int) or not 1 <= self.decimals <= 6:
+        if type(self.decimals) is not int or not 1 <= self.decimals <= 6:
             raise ConfigurationError("decimals", self.decimals, "1 to 6")
+        if not isinstance(self.properties, bool):
+            raise ConfigurationError("properties", self.properties, "true or false")
         if self.reference not in ("ASPos", "AIPos"):
             raise ConfigurationError("reference", self.reference, "ASPos or AIPos")
         for name in ("start_tolerance", "playout_delay", "silence", "max_age", "timeout"):
-            if not isinstance(getattr(self, name), (int, float)) or not getattr(self, name) > 0:
-                raise ConfigurationError(name, getattr(self, name), "a positive number")
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or not 0 < value < math.inf:
+                raise ConfigurationError(name, value, "a positive number")
 
     @property
     def limits(self) -> MotionLimits:
@@ -144,4 +149,6 @@ def load_config(path: str) -> GatewayConfig:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(path, error.strerror, "a readable file written by export_gateway_config") from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(path, str(error), "a file written by export_gateway_config") from error
     return parse_config(text, path)

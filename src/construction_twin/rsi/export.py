@@ -1,4 +1,7 @@
-"""From robot model and link settings to the gateway's configuration; used by the exporter and by the bridge, which compares hashes."""
+"""From robot model and link settings to the gateway's configuration.
+
+Used by the exporter, and by the bridge, which compares hashes.
+"""
 
 from __future__ import annotations
 

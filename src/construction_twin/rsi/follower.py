@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 
-from construction_twin.limits import RANGE_SLACK, MotionLimits
+from construction_twin.limits import RANGE_SLACK, MotionLimits, braking_distance
 from construction_twin.units import CYCLE, format_allowance
 
 
 def braking_step(distance: float, deceleration: float) -> float:
     """Return the largest step after which braking still ends within `distance`.
 
-    Discrete and exact: a step v followed by v - a, v - 2a, ... adds up to `distance`.
+    Discrete and exact: a step v followed by v - a, v - 2a, ... adds up to `distance`. Inverse of v + `braking_distance`.
 
     Parameters
     ----------
@@ -77,6 +77,7 @@ class Follower:
                 position.append(goal)
             else:
                 settling = True
+                goal = min(max(goal, self._lower[index]), self._upper[index])
                 self._step[index] = self._chase(index, last, goal)
                 position.append(last + self._step[index])
             self._target[index] = goal
@@ -106,7 +107,7 @@ class Follower:
         # rounding can make a step look faster than the motion is; the wide budget takes that out in the first braking cycle
         speed = abs(step) - self._rounding
         room = upper - goal if step > 0.0 else goal - lower
-        return speed <= 0.0 or speed * speed / (2 * self._budget[index]) <= room + RANGE_SLACK
+        return speed <= 0.0 or braking_distance(speed, self._budget[index]) <= room + RANGE_SLACK
 
     def _chase(self, index: int, last: float, goal: float) -> float:
         budget, speed = self._budget[index], self._speed[index]

@@ -15,15 +15,17 @@ import socket
 import struct
 import sys
 import time
+from logging.handlers import QueueHandler, QueueListener
+from queue import SimpleQueue
 
 from paho.mqtt import client as paho
 
 from construction_twin.errors import ConfigurationError, ConstructionTwinError, PayloadError, TelegramError, TransportError
-from construction_twin.mqtt.client import Broker, make_client, received_pairs, user_properties
+from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, user_properties
 from construction_twin.mqtt.messages import Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.realtime import request_realtime
-from construction_twin.rsi.codec import SensorEncoder, parse_robot
+from construction_twin.rsi.codec import RobotTelegram, SensorEncoder, parse_robot
 from construction_twin.rsi.config import GatewayConfig, load_config
 from construction_twin.rsi.histogram import Histogram
 from construction_twin.rsi.session import Gateway
@@ -33,6 +35,8 @@ log = logging.getLogger("rsi_gateway")
 #: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor.
 _SO_TIMESTAMPNS = 35
 _MAX_DATAGRAM = 65535
+#: Datagrams read before anything else gets its turn: a flood must not stop the loop.
+_DRAIN_LIMIT = 64
 _STATUS_PERIOD = 1.0
 
 
@@ -115,39 +119,51 @@ class GatewayService:
     # -- RSI -----------------------------------------------------------------------------------------------------------
 
     def _serve_controller(self) -> None:
-        newest = self._newest_datagram()
+        newest = self._newest_telegram()
         if newest is None:
             return
-        data, source, arrived = newest
-        try:
-            telegram = parse_robot(data, self.gateway.config.axes)
-        except TelegramError as error:
-            self.gateway.counters[f"telegram_refused_{error.reason}"] += 1
-            return
+        telegram, source, arrived = newest
         correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
         if correction is not None:
             self._answer(self._encoder.encode(correction, telegram.ipoc), source)
             self.reply_time.add((time.time_ns() - arrived) / 1e3)
         self._publish_state()
 
-    def _newest_datagram(self) -> tuple[bytes, tuple, int] | None:
-        """Drain the socket; an answer to any but the newest telegram would come too late (rsi.md, section 4)."""
+    def _newest_telegram(self) -> tuple[RobotTelegram, tuple, int] | None:
+        """Drain the socket; an answer to any but the newest telegram would come too late (rsi.md, section 4).
+
+        Whatever is no telegram is dropped here, so that it cannot take the place of one.
+        """
         newest = None
-        while True:
+        for _ in range(_DRAIN_LIMIT):
             try:
                 data, ancillary, source = self._receive()
             except BlockingIOError:
-                return newest
+                break
             except OSError as error:
                 # e.g. ICMP "port unreachable" for a reply to a controller that has just gone
                 self.gateway.counters[f"udp_receive_{error.errno}"] += 1
-                return newest
-            if self._controller is not None and source[0] != self._controller:
-                self.gateway.counters["telegram_refused_address"] += 1
+                break
+            telegram = self._read_telegram(data, source)
+            if telegram is None:
                 continue
             if newest is not None:
                 self.gateway.counters["telegrams_skipped"] += 1
-            newest = data, source, _arrival(ancillary)
+            newest = telegram, source, _arrival(ancillary)
+        return newest
+
+    def _read_telegram(self, data: bytes, source: tuple) -> RobotTelegram | None:
+        if self._controller is not None and source[0] != self._controller:
+            self.gateway.counters["telegram_refused_address"] += 1
+            return None
+        if not self.gateway.accepts(source, time.monotonic_ns()):
+            self.gateway.counters["telegram_refused_source"] += 1
+            return None
+        try:
+            return parse_robot(data, self.gateway.config.axes)
+        except TelegramError as error:
+            self.gateway.counters[f"telegram_refused_{error.reason}"] += 1
+            return None
 
     def _receive(self) -> tuple[bytes, list, tuple]:
         if not hasattr(self._sock, "recvmsg"):  # Windows
@@ -169,7 +185,7 @@ class GatewayService:
             log.error("broker refused the connection: %s", reason_code)
             return
         log.info("connected to the broker")
-        client.subscribe([(self._topics.command, 0), (self._topics.control, 1)])
+        client.subscribe(subscriptions(client, [(self._topics.command, 0), (self._topics.control, 1)]))
         self._status_at = 0.0
 
     def _on_message(self, client, userdata, message: paho.MQTTMessage) -> None:
@@ -256,10 +272,18 @@ def _address(text: str, option: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the gateway until SIGINT or SIGTERM; return the exit code."""
-    arguments = _arguments(sys.argv[1:] if argv is None else argv)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
+def _log_beside_the_loop() -> QueueListener:
+    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (design, law 1)."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
+    records: SimpleQueue = SimpleQueue()
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[QueueHandler(records)])
+    listener = QueueListener(records, handler)
+    listener.start()
+    return listener
+
+
+def _run(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config)
         broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol)
@@ -274,6 +298,16 @@ def main(argv: list[str] | None = None) -> int:
     log.info(request_realtime(arguments.realtime))
     service.run()
     return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the gateway until SIGINT or SIGTERM; return the exit code."""
+    arguments = _arguments(sys.argv[1:] if argv is None else argv)
+    listener = _log_beside_the_loop()
+    try:
+        return _run(arguments)
+    finally:
+        listener.stop()
 
 
 if __name__ == "__main__":

@@ -21,6 +21,8 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: IPOC counts milliseconds (rsi.md, section 4).
 IPOC_NS = 1_000_000
+#: A controller that was heard this recently is alive, and its session its own [ns].
+ALIVE = NANOSECONDS // 10
 #: Share of its distance to the arrivals by which the grid of unstamped commands moves per command: follows the drift between two
 #: clocks within minutes, and lets 10 ms of network jitter through as less than a microsecond.
 ARRIVAL_SMOOTHING = 16_384
@@ -70,6 +72,14 @@ class Gateway:
         self._changed = True
 
     # -- the controller's side ---------------------------------------------------------------------------------------
+
+    def accepts(self, source: object, now: int) -> bool:
+        """Return whether a datagram from `source` may be read: while a controller is alive, only its own are.
+
+        Whatever else sends to the port must neither end the session nor push one of its telegrams aside.
+        """
+        alive = self.state is not State.NO_CONTROLLER and now - self._last_telegram <= ALIVE
+        return source == self._source or not alive
 
     def on_telegram(self, telegram: RobotTelegram, source: object, now: int) -> tuple[float, ...] | None:
         """Take a telegram and return the corrections to answer it with.
@@ -307,6 +317,7 @@ class Gateway:
         """
         verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset}
         if control.verb not in verbs:
+            self.counters["refused_verb"] += 1
             return False, f"unknown verb {control.verb!r}"
         ok, reason = verbs[control.verb](control)
         if not ok:

@@ -1,0 +1,105 @@
+#!/usr/bin/env python3
+"""After bringup: every topic at its rate, tf, diagnostics, twin and arm in the same pose."""
+
+import sys
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+import tf2_ros
+from sensor_msgs.msg import JointState
+
+from construction_twin.msg import Feedback, Sync
+from construction_twin.units import NANOSECONDS, radians
+from twin_client import HOME, Stream, TwinClient, wait
+
+STREAMS = ("next/joint_states", "command/joint_states", "twin/joint_states", "physical/joint_states", "physical/feedback")
+NODES = ("planner", "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mock_rsi")
+#: Length over which a rate is counted [s].
+WINDOW = 5
+
+
+class Rate:
+    """Counts a topic's messages without unpacking them."""
+
+    def __init__(self, topic: str):
+        self.times: list[int] = []
+        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._count, tcp_nodelay=True)
+
+    def _count(self, _message) -> None:
+        self.times.append(rospy.Time.now().to_nsec())
+
+    def value(self, seconds: float) -> float:
+        """Wait for messages over that time; return their rate [Hz]."""
+        wait(lambda: len(self.times) > 1 and self.times[-1] - self.times[0] > seconds * NANOSECONDS, "messages to count", 40.0)
+        self._subscriber.unregister()
+        times = list(self.times)
+        return (len(times) - 1) * NANOSECONDS / (times[-1] - times[0])
+
+
+class BringupTest(unittest.TestCase):
+    """The idle system."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_bringup")
+        cls.client = TwinClient()
+        cls.client.wait_until_ready()
+
+    def test_streams_run_at_250_hz(self):
+        rates = {topic: Rate(topic) for topic in STREAMS}
+        for topic, rate in rates.items():
+            with self.subTest(topic):
+                self.assertAlmostEqual(rate.value(WINDOW), 250.0, delta=5.0)
+
+    def test_joint_states_run_at_50_hz(self):
+        self.assertAlmostEqual(Rate("joint_states").value(WINDOW), 50.0, delta=5.0)
+
+    def test_sync_reports_every_joint(self):
+        sync = rospy.wait_for_message("sync", Sync, 5.0)
+        self.assertEqual(sync.text, "IN_SYNC")
+        self.assertEqual(sync.comparison, "command_stamp")
+        self.assertEqual(tuple(sync.name), self.client.robot.joint_names)
+        self.assertEqual(len(sync.error), 6)
+        self.assertTrue(0.0 < sync.round_trip < 0.25, sync.round_trip)
+
+    def test_twin_and_arm_are_at_home(self):
+        for topic in ("twin/joint_states", "physical/joint_states", "mock_rsi/joint_states"):
+            with self.subTest(topic), Stream(topic) as stream:
+                np.testing.assert_array_equal(np.round(stream.positions()[-1] - radians(HOME), 12), 0.0)
+
+    def test_names_and_headers(self):
+        feedback = rospy.wait_for_message("physical/feedback", Feedback, 5.0)
+        self.assertEqual(tuple(feedback.name), self.client.robot.joint_names)
+        self.assertGreater(feedback.seq, 0)
+        self.assertGreater(feedback.command_stamp.to_nsec(), 0)
+        command = rospy.wait_for_message("command/joint_states", JointState, 5.0)
+        self.assertEqual(command.header.stamp.to_nsec() % 4_000_000, 0)
+
+    def test_tf_reaches_both_tools(self):
+        buffer = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(buffer)
+        places = []
+        for side in ("twin", "physical"):
+            transform = buffer.lookup_transform("world", f"kr120/{side}/tool0", rospy.Time(0), rospy.Duration(10.0))
+            place = transform.transform.translation
+            places.append((place.x, place.y, place.z))
+        np.testing.assert_allclose(places[0], places[1], atol=1e-9)
+        listener.unregister()
+
+    def test_every_node_reports_diagnostics(self):
+        self.client.wait(lambda: self.client.diagnosed_nodes() >= set(NODES), f"diagnostics of each of {NODES}", 5.0)
+
+    def test_gateway_and_bridge_count_one_session(self):
+        counters = self.client.gateway_counters
+        self.client.wait(lambda: int(counters().get("commands_received", 0)) > 250, "the gateway to count commands")
+        self.assertTrue(self.client.link.session)
+        self.assertEqual(self.client.link.gateway_state, "following")
+        self.assertEqual(int(counters().get("commands_lost", 0)), 0)
+        self.assertEqual(self.client.link.commands_refused, 0)
+        self.assertEqual(self.client.link.states_refused, 0)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "bringup", BringupTest, sys.argv)

@@ -1,0 +1,83 @@
+#!/usr/bin/env python3
+"""The quick experiment runs to its end; its files are there and its figures inside the bounds."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import rostest
+
+FILES = ("experiment.bag", "table1.csv", "figure8.png", "figure9.png", "timing.png", "summary.json")
+AXES = tuple(f"joint_a{number}" for number in range(1, 7))
+#: Largest error that rounding to 3 decimals of a degree leaves, with a margin [rad].
+BOUND = 1.0e-5
+#: Longest that the experiment may take [s].
+TIME_LIMIT = 120
+
+
+class ExperimentTest(unittest.TestCase):
+    """One run, looked at from several sides."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.results = tempfile.TemporaryDirectory()
+        arguments = ["quick:=true", f"results_dir:={cls.results.name}", "broker_port:=18837", "rsi_port:=49207"]
+        cls.launch = subprocess.run(
+            ["roslaunch", "construction_twin", "experiment.launch", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            timeout=TIME_LIMIT,
+        )
+        cls.folder = Path(cls.results.name) / "latest"
+        if not (cls.folder / "summary.json").is_file():
+            raise AssertionError(f"the experiment did not finish:\n{cls.launch.stdout[-8000:]}")
+        cls.summary = json.loads((cls.folder / "summary.json").read_text())
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.results.cleanup()
+
+    def test_every_file_is_written(self):
+        for name in FILES:
+            with self.subTest(name):
+                self.assertGreater((self.folder / name).stat().st_size, 0)
+
+    def test_tables_are_printed(self):
+        for text in ("by_command", "instant", "lag_removed", "summary.json"):
+            with self.subTest(text):
+                self.assertIn(text, self.launch.stdout)
+
+    def test_task_is_the_quick_one(self):
+        self.assertEqual(self.summary["waypoints"], 200)
+        self.assertAlmostEqual(self.summary["samples"], 2500, delta=50)
+        self.assertEqual((self.summary["decimals"], self.summary["servo"]), (3, "ideal"))
+
+    def test_nothing_is_lost_and_hardly_anything_late(self):
+        self.assertGreater(self.summary["commands_sent"], 2400)
+        self.assertEqual(self.summary["commands_lost"], 0)
+        self.assertLessEqual(self.summary["late_replies"], 0.005 * self.summary["samples"])
+
+    def test_rates(self):
+        for stream, rate in self.summary["rate_hz"].items():
+            with self.subTest(stream):
+                self.assertAlmostEqual(rate, 250.0, delta=5.0)
+
+    def test_average_error_without_lag(self):
+        table = self.summary["tables"]["lag_removed"]
+        for axis in AXES:
+            with self.subTest(axis):
+                self.assertLessEqual(table[axis]["avg_rad"], BOUND)
+
+    def test_final_error(self):
+        for axis in AXES:
+            with self.subTest(axis):
+                self.assertLessEqual(self.summary["final_error_rad"][axis], BOUND)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "experiment", ExperimentTest, sys.argv)

@@ -1,0 +1,199 @@
+#!/usr/bin/env python3
+"""Garbage on MQTT and on the RSI port moves nothing, is counted, and disturbs neither link nor motion."""
+
+import json
+import socket
+import sys
+import unittest
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import rospy
+import rostest
+from paho.mqtt import client as paho
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+
+from construction_twin.mqtt.client import user_properties
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.messages import Topics
+from construction_twin.rsi.codec import RobotEncoder
+from construction_twin.units import radians
+from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient
+
+FAR = JointStringCodec(6).encode(radians(RIGHT))
+#: A joint string of the right length, to spoil one byte or field of.
+GOOD = JointStringCodec(6).encode(radians(HOME))
+NOW = "1795000000000000000"
+#: Cycles over which an arm that must not move is watched.
+WATCH = 250
+
+
+class GarbageTest(unittest.TestCase):
+    """A hostile participant beside the running system."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_garbage")
+        cls.client = TwinClient()
+        cls.client.wait_until_ready()
+        cls.topics = Topics(rospy.get_param("mqtt_bridge/prefix"), "kr120")
+        cls.mqtt = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+        cls.mqtt.connect("127.0.0.1", rospy.get_param("mqtt_bridge/port"))
+        cls.mqtt.loop_start()
+        cls.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        cls.gateway = ("127.0.0.1", rospy.get_param("mock_rsi/gateway_port"))
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.mqtt.disconnect()
+        cls.mqtt.loop_stop()
+        cls.udp.close()
+
+    def setUp(self):
+        self.client.wait_until_ready()
+        self.client.go_to(HOME)
+        self.session = self.client.link.session
+        self.changes = len(self.client.syncs)
+
+    # -- the tests -------------------------------------------------------------------------------------------------------
+
+    def test_garbage_on_command(self):
+        self.assert_counted_without_motion(self.send_commands, self.client.gateway_counters)
+
+    def test_garbage_on_control(self):
+        self.assert_counted_without_motion(self.send_controls, self.client.gateway_counters)
+
+    def test_garbage_on_state_and_status(self):
+        self.assert_counted_without_motion(self.send_states, lambda: self.client.diagnostics("mqtt_bridge"))
+        self.assertGreater(self.client.link.states_refused, 0)
+
+    def test_garbage_on_udp(self):
+        sessions = self.client.gateway_counters()["rsi_sessions"]
+        self.assert_counted_without_motion(self.send_datagrams, self.client.gateway_counters)
+        self.assertEqual(self.client.gateway_counters()["rsi_sessions"], sessions, "a foreign datagram began a session")
+
+    def test_motion_in_the_middle_of_garbage(self):
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            plan = self.client.start(LEFT)
+
+            def finished() -> bool:
+                for send in (self.send_commands, self.send_controls, self.send_states, self.send_datagrams):
+                    send()
+                return self.client.execution.plan_id == plan.plan_id and self.client.execution.outcome == "finished"
+
+            self.client.wait(finished, "the plan to be finished")
+            self.client.assert_at(LEFT, twin, arm)
+            self.client.assert_within_limits(arm, missed)
+        self.assert_undisturbed()
+
+    # -- what is sent ----------------------------------------------------------------------------------------------------
+
+    def send_commands(self) -> Counter:
+        """Publish on `command`; return what the gateway must count."""
+        # as close to valid as a stranger gets: session and a sequence number to come
+        mine = [("session", self.session), ("seq", "999999999999"), ("stamp", NOW)]
+        cases = [
+            ("refused_length", b"", mine),
+            ("refused_length", GOOD[:-1], mine),
+            ("refused_length", GOOD + b",+000.000", mine),
+            ("refused_length", bytes(10000), mine),
+            ("refused_decimals", JointStringCodec(6, 4).encode(radians(RIGHT)), mine),
+            ("refused_format", b"+000.nan" + GOOD[8:], mine),
+            ("refused_format", b"+000,000" + GOOD[8:], mine),
+            ("refused_format", "+00ä.00".encode() + GOOD[8:], mine),
+            ("refused_format", "+00٣.00".encode() + GOOD[8:], mine),
+            ("refused_format", b"\x00" * len(GOOD), mine),
+            ("refused_properties", FAR, None),
+            ("refused_properties", FAR, mine[:2]),
+            ("refused_properties", FAR, mine + mine[:1]),
+            ("refused_properties", FAR, [*mine[:2], ("stamp", "nan")]),
+            ("refused_properties", FAR, [*mine[:2], ("stamp", "9" * 40)]),
+            ("refused_session", FAR, [("session", "another"), *mine[1:]]),
+            ("refused_sequence", FAR, [mine[0], ("seq", "1"), mine[2]]),
+        ]
+        for _, payload, properties in cases:
+            self.publish(self.topics.command, payload, properties)
+        self.publish(self.topics.command, FAR, mine, retain=True)
+        self.publish(self.topics.command, b"", None, retain=True)
+        return Counter(name for name, _, _ in cases) + Counter(refused_retained=2)
+
+    def send_controls(self) -> Counter:
+        """Publish on `control`; return what the gateway must count."""
+        known = {"id": "1", "session": "another", "value": "0" * 64}
+        garbage = [b"", b"{", b"[]", b"\xff\xfe", b"[" * 2000, b'"stop"', json.dumps(known).encode(), b" " * 5000]
+        for payload in (*garbage, json.dumps(known | {"verb": 1}).encode(), json.dumps(known | {"verb": "stop", "x": 1}).encode()):
+            self.publish(self.topics.control, payload)
+        for verb in ("fly", "STOP", "arm"):
+            self.publish(self.topics.control, json.dumps(known | {"verb": verb}).encode())
+        for payload in (json.dumps(known | {"verb": "stop"}).encode(), b""):
+            self.publish(self.topics.control, payload, retain=True)
+        return Counter(refused_control=len(garbage) + 2, refused_verb=2, refused_arm=1, refused_retained=2)
+
+    def send_states(self) -> Counter:
+        """Publish on `state`, `status` and `control/ack`; return what the bridge must count."""
+        old = [("seq", "2"), ("stamp", NOW), ("command_stamp", NOW)]
+        states = [
+            ("refused state_length", b"", old),
+            ("refused state_length", FAR[:-1], old),
+            ("refused state_decimals", JointStringCodec(6, 4).encode(radians(RIGHT)), old),
+            ("refused state_format", b"+000.nan" + GOOD[8:], old),
+            ("refused state_format", b"\xff" * len(GOOD), old),
+            ("refused state_properties", FAR, None),
+            ("refused state_properties", FAR, old[:2]),
+            ("refused state_properties", FAR, [("seq", "-1"), *old[1:]]),
+            ("refused state_sequence", FAR, old),
+        ]
+        for _, payload, properties in states:
+            self.publish(self.topics.state, payload, properties)
+        self.publish(self.topics.state, FAR, old, retain=True)
+        self.publish(self.topics.state, b"", None, retain=True)
+        statuses = [b"", b"{", b"[]", b"\xff", b'{"state": 5}', b'{"state": "armed", "counters": [1]}', b'{"reply_us": {"bins": [NaN]}}']
+        for payload in statuses:
+            self.publish(self.topics.status, payload)
+        for payload in statuses[:4]:
+            self.publish(self.topics.control_ack, payload)
+        self.publish(self.topics.control_ack, b'{"id": "1", "ok": true}')
+        return Counter(name for name, _, _ in states) + Counter({"refused state_retained": 2, "refused status": len(statuses) + 4})
+
+    def send_datagrams(self) -> Counter:
+        """Send to the RSI port from another socket, well-formed telegrams too; return what the gateway must count."""
+        pose, elsewhere = (1.0, 0.0, 1.0, 0.0, 0.0, 0.0), radians(RIGHT)
+        encoder = RobotEncoder(("A1", "A2", "A3", "A4", "A5", "A6"), 6)
+        telegrams = [encoder.encode(1000 + 4 * k, elsewhere, elsewhere, pose, pose, 0) for k in range(20)]
+        garbage = [b"", b"\x00" * 60, b"<Rob", b"<Rob Type='KUKA'><IPOC>x</IPOC></Rob>", bytes(range(256)) * 200]
+        for data in (*garbage, *telegrams):
+            self.udp.sendto(data, self.gateway)
+        return Counter(telegram_refused_source=len(garbage) + len(telegrams))
+
+    # -- how it is judged --------------------------------------------------------------------------------------------------
+
+    def publish(self, topic: str, payload: bytes, properties: list[tuple[str, str]] | None = None, retain: bool = False):
+        """Publish one message."""
+        beside = user_properties(properties) if properties else None
+        self.mqtt.publish(topic, payload, qos=1, retain=retain, properties=beside)
+
+    def assert_counted_without_motion(self, send: Callable[[], Counter], counters: Callable[[], dict]):
+        """Send; every counter rises by exactly what was sent, arm and twin stay exactly where they are, the link stays."""
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            before = counters()
+            for name, count in send().items():
+                expected = int(before.get(name, 0)) + count
+                self.client.wait(lambda: int(counters().get(name, 0)) >= expected, f"{name} to rise by {count}", 5.0)
+                self.assertEqual(int(counters()[name]), expected, name)
+            arm.wait_for_more(WATCH)
+            for stream in (arm, twin):
+                positions = stream.positions()
+                np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+        self.assert_undisturbed()
+
+    def assert_undisturbed(self):
+        """The link was never lost: same session, armed, in sync."""
+        self.assertEqual(self.client.link.session, self.session)
+        self.assertTrue(self.client.armed() and self.client.in_sync(), self.client.describe())
+        self.assertEqual(len(self.client.syncs), self.changes, [sync.text for sync in self.client.syncs])
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "garbage", GarbageTest, sys.argv)

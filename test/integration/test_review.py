@@ -1,0 +1,122 @@
+#!/usr/bin/env python3
+"""Nothing moves without a person's approval, an approval covers one execution, `stop` brakes, a second commander is refused."""
+
+import sys
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from sensor_msgs.msg import JointState
+
+from construction_twin.units import radians
+from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+
+#: Cycles over which an arm that must not move is watched.
+WATCH = 300
+
+
+class ReviewTest(unittest.TestCase):
+    """Plans, verdicts and what the arm makes of them. Every test begins at rest at home."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_review")
+        cls.client = TwinClient()
+
+    def setUp(self):
+        self.client.wait_until_ready()
+        self.client.go_to(HOME)
+
+    def assert_rests(self, stream: Stream):
+        """The arm stays exactly where it is for `WATCH` cycles."""
+        since = len(stream.messages)
+        stream.wait_for_more(WATCH)
+        positions = stream.positions(since)
+        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+
+    def test_plan_without_approval_moves_nothing(self):
+        with Stream("mock_rsi/joint_states") as arm:
+            plan = self.client.plan_to(RIGHT)
+            self.assert_rests(arm)
+            self.assertTrue(self.client.review(plan.plan_id, plan.plan_hash, approve=False).success)
+            self.assert_rests(arm)
+            self.assertFalse(self.client.review(plan.plan_id, plan.plan_hash).success, "a rejected plan was approved")
+            self.assert_rests(arm)
+
+    def test_bad_verdicts_are_refused(self):
+        with Stream("mock_rsi/joint_states") as arm:
+            plan = self.client.plan_to(RIGHT)
+            self.assertIn("hash", self.client.review(plan.plan_id, "0" * 64).message)
+            self.assertIn("name", self.client.review(plan.plan_id, plan.plan_hash, reviewer=" ").message)
+            replaced = plan
+            plan = self.client.plan_to(LEFT)
+            self.assertFalse(self.client.review(plan.plan_id, replaced.plan_hash).success)
+            self.assert_rests(arm)
+            self.assertTrue(self.client.review(plan.plan_id, plan.plan_hash, approve=False).success)
+
+    def test_approved_plan_is_executed_once(self):
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin, Stream("physical/joint_states") as physical:
+            plan = self.client.start(LEFT)
+            self.client.wait_for_outcome(plan.plan_id, "finished")
+            self.client.assert_at(LEFT, twin, physical, arm)
+            again = self.client.review(plan.plan_id, plan.plan_hash)
+            self.assertFalse(again.success)
+            self.assertIn("decided already", again.message)
+            self.assert_rests(arm)
+            self.client.assert_within_limits(arm, missed)
+        self.client.wait_until_ready()
+
+    def test_plan_from_another_pose_is_refused(self):
+        plan = self.client.plan_to(LEFT, start_deg=RIGHT)
+        answer = self.client.review(plan.plan_id, plan.plan_hash)
+        self.assertFalse(answer.success)
+        self.assertIn("from the present pose", answer.message)
+
+    def test_stop_brakes_within_limits(self):
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            plan = self.client.start(LEFT, duration=2.0)
+            wait(lambda: arm.moved(5.0), "the arm to move")
+            self.assertTrue(self.client.call("stop").success)
+            self.client.wait_for_outcome(plan.plan_id, "stopped")
+            wait(arm.at_rest, "the arm to rest")
+            self.assertGreater(np.abs(arm.positions(-1)[0] - radians(LEFT)).max(), np.deg2rad(5.0), "it was not stopped early")
+            self.client.assert_within_limits(arm, missed)
+            np.testing.assert_allclose(arm.positions(-1), twin.positions(-1), atol=1e-5)
+        self.client.wait_until_ready()
+
+    def test_second_commander_is_refused(self):
+        far = JointState(name=self.client.robot.joint_names, position=radians(LEFT))
+        for topic, nodes in {
+            "next/joint_states": ("pca_monitor",),
+            "command/joint_states": ("virtual_robot", "mqtt_bridge"),
+        }.items():
+            with self.subTest(topic), Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+                before = {node: self.refused(node) for node in nodes}
+                publisher = rospy.Publisher(topic, JointState, queue_size=10)
+                wait(lambda: publisher.get_num_connections() >= len(nodes), f"subscribers of {topic}")
+                for node in nodes:
+                    self.publish_until(publisher, far, lambda: self.refused(node) > before[node])
+                self.assert_rests(arm)
+                self.assertTrue(twin.at_rest())
+                publisher.unregister()
+        self.assertTrue(self.client.armed() and self.client.in_sync(), self.client.describe())
+
+    def refused(self, node: str) -> int:
+        """Messages of a second commander that a node has counted."""
+        return int(self.client.diagnostics(node).get("refused publisher", 0))
+
+    @staticmethod
+    def publish_until(publisher: rospy.Publisher, message: JointState, counted):
+        def publish_and_ask() -> bool:
+            message.header.stamp = rospy.Time.now()
+            publisher.publish(message)
+            return counted()
+
+        wait(publish_and_ask, "the second commander to be counted on /diagnostics", 5.0)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "review", ReviewTest, sys.argv)

@@ -1,0 +1,83 @@
+#!/usr/bin/env python3
+"""A stalled joint: the gate holds, the twin waits, the state says so; after the release a re-plan ends at the goal."""
+
+import sys
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+
+from construction_twin.msg import Sync
+from construction_twin.units import radians
+from twin_client import LEFT, Stream, TwinClient, wait
+
+JOINT = "joint_a3"
+#: Cycles over which a held pose is watched.
+WATCH = 200
+
+
+class StallTest(unittest.TestCase):
+    """One stall in the middle of one motion."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_stall")
+        cls.auto_approve = rospy.get_param("executor/auto_approve")
+        cls.client = TwinClient()
+        cls.client.wait_until_ready()
+
+    def test_stalled_joint_holds_replans_and_finishes(self):
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin, Stream("physical/joint_states") as physical:
+            plan = self.client.plan_to(LEFT, duration=3.0) if self.auto_approve else self.client.start(LEFT, duration=3.0)
+            wait(lambda: arm.moved(5.0), "the arm to move")
+            self.client.stall(JOINT, True)
+            # from here on: the blow with which a blocked joint stops is the fault itself
+            with Stream("mock_rsi/joint_states") as blocked_arm:
+                missed = self.client.mock_counter("missed")
+                replan = self.assert_holds(plan, twin)
+                self.client.stall(JOINT, False)
+                self.assert_finishes(replan, twin)
+                self.client.assert_at(LEFT, twin, physical, arm)
+                self.client.assert_within_limits(blocked_arm, missed)
+        self.client.wait_until_ready()
+        self.assertEqual([sync.text for sync in self.client.syncs][-3:], ["IN_SYNC", "HOLDING", "IN_SYNC"])
+
+    def assert_finishes(self, replan, twin: Stream):
+        """Released, the arm catches up; the re-plan is executed, after a review where a person approves."""
+        self.client.wait(self.client.in_sync, "the poses to agree again")
+        if not self.auto_approve:
+            self.assert_stands_still(twin)
+            self.assertTrue(self.client.idle(), self.client.describe())
+            answer = self.client.review(replan.id, replan.hash)
+            self.assertTrue(answer.success, answer.message)
+        self.client.wait_for_outcome(replan.id, "finished")
+
+    def assert_holds(self, plan, twin: Stream):
+        """The gate holds, the plan is dropped, the twin stands still, a re-plan to the same goal lies there. Returns it."""
+        client = self.client
+        client.wait(lambda: client.sync.state == Sync.HOLDING, "the gate to hold")
+        self.assertIn(JOINT, client.sync.reason)
+        client.wait_for_outcome(plan.plan_id, "held")
+        # what the gate let pass before it closed may still be on its way
+        wait(lambda: twin.at_rest(3), "the twin to wait")
+        self.assert_stands_still(twin)
+        self.assertEqual(client.sync.text, "HOLDING")
+        client.wait(lambda: len(client.plans) > 1, "a re-plan")
+        replan = client.plans[-1]
+        self.assertEqual(len(client.plans), 2, "it is asked for once")
+        self.assertIn("re-plan", replan.source)
+        np.testing.assert_allclose(replan.trajectory.points[0].positions, twin.positions(-1)[0], atol=1e-9)
+        np.testing.assert_allclose(replan.trajectory.points[-1].positions, radians(LEFT), atol=1e-9)
+        return replan
+
+    def assert_stands_still(self, twin: Stream):
+        """The twin's pose does not change in any bit for `WATCH` cycles."""
+        since = len(twin.messages)
+        twin.wait_for_more(WATCH)
+        positions = twin.positions(since)
+        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "stall", StallTest, sys.argv)

@@ -1,0 +1,219 @@
+"""The joint string: golden strings, rounding, every illegal payload, axis mapping."""
+
+from __future__ import annotations
+
+import math
+from decimal import ROUND_HALF_EVEN, Decimal
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from construction_twin.errors import ConfigurationError, PayloadError
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.robot import read_robot_files
+from construction_twin.units import degrees, radians
+
+ROOT = Path(__file__).parents[2]
+GOLDEN = b"+012.345,-090.000,+090.000,+000.000,+045.000,+000.000"
+ZEROS = b"+000.000,+000.000,+000.000,+000.000,+000.000,+000.000"
+PAPER = JointStringCodec(6)
+
+decimals = st.integers(1, 6)
+angles = st.floats(math.radians(-999.9), math.radians(999.9))
+poses = st.lists(angles, min_size=6, max_size=6).map(tuple)
+mappings = st.lists(st.tuples(st.sampled_from([1, -1]), st.floats(-math.pi, math.pi)), min_size=6, max_size=6)
+
+
+def one_joint(decimals: int, q_deg: float) -> bytes:
+    """Encode one joint whose angle in degrees is exactly `q_deg` after the conversion from rad."""
+    near = math.radians(q_deg)
+    candidates = (near, math.nextafter(near, 9.0), math.nextafter(near, -9.0))
+    exact = next(q for q in candidates if math.degrees(q) == q_deg)
+    return JointStringCodec(1, decimals).encode((exact,))
+
+
+def refusal(codec: JointStringCodec, payload: bytes) -> PayloadError:
+    with pytest.raises(PayloadError) as caught:
+        codec.decode(payload)
+    return caught.value
+
+
+def test_encodes_the_design_s_golden_string():
+    assert PAPER.encode(radians((12.345, -90.0, 90.0, 0.0, 45.0, 0.0))) == GOLDEN
+    assert len(GOLDEN) == PAPER.length == 53
+
+
+def test_decodes_the_golden_string_into_rad():
+    assert PAPER.decode(GOLDEN) == radians((12.345, -90.0, 90.0, 0.0, 45.0, 0.0))
+
+
+@pytest.mark.parametrize("count, text", [(1, b"-001.5"), (3, b"-001.500"), (4, b"-001.5000"), (6, b"-001.500000")])
+def test_every_number_of_decimals_keeps_three_digits_before_the_point(count, text):
+    assert one_joint(count, -1.5) == text
+
+
+@pytest.mark.parametrize(
+    "count, q_deg, text",
+    [
+        (2, 0.125, b"+000.12"),  # exact ties go to the even digit
+        (2, 0.375, b"+000.38"),
+        (2, -0.125, b"-000.12"),
+        (1, 0.25, b"+000.2"),
+        (1, 0.75, b"+000.8"),
+        (2, 0.005, b"+000.01"),  # no tie: the double nearest to 0.005 lies above it
+        (2, 1.005, b"+001.00"),  # and this one below
+    ],
+)
+def test_rounds_half_even_on_the_exact_binary_value(count, q_deg, text):
+    assert one_joint(count, q_deg) == text
+
+
+@given(decimals, angles)
+def test_rounding_is_that_of_exact_decimal_arithmetic(count, q):
+    exact = Decimal(math.degrees(q)).quantize(Decimal(1).scaleb(-count), rounding=ROUND_HALF_EVEN)
+    assert Decimal(JointStringCodec(1, count).encode((q,)).decode()) == exact
+
+
+@pytest.mark.parametrize("q_deg", [0.0, -0.0, -1e-9, -0.0004999, 0.0004999])
+def test_zero_is_never_negative(q_deg):
+    assert PAPER.encode((math.radians(q_deg),) * 6) == ZEROS
+
+
+def test_a_negative_zero_from_elsewhere_is_the_same_pose():
+    assert PAPER.decode(ZEROS.replace(b"+", b"-")) == PAPER.decode(ZEROS)
+    assert PAPER.encode(PAPER.decode(ZEROS.replace(b"+", b"-"))) == ZEROS
+
+
+def test_negative_values_that_only_begin_with_zeros_keep_their_sign():
+    assert PAPER.encode(radians((-0.001, -0.0006, -0.1, -100.0, -10.0, 0.0)))[:17] == b"-000.001,-000.001"
+
+
+@pytest.mark.parametrize("q", [(0.0,) * 5, (0.0,) * 7, ()])
+def test_encode_refuses_another_joint_count(q):
+    with pytest.raises(PayloadError) as caught:
+        PAPER.encode(q)
+    assert caught.value.reason == "count"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_encode_refuses_what_is_not_finite(value):
+    with pytest.raises(PayloadError) as caught:
+        PAPER.encode((0.0,) * 5 + (value,))
+    assert caught.value.reason == "values"
+
+
+@pytest.mark.parametrize("q_deg", [1000.0, -1000.0, 999.9995, 1e6])
+def test_encode_refuses_a_thousand_degrees_after_rounding(q_deg):
+    with pytest.raises(PayloadError) as caught:
+        PAPER.encode((math.radians(q_deg),) + (0.0,) * 5)
+    assert caught.value.reason == "range"
+
+
+@pytest.mark.parametrize("q", [1e308, -1e308])
+def test_encode_refuses_a_finite_angle_that_is_infinite_in_degrees(q):
+    with pytest.raises(PayloadError) as caught:
+        PAPER.encode((q,) + (0.0,) * 5)
+    assert caught.value.reason == "range"
+
+
+def test_the_largest_value_that_fits_is_accepted():
+    assert PAPER.encode((math.radians(999.9994),) * 6).startswith(b"+999.999,")
+
+
+@pytest.mark.parametrize(
+    "payload, reason",
+    [
+        (b"", "length"),
+        (GOLDEN[:-1], "length"),
+        (GOLDEN + b"\n", "length"),
+        (GOLDEN + b"\0", "length"),
+        (b" " + GOLDEN, "length"),
+        (GOLDEN[:-9], "length"),  # five joints
+        (GOLDEN + b",+000.000", "length"),  # seven
+        (GOLDEN * 1000, "length"),
+        (GOLDEN.replace(b"+012.345", b" 012.345"), "format"),
+        (GOLDEN.replace(b"+012.345", b"0012.345"), "format"),
+        (GOLDEN.replace(b"+012.345", b"+12.3450"), "format"),
+        (GOLDEN.replace(b"+012.345", b"+0012.34"), "format"),
+        (GOLDEN.replace(b"+012.345", b"+1.2e+01"), "format"),
+        (GOLDEN.replace(b"+012.345", b"+000.nan"), "format"),
+        (GOLDEN.replace(b"+012.345", b"+0000inf"), "format"),
+        (GOLDEN.replace(b"+012.345", b"+01_.345"), "format"),
+        (GOLDEN.replace(b"+012.345", b"+012,345"), "format"),
+        (GOLDEN.replace(b",", b";"), "format"),
+        (GOLDEN.replace(b"+012.345", b"--12.345"), "format"),
+        (GOLDEN[:-1] + b"\xb2", "format"),  # superscript two in Latin-1
+        ("+01٢.345".encode() + GOLDEN[9:], "format"),  # an Arabic digit two, two bytes in UTF-8
+        (GOLDEN.decode().encode("utf-16"), "length"),
+    ],
+)
+def test_decode_refuses(payload, reason):
+    assert refusal(PAPER, payload).reason == reason
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 6])
+def test_another_number_of_decimals_is_one_clear_fault(count):
+    error = refusal(PAPER, JointStringCodec(6, count).encode((0.5,) * 6))
+    assert error.reason == "decimals"
+    assert f"{count} decimals" in str(error) and "configured for 3" in str(error)
+
+
+def test_a_long_payload_is_not_quoted_in_full():
+    assert len(str(refusal(PAPER, b"x" * 100_000))) < 300
+
+
+@given(decimals, st.one_of(st.binary(max_size=80), st.text("+-0123456789.,", max_size=80).map(str.encode)))
+def test_any_bytes_are_a_pose_or_a_counted_refusal(count, payload):
+    codec = JointStringCodec(6, count)
+    try:
+        q = codec.decode(payload)
+    except PayloadError as error:
+        assert error.reason in {"length", "format", "decimals"} and str(error)
+    else:
+        assert codec.decode(codec.encode(q)) == q
+
+
+@given(st.lists(st.integers(-999_999, 999_999), min_size=6, max_size=6))
+def test_every_legal_string_survives_decode_and_encode(thousandths):
+    payload = ",".join(f"{value / 1000:+08.3f}" for value in thousandths).encode()
+    assert PAPER.encode(PAPER.decode(payload)) == payload
+
+
+@given(decimals, poses)
+def test_quantise_moves_no_joint_further_than_half_a_digit_and_is_idempotent(count, q):
+    codec = JointStringCodec(6, count)
+    once = codec.quantise(q)
+    assert codec.quantise(once) == once
+    assert codec.encode(once) == codec.encode(q)
+    assert max(abs(a - b) for a, b in zip(once, q)) <= math.radians(0.5 * 10.0**-count) + 1e-14
+
+
+def test_the_wire_carries_the_controller_s_axis_angles():
+    codec = JointStringCodec(2, 3, [(-1, 0.0), (1, math.pi / 2)])
+    assert codec.encode(radians((30.0, 10.0))) == b"-030.000,+100.000"
+    assert codec.decode(b"-030.000,+100.000") == pytest.approx(radians((30.0, 10.0)), abs=1e-15)
+
+
+@given(decimals, mappings, st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6).map(tuple))
+def test_quantise_is_idempotent_under_any_mapping(count, mapping, q):
+    codec = JointStringCodec(6, count, mapping)
+    assert codec.encode(codec.quantise(q)) == codec.encode(q)
+    assert codec.quantise(codec.quantise(q)) == codec.quantise(q)
+
+
+def test_a_mapping_that_changes_nothing_is_exact():
+    plain, mapped = JointStringCodec(6), JointStringCodec(6, 3, [(1, 0.0)] * 6)
+    assert mapped.decode(GOLDEN) == plain.decode(GOLDEN)
+
+
+def test_the_shipped_robot_s_axes_are_its_joints():
+    robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+    assert degrees(JointStringCodec.of(robot, 3).decode(GOLDEN)) == pytest.approx((12.345, -90, 90, 0, 45, 0))
+
+
+@pytest.mark.parametrize("joints, count", [(6, 0), (6, 7), (6, -1), (0, 3)])
+def test_a_format_that_makes_no_sense_is_refused(joints, count):
+    with pytest.raises(ConfigurationError):
+        JointStringCodec(joints, count)

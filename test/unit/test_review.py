@@ -1,0 +1,92 @@
+"""The review desk: one plan at a time, one verdict per plan, on exactly the content that was looked at."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from construction_twin.errors import ReviewError
+from construction_twin.review import ReviewDesk
+from construction_twin.trajectory import Plan, Trajectory
+
+
+def make_plan(name: str, goal: float = 1.0) -> Plan:
+    motion = Trajectory(("joint_a1",), [0.0, 1.0], [[0.0], [goal]], [[0.0]] * 2, [[0.0]] * 2)
+    return Plan(name, motion.content_hash(), "test", "none", 0, 0.0, motion)
+
+
+@pytest.fixture
+def desk() -> ReviewDesk:
+    desk = ReviewDesk()
+    desk.offer(make_plan("a"))
+    return desk
+
+
+@pytest.mark.parametrize("compared", [True, False])
+def test_a_verdict_takes_the_plan_off_the_desk(desk, compared):
+    plan = desk.plan
+    assert desk.decide("a", plan.hash if compared else "", "Ada") is plan
+    assert desk.plan is None
+
+
+def test_a_decided_plan_cannot_be_decided_again(desk):
+    desk.decide("a", "", "Ada")
+    with pytest.raises(ReviewError, match="decided already"):
+        desk.decide("a", "", "Ada")
+
+
+def test_a_decided_plan_that_is_offered_again_stays_off_the_desk(desk):
+    plan = desk.plan
+    desk.decide("a", "", "Ada")
+    desk.offer(plan)
+    assert desk.plan is None
+
+
+@pytest.mark.parametrize(
+    "plan_id, plan_hash, reviewer, sentence",
+    [
+        ("a", "", "", "name"),
+        ("a", "", "  ", "name"),
+        ("b", "", "Ada", "not under review; plan a is"),
+        ("a", "0" * 64, "Ada", "look at it again"),
+    ],
+)
+def test_a_verdict_that_does_not_fit_leaves_the_plan_on_the_desk(desk, plan_id, plan_hash, reviewer, sentence):
+    with pytest.raises(ReviewError, match=sentence):
+        desk.decide(plan_id, plan_hash, reviewer)
+    assert desk.plan.id == "a"
+
+
+def test_an_empty_desk_says_so():
+    with pytest.raises(ReviewError, match="no plan is"):
+        ReviewDesk().decide("a", "", "Ada")
+
+
+def test_a_newer_plan_replaces_the_one_before(desk):
+    desk.offer(make_plan("b", 2.0))
+    assert desk.plan.id == "b"
+    with pytest.raises(ReviewError, match="plan b is"):
+        desk.decide("a", "", "Ada")
+
+
+def test_a_plan_taken_off_the_desk_cannot_be_approved_later(desk):
+    plan = desk.plan
+    desk.clear()
+    desk.offer(plan)
+    with pytest.raises(ReviewError, match="decided already"):
+        desk.decide("a", "", "Ada")
+
+
+def test_clearing_an_empty_desk_decides_nothing():
+    desk = ReviewDesk()
+    desk.clear()
+    desk.offer(make_plan("a"))
+    assert desk.plan.id == "a"
+
+
+def test_a_plan_whose_content_is_not_that_of_its_hash_is_refused(desk):
+    forged = SimpleNamespace(id="b", hash="0" * 64, trajectory=make_plan("b").trajectory)
+    with pytest.raises(ReviewError, match="plan b"):
+        desk.offer(forged)
+    assert desk.plan.id == "a"

@@ -1,0 +1,492 @@
+"""The bridge's side of arming and resetting: every state, every way in and out, against a scripted gateway."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+
+from construction_twin.errors import ReviewError
+from construction_twin.mqtt.supervisor import FRESH, REST, RETRY, STATUS_TIMEOUT, LinkState, LinkSupervisor
+from construction_twin.units import NANOSECONDS
+
+HASH, DECIMALS = "cafe", 3
+TOLERANCE = math.radians(0.05)
+POSE = (0.1, 0.2)
+POLL = NANOSECONDS // 50
+FAULT = "refused: joint_a1: velocity check failed"
+SILENCE = "silence: no command for 0.104 s"
+STOP = "stop: asked for by somebody"
+
+
+def moved(distance: float) -> tuple[float, ...]:
+    return (POSE[0] + distance, POSE[1])
+
+
+class Bench:
+    """A supervisor, its clock, and what the world around it does in every poll."""
+
+    def __init__(self):
+        ids = map(str, itertools.count(1))
+        self.supervisor = LinkSupervisor(HASH, DECIMALS, TOLERANCE, lambda: next(ids))
+        self.now = 100 * NANOSECONDS
+        self.gateway = {"state": "ready", "reason": "", "session": "", "hash": HASH, "decimals": DECIMALS}
+        self.pose: tuple[float, ...] | None = POSE
+        self.command: tuple[float, ...] | None = POSE
+        self.answering = True
+        self.speaking = True
+        self.sent = []
+        self.forwarded = False
+        self.supervisor.on_connection(True)
+
+    @property
+    def state(self) -> LinkState:
+        return self.supervisor.state
+
+    def set_gateway(self, state: str, reason: str = "", **other) -> None:
+        self.gateway |= {"state": state, "reason": reason} | other
+
+    def poll(self):
+        self.now += POLL
+        if self.speaking:
+            self.supervisor.on_status(dict(self.gateway), self.now)
+        if self.pose is not None:
+            self.supervisor.on_pose(self.pose, self.now)
+        if self.command is not None:
+            self.forwarded = self.supervisor.on_command(self.command, self.now)
+        control = self.supervisor.poll(self.now)
+        if control is not None:
+            self.sent.append(control)
+            self._carry_out(control)
+        return control
+
+    def run(self, seconds: float) -> Bench:
+        for _ in range(round(seconds * 50)):
+            self.poll()
+        return self
+
+    def _carry_out(self, control) -> None:
+        """What the real gateway does with these verbs when nothing moves."""
+        if control.verb == "arm":
+            self.set_gateway("armed", "armed", session=control.session)
+        elif control.verb == "reset":
+            self.set_gateway("ready", "reset", session="")
+        if self.answering:
+            self.answer(control)
+
+    def answer(self, control, ok: bool = True, reason: str = "") -> None:
+        self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
+
+    def refuse(self, control, reason: str) -> None:
+        self.answer(control, False, reason)
+
+    @property
+    def verbs(self) -> list[str]:
+        return [control.verb for control in self.sent]
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.fixture
+def armed(bench) -> Bench:
+    bench.run(1.0)
+    assert bench.state is LinkState.ARMED
+    bench.set_gateway("following", "stream began")
+    bench.run(1.0)
+    bench.sent.clear()
+    return bench
+
+
+class TestFirstStart:
+    def test_begins_disconnected(self, bench):
+        bench.supervisor.on_connection(False)
+        bench.run(0.1)
+        assert bench.state is LinkState.DISCONNECTED and not bench.forwarded
+
+    def test_waits_for_a_gateway(self, bench):
+        bench.speaking = False
+        bench.run(0.1)
+        assert bench.state is LinkState.GATEWAY_OFFLINE and "rsi_gateway" in bench.supervisor.reason
+
+    @pytest.mark.parametrize("state", ["no_controller", "joined_running"])
+    def test_waits_for_a_controller_and_says_what_the_gateway_says(self, bench, state):
+        bench.set_gateway(state, "no telegram yet")
+        bench.run(0.1)
+        assert bench.state is LinkState.NO_CONTROLLER and "no telegram yet" in bench.supervisor.reason
+
+    def test_arms_by_itself_with_the_configuration_s_hash(self, bench):
+        bench.run(0.5)
+        assert bench.state is LinkState.ARMED and bench.forwarded
+        assert bench.verbs == ["arm"]
+        assert (bench.sent[0].value, bench.sent[0].session) == (HASH, bench.supervisor.session)
+
+    def test_the_new_session_is_known_before_it_is_armed(self, bench):
+        bench.command = None
+        bench.run(0.1)
+        assert bench.state is LinkState.RESYNC and bench.supervisor.session and bench.sent == []
+
+    @pytest.mark.parametrize("distance, state", [(0.99, LinkState.ARMED), (-1.01, LinkState.RESYNC)])
+    def test_arms_only_while_the_stream_is_within_tolerance_of_the_arm(self, bench, distance, state):
+        bench.command = moved(distance * TOLERANCE)
+        bench.run(1.0)
+        assert bench.state is state
+
+    def test_forwards_nothing_before_it_is_armed(self, bench):
+        bench.answering = False
+        bench.run(0.2)
+        assert bench.state is LinkState.RESYNC and not bench.forwarded
+
+    def test_a_command_from_before_the_session_does_not_count(self, bench):
+        bench.set_gateway("no_controller")
+        bench.run(0.1)
+        bench.command = None
+        bench.set_gateway("ready")
+        bench.run(1.0)
+        assert bench.state is LinkState.RESYNC and bench.sent == []
+
+    def test_an_old_command_or_pose_does_not_count(self, bench):
+        bench.answering = False
+        bench.run(0.1)
+        bench.sent.clear()
+        bench.pose = None
+        bench.run((FRESH + 2 * RETRY) / NANOSECONDS)
+        last = bench.sent[-1:]
+        bench.run(2 * RETRY / NANOSECONDS)
+        assert bench.sent[-1:] == last
+
+
+class TestMismatch:
+    @pytest.mark.parametrize("change, word", [({"hash": "beef"}, "hash"), ({"decimals": 6}, "6 decimals"), ({"hash": None}, "hash")])
+    def test_never_arms_another_configuration_and_says_what_differs(self, bench, change, word):
+        bench.gateway |= change
+        bench.run(1.0)
+        assert bench.state is LinkState.MISMATCH and word in bench.supervisor.reason and bench.sent == []
+        with pytest.raises(ReviewError, match=word):
+            bench.supervisor.request_reset(bench.now)
+
+    def test_stops_forwarding_when_the_gateway_comes_back_with_another_configuration(self, armed):
+        armed.gateway["hash"] = "beef"
+        armed.run(0.1)
+        assert armed.state is LinkState.MISMATCH and not armed.forwarded
+
+    def test_arms_when_both_sides_agree_again(self, bench):
+        bench.gateway["hash"] = "beef"
+        bench.run(0.5)
+        bench.gateway["hash"] = HASH
+        bench.run(0.5)
+        assert bench.state is LinkState.ARMED
+
+
+class TestAnswers:
+    def test_a_lost_answer_is_asked_for_again(self, bench):
+        bench.answering = False
+        bench.run(0.3)
+        assert bench.verbs == ["arm"] and bench.state is LinkState.RESYNC
+        bench.answering = True
+        bench.run(2.0)
+        assert bench.state is LinkState.ARMED
+        assert bench.gateway["session"] == bench.supervisor.session
+
+    def test_messages_are_repeated_no_faster_than_the_retry_pause(self, bench):
+        bench.answering = False
+        bench._carry_out = lambda control: None
+        bench.run(5.0)
+        assert 8 <= len(bench.sent) <= 5.0 * NANOSECONDS / RETRY + 1
+        assert len({control.id for control in bench.sent}) == len(bench.sent)
+
+    def test_a_refusal_is_told_and_asked_again_after_the_pause(self, bench):
+        bench._carry_out = lambda control: bench.refuse(control, "the arm is elsewhere")
+        bench.run(3.0)
+        assert bench.state is LinkState.RESYNC and "the arm is elsewhere" in bench.supervisor.reason
+        assert len(bench.sent) <= 3.0 * NANOSECONDS / RETRY + 1
+
+    @pytest.mark.parametrize("answer", [{}, {"id": None}, {"id": "nobody's", "ok": True}])
+    def test_an_answer_to_something_else_is_ignored(self, bench, answer):
+        bench.answering = False
+        bench.run(0.2)
+        bench.supervisor.on_answer(answer, bench.now)
+        assert bench.state is LinkState.RESYNC
+
+    def test_an_answer_to_an_older_attempt_is_ignored(self, bench):
+        bench.answering = False
+        bench._carry_out = lambda control: None
+        bench.run(1.2)
+        assert len(bench.sent) >= 2
+        bench.answer(bench.sent[0])
+        assert bench.state is LinkState.RESYNC
+        bench.answer(bench.sent[-1])
+        assert bench.state is LinkState.ARMED
+
+    def test_an_answer_after_the_connection_was_lost_does_not_arm(self, bench):
+        bench.answering = False
+        bench.run(0.2)
+        bench.supervisor.on_connection(False)
+        bench.poll()
+        bench.answer(bench.sent[0])
+        assert bench.state is LinkState.DISCONNECTED
+
+
+class TestWhileArmed:
+    def test_a_status_sent_before_the_arming_does_not_disturb(self, bench):
+        bench.run(0.3)
+        bench.gateway |= {"state": "ready", "session": ""}
+        bench.run(0.3)
+        assert bench.state is LinkState.ARMED
+
+    def test_stays_armed_while_the_gateway_follows(self, armed):
+        armed.run(10.0)
+        assert armed.state is LinkState.ARMED and armed.forwarded and armed.sent == []
+
+    @pytest.mark.parametrize("state, reason", [("braking", SILENCE), ("braking", FAULT), ("holding", FAULT)])
+    def test_a_gateway_that_brakes_or_holds_gets_no_more_commands(self, armed, state, reason):
+        armed.set_gateway(state, reason)
+        armed.poll()
+        armed.poll()
+        assert armed.state is LinkState.NEEDS_RESET and not armed.forwarded
+        assert reason in armed.supervisor.reason
+
+    def test_another_session_at_the_gateway_is_not_ours(self, armed):
+        armed.gateway["session"] = "somebody else's"
+        armed.run(0.2)
+        assert armed.state is LinkState.NEEDS_RESET
+
+    def test_loses_the_gateway_when_its_status_stops(self, armed):
+        armed.speaking = False
+        armed.run(STATUS_TIMEOUT / NANOSECONDS - 0.1)
+        assert armed.state is LinkState.ARMED
+        armed.run(0.2)
+        assert armed.state is LinkState.GATEWAY_OFFLINE and not armed.forwarded
+
+    def test_loses_the_gateway_at_once_by_its_last_will(self, armed):
+        armed.set_gateway("offline", "connection lost")
+        armed.run(0.04)
+        assert armed.state is LinkState.GATEWAY_OFFLINE
+
+
+class TestReturn:
+    """Law 5: by itself only where nothing could jump; everything else waits for a person."""
+
+    def test_after_silence_within_tolerance_it_goes_on_in_a_new_session(self, armed):
+        session = armed.supervisor.session
+        armed.set_gateway("holding", SILENCE)
+        armed.run(1.0)
+        assert armed.state is LinkState.ARMED and armed.supervisor.session != session
+        assert armed.verbs == ["reset", "arm"]
+
+    def test_after_silence_outside_tolerance_it_needs_a_reset(self, armed):
+        armed.set_gateway("holding", SILENCE)
+        armed.pose = moved(1.1 * TOLERANCE)
+        armed.run(5.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+
+    def test_while_the_arm_still_moves_it_does_not_go_on(self, armed):
+        armed.set_gateway("holding", SILENCE)
+        for k in range(100):
+            armed.pose = armed.command = moved((k % 2) * 0.9 * TOLERANCE)
+            armed.poll()
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+
+    @pytest.mark.parametrize("reason", [FAULT, STOP, "", "silenced by somebody"])
+    def test_after_anything_but_silence_it_needs_a_reset_even_within_tolerance(self, armed, reason):
+        armed.set_gateway("holding", reason)
+        armed.run(5.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+
+    def test_a_bridge_started_while_the_gateway_holds_after_silence_goes_on_within_tolerance(self, bench):
+        bench.set_gateway("holding", SILENCE, session="an older bridge's")
+        bench.run(1.0)
+        assert bench.state is LinkState.ARMED
+
+    def test_a_bridge_started_while_the_gateway_holds_after_silence_elsewhere_needs_a_reset(self, bench):
+        bench.set_gateway("holding", SILENCE)
+        bench.pose = moved(-1.1 * TOLERANCE)
+        bench.run(5.0)
+        assert bench.state is LinkState.NEEDS_RESET and "call reset" in bench.supervisor.reason and bench.sent == []
+
+    def test_a_bridge_started_while_the_gateway_still_follows_waits_until_it_holds(self, bench):
+        bench.set_gateway("following", session="an older bridge's")
+        bench.run(0.1)
+        assert bench.state is LinkState.NEEDS_RESET and bench.sent == []
+        bench.set_gateway("braking", SILENCE, session="")
+        bench.run(0.1)
+        assert bench.sent == []
+        bench.set_gateway("holding", SILENCE)
+        bench.run(1.0)
+        assert bench.state is LinkState.ARMED
+
+    def test_a_bridge_started_while_the_gateway_is_armed_for_a_stream_that_never_began_goes_on(self, bench):
+        bench.set_gateway("armed", "armed", session="an older bridge's")
+        bench.run(1.0)
+        assert bench.state is LinkState.ARMED and bench.verbs == ["reset", "arm"]
+
+    def test_a_controller_restarted_at_the_same_pose_goes_on(self, armed):
+        armed.set_gateway("no_controller", "no telegram", session="")
+        armed.run(0.5)
+        assert armed.state is LinkState.NO_CONTROLLER
+        armed.set_gateway("ready", "RSI session began")
+        armed.run(1.0)
+        assert armed.state is LinkState.ARMED
+
+    def test_a_controller_restarted_at_another_pose_needs_a_reset(self, armed):
+        armed.set_gateway("no_controller", "no telegram", session="")
+        armed.pose = None
+        armed.run(0.5)
+        armed.pose = moved(0.5)
+        armed.set_gateway("ready", "RSI session began")
+        armed.run(5.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == [] and not armed.forwarded
+        armed.command = None
+        armed.supervisor.request_reset(armed.now)
+        armed.run(0.5)
+        armed.command = armed.pose
+        armed.run(0.5)
+        assert armed.state is LinkState.ARMED
+
+    @pytest.mark.parametrize("distance, state", [(0.0, LinkState.ARMED), (0.5, LinkState.NEEDS_RESET)])
+    def test_a_restarted_gateway_is_armed_again_only_within_tolerance(self, armed, distance, state):
+        armed.set_gateway("offline", session="")
+        armed.run(0.5)
+        armed.set_gateway("joined_running", "joined a running session")
+        armed.run(0.5)
+        assert armed.state is LinkState.NO_CONTROLLER
+        armed.pose = moved(distance)
+        armed.set_gateway("ready", "RSI session began")
+        armed.run(1.0)
+        assert armed.state is state
+
+    def test_a_lost_broker_connection_ends_like_silence(self, armed):
+        armed.supervisor.on_connection(False)
+        armed.speaking = False
+        armed.run(0.5)
+        assert armed.state is LinkState.DISCONNECTED and not armed.forwarded
+        armed.supervisor.on_connection(True)
+        armed.run(0.1)
+        assert armed.state is LinkState.GATEWAY_OFFLINE
+        armed.speaking = True
+        armed.set_gateway("holding", SILENCE, session="")
+        armed.run(1.0)
+        assert armed.state is LinkState.ARMED
+
+
+class TestStop:
+    def test_stays_stopped_until_a_reset(self, armed):
+        armed.supervisor.drop("stopped on request")
+        assert armed.state is LinkState.NEEDS_RESET and not armed.supervisor.on_command(POSE, armed.now)
+        for state, reason in (("following", ""), ("braking", STOP), ("holding", STOP)):
+            armed.set_gateway(state, reason)
+            armed.run(2.0)
+            assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+        armed.supervisor.request_reset(armed.now)
+        armed.run(1.0)
+        assert armed.state is LinkState.ARMED
+
+    @pytest.mark.parametrize("state, reason", [("holding", SILENCE), ("ready", "RSI session began"), ("armed", "")])
+    def test_stays_stopped_whatever_the_gateway_says_afterwards(self, armed, state, reason):
+        armed.supervisor.drop("stopped on request")
+        armed.set_gateway("offline")
+        armed.run(0.5)
+        armed.set_gateway(state, reason)
+        armed.run(5.0)
+        assert armed.state is LinkState.NEEDS_RESET and "stopped on request" in armed.supervisor.reason and armed.sent == []
+
+    def test_a_stop_before_the_first_arming_counts_too(self, bench):
+        bench.command = None
+        bench.run(0.1)
+        bench.supervisor.drop("stopped on request")
+        bench.command = POSE
+        bench.run(2.0)
+        assert bench.state is LinkState.NEEDS_RESET and bench.sent == []
+
+    def test_a_stop_overtakes_an_arming_under_way(self, bench):
+        bench.answering = False
+        bench.run(0.2)
+        bench.supervisor.drop("stopped on request")
+        bench.answer(bench.sent[0])
+        bench.poll()
+        assert bench.state is LinkState.NEEDS_RESET and not bench.forwarded
+
+
+class TestReset:
+    def test_begins_a_new_session_while_armed(self, armed):
+        session = armed.supervisor.session
+        armed.supervisor.request_reset(armed.now)
+        armed.run(1.0)
+        assert armed.state is LinkState.ARMED and armed.supervisor.session != session
+        assert armed.verbs == ["reset", "arm"]
+
+    def test_is_refused_while_the_arm_moves(self, armed):
+        for k in range(20):
+            armed.pose = moved(k * 0.001)
+            armed.poll()
+        with pytest.raises(ReviewError, match="at rest"):
+            armed.supervisor.request_reset(armed.now)
+
+    def test_is_possible_once_the_arm_has_rested_long_enough(self, armed):
+        armed.pose = moved(0.1)
+        armed.poll()
+        armed.run(REST / NANOSECONDS - 2 * POLL / NANOSECONDS)
+        with pytest.raises(ReviewError, match="at rest"):
+            armed.supervisor.request_reset(armed.now)
+        armed.run(3 * POLL / NANOSECONDS)
+        armed.supervisor.request_reset(armed.now)
+
+    def test_is_refused_when_the_pose_is_old(self, armed):
+        armed.pose = None
+        armed.run(FRESH / NANOSECONDS + 0.04)
+        with pytest.raises(ReviewError, match="unknown"):
+            armed.supervisor.request_reset(armed.now)
+
+    @pytest.mark.parametrize("angle_deg", [5.0, 45.0, 120.0])
+    def test_an_arm_that_flickers_by_one_digit_is_at_rest(self, armed, angle_deg):
+        for k in range(50):
+            armed.pose = (math.radians(angle_deg + (k % 2) * 10.0**-DECIMALS), 0.2)
+            armed.poll()
+        armed.supervisor.request_reset(armed.now)
+
+    def test_an_arm_that_creeps_is_not_at_rest(self, armed):
+        for k in range(100):
+            armed.pose = moved(k * math.radians(0.002))
+            armed.poll()
+        with pytest.raises(ReviewError, match="at rest"):
+            armed.supervisor.request_reset(armed.now)
+
+    @pytest.mark.parametrize("state", ["offline", "no_controller"])
+    def test_is_refused_without_an_arm(self, armed, state):
+        armed.set_gateway(state)
+        armed.poll()
+        with pytest.raises(ReviewError, match="cannot reset"):
+            armed.supervisor.request_reset(armed.now)
+
+    def test_that_could_not_be_carried_out_is_forgotten(self, armed):
+        armed.supervisor.request_reset(armed.now)
+        armed.set_gateway("no_controller", session="")
+        armed.run(0.5)
+        armed.pose = moved(0.5)
+        armed.set_gateway("ready")
+        armed.run(2.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+
+    def test_waits_for_a_braking_gateway(self, armed):
+        armed.set_gateway("braking", FAULT, session="")
+        armed.run(0.5)
+        armed.supervisor.request_reset(armed.now)
+        armed.run(0.5)
+        assert armed.sent == []
+        armed.set_gateway("holding", FAULT)
+        armed.run(1.0)
+        assert armed.state is LinkState.ARMED
+
+    def test_never_arms_away_from_the_arm(self, armed):
+        armed.set_gateway("holding", FAULT, session="")
+        armed.pose = moved(0.3)
+        armed.run(0.5)
+        armed.supervisor.request_reset(armed.now)
+        armed.run(3.0)
+        assert armed.state is LinkState.RESYNC and "arm" not in armed.verbs
+        armed.command = armed.pose
+        armed.run(0.5)
+        assert armed.state is LinkState.ARMED
