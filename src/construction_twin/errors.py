@@ -29,7 +29,7 @@ class ConfigurationError(ConstructionTwinError):
         self.where = where
         self.value = value
         self.expected = expected
-        super().__init__(f"{where} is {value!r}; expected {expected}")
+        super().__init__(f"{where}: found {value!r}, expected {expected}")
 
 
 class KinematicsError(ConstructionTwinError):

@@ -148,7 +148,6 @@ class SimulatedChain:
         """One cycle of executor, gate, twin and the bridge's sending half."""
         stamp = self.now
         self._at(stamp + CYCLE_NS, self._execute)
-        self.executor.on_link(self.supervisor.state is LinkState.ARMED, self.supervisor.reason)
         self.executor.on_sync(self.gate.state, self.gate.agreed(stamp))
         theta_next = self.executor.step(stamp, stamp)
         command = None if theta_next is None else self.gate.pass_next(stamp, theta_next, stamp)
@@ -204,3 +203,4 @@ class SimulatedChain:
                 self.gate.restart("new command session")
                 self.twin.restart()
             self._session = self.supervisor.session
+        self.executor.on_link(self.supervisor.state is LinkState.ARMED, self.supervisor.reason)

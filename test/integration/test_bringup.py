@@ -45,7 +45,9 @@ class BringupTest(unittest.TestCase):
     def setUpClass(cls):
         rospy.init_node("test_bringup")
         cls.client = TwinClient()
-        cls.client.wait_until_ready()
+
+    def setUp(self):
+        self.client.wait_until_ready()
 
     def test_streams_run_at_250_hz(self):
         rates = {topic: Rate(topic) for topic in STREAMS}

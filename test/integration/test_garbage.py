@@ -36,7 +36,6 @@ class GarbageTest(unittest.TestCase):
     def setUpClass(cls):
         rospy.init_node("test_garbage")
         cls.client = TwinClient()
-        cls.client.wait_until_ready()
         cls.topics = Topics(rospy.get_param("mqtt_bridge/prefix"), "kr120")
         cls.mqtt = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         cls.mqtt.connect("127.0.0.1", rospy.get_param("mqtt_bridge/port"))

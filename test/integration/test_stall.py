@@ -25,7 +25,9 @@ class StallTest(unittest.TestCase):
         rospy.init_node("test_stall")
         cls.auto_approve = rospy.get_param("executor/auto_approve")
         cls.client = TwinClient()
-        cls.client.wait_until_ready()
+
+    def setUp(self):
+        self.client.wait_until_ready()
 
     def test_stalled_joint_holds_replans_and_finishes(self):
         with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin, Stream("physical/joint_states") as physical:

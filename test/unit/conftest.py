@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def wait_until(condition, timeout: float = 5.0, what: str = "the condition"):
+def wait_until(condition, timeout: float = 10.0, what: str = "the condition"):
     """Return the first true value of `condition()`; fail after `timeout` [s]."""
     deadline = time.monotonic() + timeout
     while True:

@@ -184,6 +184,14 @@ class TestApproval:
         bench.executor.review("p", "", True, "Ada")
         assert bench.state is ExecutorState.PLAYING
 
+    def test_only_while_the_arm_is_armed(self, bench):
+        bench.executor.on_link(False, "gateway is holding")
+        with pytest.raises(ReviewError, match="gateway is holding"):
+            bench.approve(make_plan())
+        bench.executor.on_link(True, "session 2")
+        bench.executor.review("p", "", True, "Ada")
+        assert bench.state is ExecutorState.PLAYING
+
     def test_not_while_another_plan_is_played(self, bench):
         bench.approve(make_plan())
         bench.run(10)
@@ -296,6 +304,16 @@ class TestPlaying:
         with pytest.raises(ReviewError, match="decided already"):
             bench.approve(waiting)
         assert len(set(bench.run(100))) == 1
+
+    @pytest.mark.parametrize("stopping", [False, True])
+    def test_an_arm_that_is_no_longer_armed_drops_the_plan(self, bench, stopping):
+        bench.approve(make_plan())
+        bench.run(200)
+        if stopping:
+            bench.executor.stop()
+        bench.executor.on_link(False, "gateway is holding")
+        assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "dropped")
+        assert len(set(bench.run(50))) == 1
 
     def test_a_stall_drops_the_plan(self, bench):
         bench.executor.stall("not run for 0.1 s")

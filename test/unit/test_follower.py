@@ -63,7 +63,7 @@ class Watched:
         return int(cycles) + 20
 
 
-# -- braking arithmetic ---------------------------------------------------------------------------------------------------
+# -- braking arithmetic ----------------------------------------------------------------------------------------------
 
 
 @given(st.floats(1e-9, 10), st.floats(1e-7, 1e-2))
@@ -82,7 +82,7 @@ def test_braking_distance_is_the_sum_of_the_steps_to_come():
     assert braking_distance(0.9, 1.0) == 0.0
 
 
-# -- following ------------------------------------------------------------------------------------------------------------
+# -- following -------------------------------------------------------------------------------------------------------
 
 
 def test_a_stream_inside_the_limits_is_met_exactly_at_every_cycle():
@@ -165,7 +165,7 @@ def test_a_start_outside_the_range_moves_inwards_only(target, end):
     assert positions[-1] == pytest.approx(end, abs=1e-9)
 
 
-# -- braking --------------------------------------------------------------------------------------------------------------
+# -- braking ---------------------------------------------------------------------------------------------------------
 
 
 def test_braking_from_speed_takes_the_time_the_acceleration_limit_allows_and_stays_there():
@@ -198,7 +198,7 @@ def test_braking_goes_on_in_the_direction_of_the_motion():
         last = watched.q[1]
 
 
-# -- anything at all ------------------------------------------------------------------------------------------------------
+# -- anything at all -------------------------------------------------------------------------------------------------
 
 _TARGET = st.one_of(
     st.floats(-0.2, 0.15),

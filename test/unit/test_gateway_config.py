@@ -123,7 +123,7 @@ def test_a_file_that_is_not_text_is_refused(tmp_path):
         load_config(str(path))
 
 
-# -- export from the robot ------------------------------------------------------------------------------------------------
+# -- export from the robot -------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,10 @@ from construction_twin.rsi.gateway import GatewayService, bind, main
 from construction_twin.units import CYCLE_NS
 
 AXES = ("A1", "A2")
-CONFIG = GatewayConfig("arm", AXES, (-0.5, -3.2), (0.5, 3.2), (2.0, 4.5), (2.34, 17.4))
+# a controller that waits longer than a real one, because this machine may be busy
+CONFIG = GatewayConfig("arm", AXES, (-0.5, -3.2), (0.5, 3.2), (2.0, 4.5), (2.34, 17.4), timeout=8.0)
+#: For tests of a stream whose sender and receiver must wait for the processor now and then.
+PATIENT = dataclasses.replace(CONFIG, playout_delay=0.1, silence=8.0, max_age=20.0)
 CODEC = JointStringCodec(2)
 START = CODEC.quantise((0.1, -1.0))
 POSE = ((0.0,) * 3, (0.0,) * 3)
@@ -48,7 +51,7 @@ class Controller(threading.Thread):
         super().__init__(daemon=True)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(0.2)
+        self.socket.settimeout(3.0)
         self.address = address
         self.ipoc = 1_000_000
         self.measured = START
@@ -116,7 +119,7 @@ def serving(port, topics, config=CONFIG, sock=None, **options):
         yield service, address
     finally:
         service.stop()
-        thread.join(5.0)
+        thread.join(10.0)
         assert not thread.is_alive()
 
 
@@ -135,7 +138,7 @@ class Client:
         self.paho.reconnect_delay_set(1, 1)
         self.paho.connect("127.0.0.1", port)
         self.paho.loop_start()
-        assert subscribed.wait(5.0)
+        assert subscribed.wait(10.0)
 
     def close(self):
         self.paho.disconnect()
@@ -148,10 +151,10 @@ class Client:
         found = self.on(self.topics.status)
         return json.loads(found[-1].payload) if found else {}
 
-    def wait_for_status(self, timeout=5.0, **expected):
+    def wait_for_status(self, timeout=10.0, **expected):
         return wait_until(lambda: expected.items() <= self.status().items(), timeout, f"status {expected}")
 
-    def wait_for_counter(self, name, value, timeout=5.0):
+    def wait_for_counter(self, name, value, timeout=10.0):
         wait_until(lambda: self.status().get("counters", {}).get(name, 0) >= value, timeout, f"{name} {value}")
         assert self.status()["counters"][name] == value
 
@@ -210,7 +213,7 @@ def assert_still(controller, cycles=20):
     assert controller.measured == before
 
 
-# -- RSI ------------------------------------------------------------------------------------------------------------------
+# -- RSI -------------------------------------------------------------------------------------------------------------
 
 
 def free_port():
@@ -329,18 +332,19 @@ def test_an_address_that_is_not_ours_is_the_same_sentence():
         bind("192.0.2.1", 49152)
 
 
-# -- MQTT -----------------------------------------------------------------------------------------------------------------
+# -- MQTT ------------------------------------------------------------------------------------------------------------
 
 
 def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        answer = client.control("arm", CONFIG.hash)
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        answer = client.control("arm", PATIENT.hash)
         assert (answer["ok"], answer["verb"], answer["session"]) == (True, "arm", "s1")
         assert client.status()["state"] == "armed"
         stream(client, controller, (motion(k) for k in range(200)))
         last = CODEC.quantise(motion(199))
         stream(client, controller, [last] * 30)
-        assert controller.measured == pytest.approx(last, abs=math.radians(1e-6))
+        wait_until(lambda: controller.measured == pytest.approx(last, abs=math.radians(1e-6)), what="the end of the motion")
+        assert_still(controller)
         assert service.gateway.counters["commands_lost"] == 0
         states = [message for message in client.on(topics.state) if read_state_properties(received_pairs(message)).command_stamp]
         assert CODEC.decode(states[-1].payload) == pytest.approx(last, abs=math.radians(0.0006))
@@ -354,7 +358,6 @@ def test_the_state_after_a_verb_is_told_before_its_answer(broker, topics):
         client.control("arm", CONFIG.hash)
         order = [message.topic for message in client.messages if message.topic in (topics.status, topics.control_ack)]
         payloads = [json.loads(message.payload) for message in client.on(topics.status)]
-        assert payloads[-1]["state"] == "armed" or "armed" in [status["state"] for status in payloads]
         before = order[: order.index(topics.control_ack)]
         assert payloads[len(before) - 1]["state"] == "armed"
 
@@ -440,13 +443,13 @@ def test_when_the_broker_dies_the_arm_brakes_replies_go_on_and_the_gateway_comes
         assert_still(controller)
         client.messages.clear()
         broker_process.start()
-        client.wait_for_status(timeout=10.0, state="holding")
+        client.wait_for_status(state="holding")
         assert controller.missed == 0
         assert client.control("reset")["ok"]
 
 
 def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):
-    config = dataclasses.replace(CONFIG, properties=False)
+    config = dataclasses.replace(PATIENT, properties=False)
     with serving(broker, topics, config, protocol="3.1.1") as (service, address), controller_of(address) as controller:
         with client_of(broker, topics, protocol=MQTTProtocolVersion.MQTTv311) as client:
             controller.start()
@@ -456,11 +459,12 @@ def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):
             for k in range(150):
                 client.paho.publish(topics.command, CODEC.encode(motion(min(k, 100))))
                 wait_until(lambda: len(controller.replies) > begin + k, what="the next cycle")
-            assert controller.measured == pytest.approx(CODEC.quantise(motion(100)), abs=math.radians(1e-6))
+            end = CODEC.quantise(motion(100))
+            wait_until(lambda: controller.measured == pytest.approx(end, abs=math.radians(1e-6)), what="the end of the motion")
             assert CODEC.decode(client.on(topics.state)[-1].payload)
 
 
-# -- the program ----------------------------------------------------------------------------------------------------------
+# -- the program -----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -482,12 +486,12 @@ def program(config_file, port, topics):
         yield process, address
     finally:
         process.kill()
-        process.communicate(timeout=5.0)
+        process.communicate(timeout=10.0)
 
 
 def test_a_killed_gateway_is_declared_offline_by_its_last_will(broker, topics, config_file):
     with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, _):
-        client.wait_for_status(timeout=10.0, state="no_controller")
+        client.wait_for_status(state="no_controller")
         process.kill()
         client.wait_for_status(state="offline", reason="connection lost")
     with client_of(broker, topics) as late:
@@ -496,12 +500,12 @@ def test_a_killed_gateway_is_declared_offline_by_its_last_will(broker, topics, c
 
 def test_sigterm_ends_the_program_cleanly(broker, topics, config_file):
     with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, address):
-        client.wait_for_status(timeout=10.0, state="no_controller")
+        client.wait_for_status(state="no_controller")
         with controller_of(address) as controller:
             controller.cycle()
             assert controller.replies == [(0.0, 0.0)]
         process.send_signal(signal.SIGTERM)
-        _, log = process.communicate(timeout=5.0)
+        _, log = process.communicate(timeout=10.0)
         assert process.returncode == 0
         assert f"configuration {CONFIG.hash[:12]}" in log
         assert "ready: RSI session began" in log
@@ -510,11 +514,11 @@ def test_sigterm_ends_the_program_cleanly(broker, topics, config_file):
 
 def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
     with program(config_file, broker, topics) as (process, address), client_of(broker, topics) as client:
-        client.wait_for_status(timeout=10.0, state="no_controller")
+        client.wait_for_status(state="no_controller")
         # every refused control is a log line; together they are far more than a pipe holds
         for _ in range(1500):
             client.paho.publish(topics.control, b"x" * 100, qos=1)
-        client.wait_for_counter("refused_control", 1500, timeout=15.0)
+        client.wait_for_counter("refused_control", 1500, timeout=30.0)
         with controller_of(address) as controller:
             for _ in range(20):
                 controller.cycle()
@@ -537,7 +541,7 @@ def test_what_cannot_work_is_one_sentence_and_exit_code_2(config_file, arguments
         taken = str(sock.getsockname()[1])
         arguments = [argument.replace("TAKEN", taken) for argument in arguments]
         command = [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", config_file, *arguments]
-        result = subprocess.run(command, capture_output=True, text=True, timeout=20.0)
+        result = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
     assert result.returncode == 2
     assert sentence.replace("TAKEN", taken) in result.stderr
     assert "Traceback" not in result.stderr
@@ -569,7 +573,7 @@ runpy.run_module(module, run_name="__main__", alter_sys=True)
 def on_the_cell_pc(module, *arguments):
     site = str(Path(paho.__file__).parents[2])
     command = [sys.executable, "-S", "-E", "-c", _CELL_PC, str(ROOT / "src"), site, module, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=20.0, cwd="/")
+    return subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd="/")
 
 
 def test_the_gateway_needs_nothing_but_the_standard_library_and_paho(config_file):

@@ -112,7 +112,7 @@ def following(cycles=100, **changes) -> Cell:
     return cell
 
 
-# -- session --------------------------------------------------------------------------------------------------------------
+# -- session ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_first_telegram_is_answered_with_zero_and_captures_the_origin():
@@ -271,7 +271,7 @@ def test_a_missed_telegram_moves_playout_by_8_ms_and_the_motion_stays_inside_the
     assert cell.state is State.FOLLOWING
 
 
-# -- counters from the telegram -------------------------------------------------------------------------------------------
+# -- counters from the telegram --------------------------------------------------------------------------------------
 
 
 def test_late_replies_are_the_increments_of_delay():
@@ -302,7 +302,7 @@ def test_a_reference_that_drifts_is_counted_and_the_origin_stays():
     assert origin[0] + reply[0] == pytest.approx(position[0], abs=0.001)
 
 
-# -- arming ---------------------------------------------------------------------------------------------------------------
+# -- arming ----------------------------------------------------------------------------------------------------------
 
 
 def test_only_the_right_configuration_hash_arms():
@@ -339,7 +339,7 @@ def test_unknown_verbs_do_nothing(verb):
     assert cell.state is State.FOLLOWING
 
 
-# -- following ------------------------------------------------------------------------------------------------------------
+# -- following -------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_moves_before_it_is_armed():
@@ -404,7 +404,7 @@ def test_a_stream_that_begins_outside_the_range_is_refused():
     assert (cell.state, cell.count("refused_range")) == (State.ARMED, 1)
 
 
-# -- refusals -------------------------------------------------------------------------------------------------------------
+# -- refusals --------------------------------------------------------------------------------------------------------
 
 
 def refused_motions():
@@ -566,7 +566,7 @@ def test_commands_before_the_stream_began_are_not_lost_ones():
     assert cell.count("commands_lost") == 0
 
 
-# -- silence, stop, reset --------------------------------------------------------------------------------------------------
+# -- silence, stop, reset --------------------------------------------------------------------------------------------
 
 
 def test_silence_brakes_after_its_time_holds_and_goes_on_answering():
@@ -648,7 +648,7 @@ def test_commands_of_the_session_before_the_reset_are_refused_after_it():
     assert (cell.count("refused_session"), cell.state) == (1, State.ARMED)
 
 
-# -- what is told ----------------------------------------------------------------------------------------------------------
+# -- what is told ----------------------------------------------------------------------------------------------------
 
 
 def test_command_stamp_is_that_of_the_target_in_the_reply_before_the_packet():
@@ -730,7 +730,7 @@ def test_a_change_of_state_is_told_once():
     assert not cell.gateway.take_change()
 
 
-# -- MQTT 3.1.1: the string alone -----------------------------------------------------------------------------------------
+# -- MQTT 3.1.1: the string alone ------------------------------------------------------------------------------------
 
 
 def test_without_properties_the_stream_is_played_on_its_arrival_grid():
@@ -778,7 +778,7 @@ def test_without_properties_a_drifting_sender_is_followed_for_as_long_as_it_send
     assert (cell.state, cell.count("commands_received")) == (State.FOLLOWING, 40_000)
 
 
-# -- anything at all ------------------------------------------------------------------------------------------------------
+# -- anything at all -------------------------------------------------------------------------------------------------
 
 
 class Guard:

@@ -12,7 +12,6 @@ import pytest
 import yaml
 
 from construction_twin.robot import read_robot_files
-from construction_twin.ros.executor_node import Settings as ExecutorSettings
 from construction_twin.ros.experiment_node import ExperimentSettings
 from construction_twin.ros.mqtt_bridge_node import Settings as BridgeSettings
 from construction_twin.ros.pca_monitor_node import Settings as MonitorSettings
@@ -36,9 +35,8 @@ THIRD_PARTY = {
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
-    "executor": {"auto_approve"},
-    "mqtt_bridge": {"host", "port", "protocol", "prefix"},
-    "pca_monitor": {"arm", "decimals"},
+    "mqtt_bridge": {"host", "port", "protocol", "prefix", "realtime_priority"},
+    "pca_monitor": {"arm", "decimals", "realtime_priority"},
     "mock_rsi": {"gateway_host", "gateway_port"},
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "lower", "upper", "velocity", "acceleration"},
@@ -155,7 +153,6 @@ def test_every_node_that_a_launch_file_starts_exists(path):
 
 
 SETTINGS = {
-    "executor": set(ExecutorSettings.model_fields),
     "experiment": set(ExperimentSettings.model_fields),
     "gateway": {field.name for field in fields(GatewayConfig)},
     "mock_rsi": set(MockSettings.model_fields),
@@ -185,7 +182,6 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
 @pytest.mark.parametrize(
     "model, name, deployment",
     [
-        (ExecutorSettings, "executor", {}),
         (ExperimentSettings, "experiment", {"results_dir": "/tmp"}),
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),

@@ -47,7 +47,7 @@ class Stream:
         return self
 
 
-# -- range ---------------------------------------------------------------------------------------------------------------
+# -- range -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("q", [(3.0, 1.0), (-3.0, -1.0), (0.0, 1.0 + 0.9 * RANGE_SLACK)])
@@ -71,7 +71,7 @@ def test_tolerance_names_the_first_joint_beyond_it_and_includes_its_bound():
     assert outside_tolerance((1.0, 2.0, 9.0), (1.5, 3.0, 0.0), 0.5) == 1
 
 
-# -- velocity ------------------------------------------------------------------------------------------------------------
+# -- velocity --------------------------------------------------------------------------------------------------------
 
 
 def test_the_velocity_limit_is_allowed_with_one_rounding_step_more_and_not_beyond():
@@ -88,7 +88,7 @@ def test_a_lost_command_is_judged_by_the_time_it_took():
     assert refusal(stream.step, 2.2, 2).reason == "velocity"
 
 
-# -- acceleration --------------------------------------------------------------------------------------------------------
+# -- acceleration ----------------------------------------------------------------------------------------------------
 
 
 def test_the_first_step_is_from_rest():
@@ -132,7 +132,7 @@ def test_a_motion_at_the_limits_passes_with_every_number_of_decimals(decimals):
     assert velocity == 0.0
 
 
-# -- room to brake -------------------------------------------------------------------------------------------------------
+# -- room to brake ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -165,7 +165,7 @@ def test_a_motion_may_end_exactly_at_the_end_of_the_range():
     assert stream.q == pytest.approx(3.0, abs=1e-12)
 
 
-# -- order and memory ----------------------------------------------------------------------------------------------------
+# -- order and memory ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("step", [0, -CYCLE_NS])

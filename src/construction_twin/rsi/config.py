@@ -133,13 +133,17 @@ def parse_config(text: str, where: str) -> GatewayConfig:
         document = json.loads(text)
         motion = {key: tuple(value) if isinstance(value, list) else value for key, value in document["motion"].items()}
         known = {field.name for field in fields(GatewayConfig)}
-        if document["format"] != FORMAT or set(motion) != known:
-            raise ConfigurationError(where, sorted(set(motion) ^ known), f"format {FORMAT} with exactly its keys; export it again")
+        if document["format"] != FORMAT:
+            raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
+        if set(motion) != known:
+            difference = sorted(set(motion) ^ known)
+            raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
         config = GatewayConfig(**motion)
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
     if document.get("hash") != config.hash:
-        raise ConfigurationError(where, document.get("hash"), f"hash {config.hash}; the file was edited, export it again")
+        expected = f"hash {config.hash}; the file was edited, export it again"
+        raise ConfigurationError(where, document.get("hash"), expected)
     return config
 
 
@@ -148,7 +152,8 @@ def load_config(path: str) -> GatewayConfig:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
-        raise ConfigurationError(path, error.strerror, "a readable file written by export_gateway_config") from error
+        expected = "a readable file written by export_gateway_config"
+        raise ConfigurationError(path, error.strerror, expected) from error
     except UnicodeDecodeError as error:
         raise ConfigurationError(path, str(error), "a file written by export_gateway_config") from error
     return parse_config(text, path)
