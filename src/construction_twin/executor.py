@@ -109,9 +109,12 @@ class Executor:
         self._play(plan, f"approved by {reviewer}")
         return f"plan {plan_id} approved by {reviewer}; it takes {plan.trajectory.duration:.3f} s"
 
-    def stop(self) -> str:
-        """Brake along the path within the acceleration limits; return one sentence."""
-        self.desk.clear()
+    def stop(self, now: int) -> str:
+        """Brake along the path within the acceleration limits; return one sentence.
+
+        Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
+        """
+        self.desk.void(now)
         if self.state is not ExecutorState.PLAYING:
             return f"nothing is playing ({self.state.name})"
         if self.plan_start == 0:

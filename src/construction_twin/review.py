@@ -25,6 +25,7 @@ class ReviewDesk:
     def __init__(self):
         self.plan: Plan | None = None
         self._decided: set[str] = set()
+        self._void_before = 0
 
     def offer(self, plan: Plan) -> None:
         """Put a plan on the desk in place of the one before, unless it was decided already.
@@ -32,12 +33,23 @@ class ReviewDesk:
         Raises
         ------
         ReviewError
-            When its content does not have the hash it claims.
+            When its content does not have the hash it claims, when it does not start and end at rest, or when it was asked for
+            before the desk was last voided.
         """
-        if plan.hash != plan.trajectory.content_hash():
+        trajectory = plan.trajectory
+        if plan.hash != trajectory.content_hash():
             raise ReviewError(f"plan {plan.id} does not have the hash it claims; it was changed on the way, plan again")
+        if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
+            raise ReviewError(f"plan {plan.id} does not start and end at rest; plan again")
+        if plan.created_ns < self._void_before:
+            raise ReviewError(f"plan {plan.id} was asked for before the stop and is void; plan again")
         if plan.id not in self._decided:
             self.plan = plan
+
+    def void(self, now: int) -> None:
+        """Clear the desk, and refuse every plan that was asked for until `now` [ns] but is not here yet."""
+        self.clear()
+        self._void_before = now
 
     def clear(self) -> None:
         """Take the plan off the desk: it can no longer be approved."""

@@ -287,7 +287,7 @@ class TestPlaying:
     def test_a_hold_while_braking_drops_the_rest_too(self, bench):
         bench.approve(make_plan())
         bench.run(200)
-        bench.executor.stop()
+        bench.executor.stop(bench.stamp)
         bench.run(2)
         bench.executor.on_sync(SyncState.HOLDING, False)
         assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "held")
@@ -310,7 +310,7 @@ class TestPlaying:
         bench.approve(make_plan())
         bench.run(200)
         if stopping:
-            bench.executor.stop()
+            bench.executor.stop(bench.stamp)
         bench.executor.on_link(False, "gateway is holding")
         assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "dropped")
         assert len(set(bench.run(50))) == 1
@@ -348,7 +348,7 @@ def stop_after(motion: Trajectory, cycles: int) -> tuple[Bench, list]:
     bench = Bench().ready()
     bench.approve(make_plan(motion=motion))
     bench.run(cycles)
-    bench.executor.stop()
+    bench.executor.stop(bench.stamp)
     braking = bench.run_until_idle() if bench.state is not ExecutorState.IDLE else []
     bench.run(3)
     return bench, braking
@@ -373,22 +373,27 @@ class TestStop:
 
     def test_before_the_first_setpoint_nothing_moves(self, bench):
         bench.approve(make_plan())
-        bench.executor.stop()
+        bench.executor.stop(bench.stamp)
         assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
         assert set(bench.run(100)) == {ROBOT.home}
 
     def test_takes_the_waiting_plan_off_the_desk(self, bench):
         plan = make_plan()
         bench.executor.desk.offer(plan)
-        assert "nothing is playing" in bench.executor.stop()
+        assert "nothing is playing" in bench.executor.stop(bench.stamp)
         with pytest.raises(ReviewError, match="decided already"):
-            bench.approve(plan)
+            bench.executor.review(plan.id, plan.hash, True, "Ada")
+
+    def test_a_plan_asked_for_before_the_stop_is_void_when_it_arrives(self, bench):
+        bench.executor.stop(bench.stamp)
+        with pytest.raises(ReviewError, match="before the stop"):
+            bench.executor.desk.offer(make_plan())
 
     def test_a_stopped_plan_does_not_go_on(self, bench):
         plan = make_plan()
         bench.approve(plan)
         bench.run(250)
-        bench.executor.stop()
+        bench.executor.stop(bench.stamp)
         bench.run_until_idle()
         assert len(set(bench.run(500))) == 1
         with pytest.raises(ReviewError, match="decided already"):
@@ -397,9 +402,9 @@ class TestStop:
     def test_a_second_stop_changes_nothing(self, bench):
         bench.approve(make_plan())
         bench.run(250)
-        bench.executor.stop()
+        bench.executor.stop(bench.stamp)
         bench.run(3)
-        bench.executor.stop()
+        bench.executor.stop(bench.stamp)
         bench.run_until_idle()
         bench.run(2)
         assert bench.executor.outcome == "stopped" and within_acceleration(bench.outputs)

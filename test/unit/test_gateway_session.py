@@ -197,10 +197,6 @@ def jump_back(cell):
     cell.ipoc -= 4000
 
 
-def repeated(cell):
-    cell.ipoc -= 4
-
-
 @pytest.mark.parametrize(
     "event, counter",
     [
@@ -208,7 +204,6 @@ def repeated(cell):
         (other_source, "sessions_by_source"),
         (jump_ahead, "sessions_by_ipoc_jump"),
         (jump_back, "sessions_by_ipoc_jump"),
-        (repeated, "sessions_by_ipoc_jump"),
     ],
 )
 def test_a_new_session_captures_its_own_origin_and_disarms(event, counter):
@@ -235,6 +230,18 @@ def test_a_new_session_in_the_middle_of_a_correction_counts_as_joined(event):
     event(cell)
     assert cell.cycle() is None
     assert cell.state is State.JOINED
+
+
+@pytest.mark.parametrize("behind", [0, 4, 400])
+def test_a_repeated_or_reordered_telegram_is_not_answered_and_changes_nothing(behind):
+    cell = following()
+    cell.ipoc -= behind + 4
+    assert cell.cycle() is None
+    cell.ipoc += behind
+    assert cell.state is State.FOLLOWING
+    assert (cell.count("telegrams_repeated"), cell.count("rsi_sessions")) == (1, 1)
+    assert cell.cycle() is not None
+    assert cell.count("ipoc_steps_irregular") == 0
 
 
 def test_ipoc_steps_up_to_the_timeout_are_one_session():

@@ -90,3 +90,9 @@ def test_a_plan_whose_content_is_not_that_of_its_hash_is_refused(desk):
     with pytest.raises(ReviewError, match="plan b"):
         desk.offer(forged)
     assert desk.plan.id == "a"
+
+
+def test_a_plan_that_does_not_end_at_rest_is_refused():
+    motion = Trajectory(("a",), [0.0, 1.0], [[0.0], [1.0]], [[0.0], [0.1]], [[0.0], [0.0]])
+    with pytest.raises(ReviewError, match="at rest"):
+        ReviewDesk().offer(Plan("p", motion.content_hash(), "test", "none", 0, 0.0, motion))

@@ -120,7 +120,7 @@ class ExecutorNode:
 
     def _on_stop(self, _request) -> TriggerResponse:
         with self._lock:
-            sentence = self._executor.stop()
+            sentence = self._executor.stop(now_ns())
         rospy.logwarn("stop: %s", sentence)
         return TriggerResponse(True, sentence)
 

@@ -22,6 +22,9 @@ from construction_twin.ros.params import NodeSettings, read_parameters, robot_fr
 from construction_twin.srv import PlanToJoints
 from construction_twin.units import NANOSECONDS
 
+#: Plans remembered: the one that plays, and those that were offered since.
+PLANS_KEPT = 20
+
 
 class Settings(NodeSettings):
     """Private parameters; see config/pca_monitor.yaml."""
@@ -55,7 +58,7 @@ class PcaMonitorNode:
         self._sync_period = round(NANOSECONDS / settings.sync_rate)
         self._sync_at = 0
         self._reported: tuple = ()
-        self._plan: Plan | None = None
+        self._plans: dict[str, Plan] = {}
         self._playing: str | None = None
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._command = JointPublisher("command/joint_states", names)
@@ -112,16 +115,16 @@ class PcaMonitorNode:
     # -- the re-plan -----------------------------------------------------------------------------------------------------
 
     def _on_plan(self, message: Plan) -> None:
-        self._plan = message
+        self._plans[message.id] = message
+        while len(self._plans) > PLANS_KEPT:
+            del self._plans[next(iter(self._plans))]
 
     def _on_execution(self, message: Execution) -> None:
         # a plan that a person stops is not taken up again
         self._playing = message.plan_id if message.state == Execution.PLAYING else None
 
     def _interrupted_plan(self) -> Plan | None:
-        plan = self._plan
-        refusing = self._gate.state is SyncState.REFUSING
-        return None if refusing or plan is None or plan.id != self._playing else plan
+        return None if self._gate.state is SyncState.REFUSING else self._plans.get(self._playing)
 
     def _replan(self, plan: Plan, held: tuple[float, ...]) -> None:
         """Ask once, beside the stream, for a plan from the held pose to the goal of the plan that was interrupted."""

@@ -97,6 +97,9 @@ class Gateway:
         correction : tuple, shape (n,) or None
             Target minus origin [rad]; None when this telegram must not be answered.
         """
+        if self._is_repeated(telegram.ipoc, source):
+            self.counters["telegrams_repeated"] += 1
+            return None
         elapsed = self._elapsed(telegram.ipoc, source, now)
         self._ipoc, self._source, self._last_telegram = telegram.ipoc, source, now
         if elapsed is None:
@@ -144,6 +147,12 @@ class Gateway:
         self.counters["states_sent"] += 1
         command_stamp = self._answered_stamp if self.config.properties else 0
         return payload, StateProperties(self.counters["states_sent"], stamp, command_stamp)
+
+    def _is_repeated(self, ipoc: int, source: object) -> bool:
+        """Tell whether the network brought a telegram twice, or behind a newer one: it was answered, or it is too late to."""
+        behind = (self._ipoc - ipoc) * IPOC_NS
+        alive = self.state is not State.NO_CONTROLLER and source == self._source
+        return alive and 0 <= behind <= self.config.timeout * NANOSECONDS
 
     def _elapsed(self, ipoc: int, source: object, now: int) -> int | None:
         """Return the controller time since the last telegram [ns], or None when this one begins another session."""
