@@ -12,7 +12,14 @@ from construction_twin.ports import port_is_free
 def main(arguments: list[str]) -> int:
     """Check the ports; return the exit code."""
     given = dict(argument.split(":=", 1) for argument in arguments if ":=" in argument)
-    ports = [("ROS master", socket.SOCK_STREAM, int(os.environ.get("ROS_MASTER_PORT", "11311")), "set ROS_MASTER_PORT to a free one")]
+    ports = [
+        (
+            "ROS master",
+            socket.SOCK_STREAM,
+            int(os.environ.get("ROS_MASTER_PORT", "11311")),
+            "set ROS_MASTER_PORT to a free one",
+        )
+    ]
     if given.get("broker", "true") == "true":
         port = int(given.get("broker_port", "1883"))
         ports.append(("MQTT broker", socket.SOCK_STREAM, port, 'give another one: make demo ARGS="broker_port:=1884"'))
@@ -22,7 +29,9 @@ def main(arguments: list[str]) -> int:
     for name, kind, port, advice in ports:
         if not port_is_free(kind, port):
             protocol = "TCP" if kind is socket.SOCK_STREAM else "UDP"
-            print(f"demo: {protocol} port {port} for the {name} is taken; end what holds it, or {advice}", file=sys.stderr)
+            print(
+                f"demo: {protocol} port {port} for the {name} is taken; end what holds it, or {advice}", file=sys.stderr
+            )
             return 1
     return 0
 

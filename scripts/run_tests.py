@@ -36,7 +36,8 @@ def run_unit() -> tuple[int, int]:
     """Run pytest over test/unit."""
     file = RESULTS / "unit.xml"
     code = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "--timeout=300", f"--junitxml={file}", str(ROOT / "test" / "unit")], cwd=ROOT
+        [sys.executable, "-m", "pytest", "-q", "--timeout=300", f"--junitxml={file}", str(ROOT / "test" / "unit")],
+        cwd=ROOT,
     ).returncode
     passed, failed = count(file)
     return passed, failed if failed or code == 0 else 1

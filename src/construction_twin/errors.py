@@ -127,7 +127,9 @@ class DurationError(PlanningError):
     def __init__(self, requested: float, minimum: float):
         self.requested = requested
         self.minimum = minimum
-        super().__init__(f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s")
+        super().__init__(
+            f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
+        )
 
 
 class TrajectoryError(PlanningError):

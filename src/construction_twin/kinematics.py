@@ -14,7 +14,7 @@ import numpy as np
 import PyKDL
 from urdf_parser_py.urdf import Joint
 
-from construction_twin.errors import JointRangeError, KinematicsError, NoSolutionError, UnreachableError
+from construction_twin.errors import KinematicsError, NoSolutionError, UnreachableError
 from construction_twin.frames import rotation_angle
 from construction_twin.robot import RobotModel, chain_joints, parse_urdf
 

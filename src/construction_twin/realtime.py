@@ -28,3 +28,18 @@ def request_realtime(priority: int) -> str:
     except OSError as error:
         return f"SCHED_FIFO {priority} not permitted ({error.strerror}); normal scheduling"
     return f"SCHED_FIFO {priority}"
+
+
+def release_realtime() -> None:
+    """Return every thread of this process to normal scheduling.
+
+    For the end of a ROS node: rospy's server threads spin on their closed sockets until the interpreter is gone, and at a real-time
+    priority they would keep the processors to themselves.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        return
+    for thread in map(int, os.listdir("/proc/self/task")):
+        try:
+            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+        except ProcessLookupError:
+            continue  # it has ended meanwhile

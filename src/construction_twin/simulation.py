@@ -127,8 +127,10 @@ class SimulatedChain:
         stamps, poses = map(np.array, zip(*self.twin_poses))
         received, measured, seq, command_stamps = map(np.array, zip(*self.feedback))
         plan, names = self.executor.plan, self.robot.joint_names
-        played = () if plan is None else (
-            PlayedPlan(plan.id, self.executor.plan_start, plan.trajectory.duration, self.executor.outcome),
+        played = (
+            ()
+            if plan is None
+            else (PlayedPlan(plan.id, self.executor.plan_start, plan.trajectory.duration, self.executor.outcome),)
         )
         return Recording(
             robot=f"/{self.robot.name}",

@@ -199,20 +199,6 @@ class Plan:
         if self.hash != found:
             raise TrajectoryError(f"plan {self.id} has hash {self.hash!r}, its waypoints have {found}; plan it again")
 
-    def matches_start(self, q, tolerance: float) -> bool:
-        """Tell whether the plan begins at a pose.
-
-        Parameters
-        ----------
-        q : array or sequence, shape (n,)
-            Joint angles [rad], order of the trajectory's `joint_names`.
-        tolerance : float
-            Largest difference accepted per joint [rad].
-        """
-        q = np.asarray(q, dtype=np.float64)
-        start = self.trajectory.positions[0]
-        return q.shape == start.shape and bool(np.all(np.abs(q - start) <= tolerance))
-
 
 def whole_nanoseconds(times: np.ndarray) -> np.ndarray:
     """Round times to whole nanoseconds, the resolution of a ROS duration.

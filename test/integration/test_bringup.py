@@ -8,11 +8,11 @@ import numpy as np
 import rospy
 import rostest
 import tf2_ros
-from sensor_msgs.msg import JointState
-
 from construction_twin.msg import Feedback, Sync
-from construction_twin.units import NANOSECONDS, radians
+from sensor_msgs.msg import JointState
 from twin_client import HOME, Stream, TwinClient, wait
+
+from construction_twin.units import NANOSECONDS, radians
 
 STREAMS = ("next/joint_states", "command/joint_states", "twin/joint_states", "physical/joint_states", "physical/feedback")
 NODES = ("planner", "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mock_rsi")

@@ -13,13 +13,13 @@ import rospy
 import rostest
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient
 
 from construction_twin.mqtt.client import user_properties
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import Topics
 from construction_twin.rsi.codec import RobotEncoder
 from construction_twin.units import radians
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient
 
 FAR = JointStringCodec(6).encode(radians(RIGHT))
 #: A joint string of the right length, to spoil one byte or field of.

@@ -10,10 +10,10 @@ from collections.abc import Callable
 import numpy as np
 import rospy
 import rostest
-
 from construction_twin.msg import Link
-from construction_twin.units import radians
 from twin_client import FINAL_ERROR, HOME, LEFT, Stream, TwinClient, node_pid, wait
+
+from construction_twin.units import radians
 
 
 class KillTest(unittest.TestCase):

@@ -8,9 +8,9 @@ import numpy as np
 import rospy
 import rostest
 from sensor_msgs.msg import JointState
+from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
 
 from construction_twin.units import radians
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
 
 #: Cycles over which an arm that must not move is watched.
 WATCH = 300

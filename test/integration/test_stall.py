@@ -7,10 +7,10 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-
 from construction_twin.msg import Sync
-from construction_twin.units import radians
 from twin_client import LEFT, Stream, TwinClient, wait
+
+from construction_twin.units import radians
 
 JOINT = "joint_a3"
 #: Cycles over which a held pose is watched.

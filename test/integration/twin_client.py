@@ -13,14 +13,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import rosgraph
 import rospy
+from construction_twin.msg import Execution, Link, Plan, Sync
+from construction_twin.srv import PlanToJoints, PlanToJointsResponse, ReviewPlan, ReviewPlanResponse, StallJoint
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
-from construction_twin.msg import Execution, Link, Plan, Sync
 from construction_twin.ros.params import robot_from_parameters
-from construction_twin.srv import PlanToJoints, PlanToJointsResponse, ReviewPlan, ReviewPlanResponse, StallJoint
 from construction_twin.units import CYCLE, format_allowance, radians
 
 #: The home pose and two more, far enough for a motion of seconds, on the wire's grid [deg].

@@ -11,12 +11,12 @@ from xml.etree import ElementTree
 import pydantic
 import pytest
 import yaml
+from evaluation_samples import run
 
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.mqtt.messages import Topics
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.session import State
-from evaluation_samples import run
 
 ROOT = Path(__file__).resolve().parents[2]
 ROS = ROOT / "src/construction_twin/ros"
@@ -57,7 +57,9 @@ def test_configuration_keys_are_documented(file):
 @pytest.mark.parametrize("file", NODES, ids=lambda file: file.stem)
 def test_parameters_are_documented(file):
     module = importlib.import_module(f"construction_twin.ros.{file.stem}")
-    models = [value for value in vars(module).values() if isinstance(value, type) and issubclass(value, pydantic.BaseModel)]
+    models = [
+        value for value in vars(module).values() if isinstance(value, type) and issubclass(value, pydantic.BaseModel)
+    ]
     assert undocumented(name for model in models for name in model.model_fields) == []
 
 

@@ -168,7 +168,9 @@ def test_recording_that_cannot_be_compared_is_refused(change, sentence):
 
 def test_streams_that_do_not_meet_are_refused():
     recording = run(duration=1.0, plans=False)
-    late = Stream(recording.physical.stamps + 60 * NANOSECONDS, recording.physical.positions, recording.physical.received)
+    late = Stream(
+        recording.physical.stamps + 60 * NANOSECONDS, recording.physical.positions, recording.physical.received
+    )
     with pytest.raises(EvaluationError, match="do not overlap in time"):
         evaluate(dataclasses.replace(recording, physical=late))
     with pytest.raises(EvaluationError, match="no physical sample inside"):

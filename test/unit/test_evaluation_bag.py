@@ -8,6 +8,7 @@ import genpy
 import numpy as np
 import pytest
 import rosbag
+from construction_twin.msg import Execution, Feedback, Link, Plan
 from diagnostic_msgs.msg import KeyValue
 from evaluation_samples import BASE, JOINTS, link, run
 from sensor_msgs.msg import JointState
@@ -16,7 +17,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.errors import EvaluationError
 from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.msg import Execution, Feedback, Link, Plan
 from construction_twin.ros.bag import read_recording
 from construction_twin.ros.evaluate import main
 
@@ -43,7 +43,9 @@ def write_extras(bag, recording, namespace):
     write_joints(bag, f"{namespace}/command/joint_states", recording.command)
     trajectory = JointTrajectory(points=[JointTrajectoryPoint() for _ in range(200)])
     bag.write(f"{namespace}/plan", Plan(id=plan.plan_id, trajectory=trajectory), at(BASE + 1))
-    execution = Execution(plan_id=plan.plan_id, plan_start=at(plan.start), duration=plan.duration, state=Execution.PLAYING)
+    execution = Execution(
+        plan_id=plan.plan_id, plan_start=at(plan.start), duration=plan.duration, state=Execution.PLAYING
+    )
     bag.write(f"{namespace}/execution", execution, at(plan.start))
     execution.state, execution.outcome = Execution.IDLE, "finished"
     bag.write(f"{namespace}/execution", execution, at(plan.end))

@@ -240,7 +240,10 @@ class TestPlaying:
         assert outputs == expected
         assert outputs[-1] == tuple(plan.trajectory.positions[-1]) == GOAL != outputs[-2]
         assert len(outputs) == -(-round(duration * 1e9) // CYCLE_NS) + 1
-        assert (bench.executor.outcome, bench.executor.plan_start) == ("finished", bench.stamp - (len(outputs) - 1) * CYCLE_NS)
+        assert (bench.executor.outcome, bench.executor.plan_start) == (
+            "finished",
+            bench.stamp - (len(outputs) - 1) * CYCLE_NS,
+        )
 
     @pytest.mark.parametrize("duration", [1.0, 1.0013, 1.0039])
     def test_begins_and_ends_inside_the_limits(self, bench, duration):

@@ -38,7 +38,13 @@ def test_the_hash_does_not_depend_on_the_files_layout():
 
 @pytest.mark.parametrize(
     "changes",
-    [{"decimals": 4}, {"upper": (3.0, 1.0000001)}, {"robot": "other"}, {"playout_delay": 0.021}, {"acceleration": (2.5, 5.1)}],
+    [
+        {"decimals": 4},
+        {"upper": (3.0, 1.0000001)},
+        {"robot": "other"},
+        {"playout_delay": 0.021},
+        {"acceleration": (2.5, 5.1)},
+    ],
 )
 def test_every_change_of_what_the_arm_may_do_changes_the_hash(changes):
     assert dataclasses.replace(CONFIG, **changes).hash != CONFIG.hash

@@ -164,7 +164,11 @@ class Client:
         self.paho.publish(self.topics.control, control.to_json(), qos=1)
 
         def answers():
-            return [a for a in map(json.loads, (m.payload for m in self.on(self.topics.control_ack))) if a["id"] == control.id]
+            return [
+                a
+                for a in map(json.loads, (m.payload for m in self.on(self.topics.control_ack)))
+                if a["id"] == control.id
+            ]
 
         return wait_until(answers, what=f"answer to {verb}")[0]
 
@@ -287,7 +291,9 @@ def queued(topics, datagrams, config=CONFIG, sock=None):
 
 
 def test_of_several_waiting_telegrams_only_the_newest_is_answered(topics):
-    counters = queued(topics, lambda controller: [controller.telegram(ipoc) for ipoc in (1_000_000, 1_000_004, 1_000_008)])
+    counters = queued(
+        topics, lambda controller: [controller.telegram(ipoc) for ipoc in (1_000_000, 1_000_004, 1_000_008)]
+    )
     assert (counters["telegrams"], counters["telegrams_skipped"]) == (1, 2)
 
 
@@ -307,12 +313,17 @@ class WindowsSocket:
 
 
 def test_where_sockets_have_no_recvmsg_telegrams_are_answered_too(topics):
-    counters = queued(topics, lambda controller: [controller.telegram(1_000_008)], sock=WindowsSocket(bind("127.0.0.1", 0)))
+    counters = queued(
+        topics, lambda controller: [controller.telegram(1_000_008)], sock=WindowsSocket(bind("127.0.0.1", 0))
+    )
     assert counters["telegrams"] == 1
 
 
 def test_datagrams_from_another_address_than_the_controllers_are_counted_only(topics):
-    with serving(free_port(), topics, controller="127.0.0.9") as (service, address), controller_of(address) as controller:
+    with (
+        serving(free_port(), topics, controller="127.0.0.9") as (service, address),
+        controller_of(address) as controller,
+    ):
         controller.send()
         wait_until(lambda: service.gateway.counters["telegram_refused_address"] == 1)
         controller.socket.settimeout(0.05)
@@ -323,7 +334,9 @@ def test_datagrams_from_another_address_than_the_controllers_are_counted_only(to
 def test_a_taken_port_is_one_sentence():
     with bind("127.0.0.1", 0) as sock:
         port = sock.getsockname()[1]
-        with pytest.raises(TransportError, match=rf"cannot listen for RSI on UDP 127\.0\.0\.1:{port}: .*may hold the port"):
+        with pytest.raises(
+            TransportError, match=rf"cannot listen for RSI on UDP 127\.0\.0\.1:{port}: .*may hold the port"
+        ):
             bind("127.0.0.1", port)
 
 
@@ -343,10 +356,16 @@ def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topi
         stream(client, controller, (motion(k) for k in range(200)))
         last = CODEC.quantise(motion(199))
         stream(client, controller, [last] * 30)
-        wait_until(lambda: controller.measured == pytest.approx(last, abs=math.radians(1e-6)), what="the end of the motion")
+        wait_until(
+            lambda: controller.measured == pytest.approx(last, abs=math.radians(1e-6)), what="the end of the motion"
+        )
         assert_still(controller)
         assert service.gateway.counters["commands_lost"] == 0
-        states = [message for message in client.on(topics.state) if read_state_properties(received_pairs(message)).command_stamp]
+        states = [
+            message
+            for message in client.on(topics.state)
+            if read_state_properties(received_pairs(message)).command_stamp
+        ]
         assert CODEC.decode(states[-1].payload) == pytest.approx(last, abs=math.radians(0.0006))
         properties = [read_state_properties(received_pairs(message)) for message in states]
         assert all(later.seq > earlier.seq for earlier, later in itertools.pairwise(properties))
@@ -377,7 +396,16 @@ def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
         for payload in garbage:
             client.paho.publish(topics.command, payload)
             client.paho.publish(topics.command, payload, properties=user_properties([("session", "s1"), ("seq", "-1")]))
-        controls = [b"", b"{", b"[]", b"null", b'{"id": 1}', b"[" * 5000, b"\xff", b'{"id": "a", "session": "s", "verb": 5}']
+        controls = [
+            b"",
+            b"{",
+            b"[]",
+            b"null",
+            b'{"id": 1}',
+            b"[" * 5000,
+            b"\xff",
+            b'{"id": "a", "session": "s", "verb": 5}',
+        ]
         for payload in controls:
             client.paho.publish(topics.control, payload, qos=1)
         client.wait_for_counter("refused_control", len(controls))
@@ -460,7 +488,9 @@ def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):
                 client.paho.publish(topics.command, CODEC.encode(motion(min(k, 100))))
                 wait_until(lambda: len(controller.replies) > begin + k, what="the next cycle")
             end = CODEC.quantise(motion(100))
-            wait_until(lambda: controller.measured == pytest.approx(end, abs=math.radians(1e-6)), what="the end of the motion")
+            wait_until(
+                lambda: controller.measured == pytest.approx(end, abs=math.radians(1e-6)), what="the end of the motion"
+            )
             assert CODEC.decode(client.on(topics.state)[-1].payload)
 
 
@@ -479,7 +509,15 @@ def program(config_file, port, topics):
     """The gateway as a process of its own; yields it and its UDP address."""
     with bind("127.0.0.1", 0) as sock:
         address = sock.getsockname()
-    command = [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", config_file, "--prefix", topics.prefix]
+    command = [
+        sys.executable,
+        "-m",
+        "construction_twin.rsi.gateway",
+        "--config",
+        config_file,
+        "--prefix",
+        topics.prefix,
+    ]
     command += ["--listen", "%s:%d" % address, "--broker", f"127.0.0.1:{port}"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:

@@ -68,9 +68,13 @@ class Cell:
     def send(self, q, session="s1", stamp=None, seq=None, payload=None):
         self.stamp += CYCLE_NS
         self.seq += 1
-        properties = CommandProperties(session, self.seq if seq is None else seq, self.stamp if stamp is None else stamp)
+        properties = CommandProperties(
+            session, self.seq if seq is None else seq, self.stamp if stamp is None else stamp
+        )
         self.gateway.on_command(
-            self.codec.encode(q) if payload is None else payload, properties if self.config.properties else None, self.now
+            self.codec.encode(q) if payload is None else payload,
+            properties if self.config.properties else None,
+            self.now,
         )
 
     def stream(self, poses):
@@ -880,7 +884,11 @@ class Pilot:
         self.cycle()
 
     def _wrong(self, value, cycles):
-        changes = ({"seq": max(0, self.cell.seq - cycles)}, {"stamp": self.cell.stamp - cycles * CYCLE_NS * 4}, {"stamp": 2**63})
+        changes = (
+            {"seq": max(0, self.cell.seq - cycles)},
+            {"stamp": self.cell.stamp - cycles * CYCLE_NS * 4},
+            {"stamp": 2**63},
+        )
         self.send(**changes[cycles % 3])
         self.cycle()
 

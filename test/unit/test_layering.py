@@ -86,7 +86,9 @@ def undocumented(path: Path) -> list[str]:
 
     def look(node, prefix: str) -> None:
         for child in node.body:
-            if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or child.name.startswith("_"):
+            if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or child.name.startswith(
+                "_"
+            ):
                 continue
             if not ast.get_docstring(child):
                 missing.append(prefix + child.name)
@@ -118,7 +120,9 @@ def test_files_and_functions_stay_small(path):
 def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ExceptHandler):
-            assert node.type is not None and getattr(node.type, "id", "") not in ("Exception", "BaseException"), node.lineno
+            assert node.type is not None and getattr(node.type, "id", "") not in ("Exception", "BaseException"), (
+                node.lineno
+            )
         if isinstance(node, ast.ImportFrom):
             assert node.names[0].name != "*"
 

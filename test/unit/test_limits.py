@@ -55,7 +55,9 @@ def test_the_ends_of_the_range_belong_to_it(q):
     LIMITS.check_range(q)
 
 
-@pytest.mark.parametrize("q, name, limit", [((0.0, 1.0 + 1e-8), "A2", 1.0), ((-3.1, 5.0), "A1", -3.0), ((3.1, 0.0), "A1", 3.0)])
+@pytest.mark.parametrize(
+    "q, name, limit", [((0.0, 1.0 + 1e-8), "A2", 1.0), ((-3.1, 5.0), "A1", -3.0), ((3.1, 0.0), "A1", 3.0)]
+)
 def test_a_value_outside_names_the_first_joint_and_the_end_it_passed(q, name, limit):
     error = refusal(LIMITS.check_range, q)
     assert (error.reason, error.joint, error.limit) == ("range", name, limit)

@@ -23,7 +23,12 @@ from construction_twin.mqtt.messages import (
 
 COMMAND = [("session", "a1"), ("seq", "7"), ("stamp", "1700000000000000000")]
 STATE = [("seq", "7"), ("stamp", "0"), ("command_stamp", "1700000000000000000")]
-STATUS = {"state": "ready", "reason": "", "counters": {"telegrams": 3}, "reply_us": {"max": 1.5, "bins": [1, 2], "counts": [0, 3]}}
+STATUS = {
+    "state": "ready",
+    "reason": "",
+    "counters": {"telegrams": 3},
+    "reply_us": {"max": 1.5, "bins": [1, 2], "counts": [0, 3]},
+}
 
 
 def control(**changes) -> bytes:
@@ -32,7 +37,11 @@ def control(**changes) -> bytes:
 
 def test_topics_are_those_of_the_design():
     topics = Topics("twin", "kr120")
-    assert (topics.command, topics.state, topics.status) == ("twin/kr120/command", "twin/kr120/state", "twin/kr120/status")
+    assert (topics.command, topics.state, topics.status) == (
+        "twin/kr120/command",
+        "twin/kr120/state",
+        "twin/kr120/status",
+    )
     assert topics.bridge_status == "twin/kr120/bridge/status"
     assert (topics.control, topics.control_ack) == ("twin/kr120/control", "twin/kr120/control/ack")
 

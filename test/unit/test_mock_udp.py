@@ -234,7 +234,9 @@ def test_settings_choose_servo_and_start_pose(robot):
     assert controller.correction_upper == radians((5,) * 6)
 
 
-@pytest.mark.parametrize("options", [{"gateway": "127.0.0.1"}, {"gateway": "a:70000"}, {"gateway": "a:1", "timeout": 0}])
+@pytest.mark.parametrize(
+    "options", [{"gateway": "127.0.0.1"}, {"gateway": "a:70000"}, {"gateway": "a:1", "timeout": 0}]
+)
 def test_settings_without_meaning_are_refused(options):
     with pytest.raises(ConfigurationError):
         _settings(dict(options))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 
 from construction_twin.errors import ReviewError
@@ -82,13 +80,6 @@ def test_clearing_an_empty_desk_decides_nothing():
     desk = ReviewDesk()
     desk.clear()
     desk.offer(make_plan("a"))
-    assert desk.plan.id == "a"
-
-
-def test_a_plan_whose_content_is_not_that_of_its_hash_is_refused(desk):
-    forged = SimpleNamespace(id="b", hash="0" * 64, trajectory=make_plan("b").trajectory)
-    with pytest.raises(ReviewError, match="plan b"):
-        desk.offer(forged)
     assert desk.plan.id == "a"
 
 

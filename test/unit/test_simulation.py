@@ -30,11 +30,17 @@ SETTINGS = yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text())
 REACH = radians((55.0, -50.0, 75.0, 40.0, 60.0, -70.0))
 
 
-def make_chain(decimals: int, servo: str = "ideal", link: SimulatedLink = SimulatedLink(), **settings) -> SimulatedChain:
+def make_chain(
+    decimals: int, servo: str = "ideal", link: SimulatedLink = SimulatedLink(), **settings
+) -> SimulatedChain:
     config = gateway_config(ROBOT, SETTINGS | {"decimals": decimals} | settings)
     mock = MockSettings(gateway_host="simulated", gateway_port=1, servo=servo)
     chain = SimulatedChain(ROBOT, config, build_controller(mock, ROBOT), link=link)
-    assert chain.run_until(lambda: chain.ready, 5.0), (chain.supervisor.reason, chain.executor.reason, chain.gate.reason)
+    assert chain.run_until(lambda: chain.ready, 5.0), (
+        chain.supervisor.reason,
+        chain.executor.reason,
+        chain.gate.reason,
+    )
     return chain
 
 
@@ -45,7 +51,9 @@ def make_plan(chain: SimulatedChain, goal, **timing) -> Plan:
 
 def play_to_the_end(chain: SimulatedChain, plan: Plan) -> None:
     chain.play(plan)
-    assert chain.run_until(lambda: chain.executor.outcome == "finished", plan.trajectory.duration + 5.0), chain.executor.reason
+    assert chain.run_until(lambda: chain.executor.outcome == "finished", plan.trajectory.duration + 5.0), (
+        chain.executor.reason
+    )
     chain.run_for(0.5)
 
 

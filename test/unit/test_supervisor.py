@@ -160,7 +160,9 @@ class TestFirstStart:
 
 
 class TestMismatch:
-    @pytest.mark.parametrize("change, word", [({"hash": "beef"}, "hash"), ({"decimals": 6}, "6 decimals"), ({"hash": None}, "hash")])
+    @pytest.mark.parametrize(
+        "change, word", [({"hash": "beef"}, "hash"), ({"decimals": 6}, "6 decimals"), ({"hash": None}, "hash")]
+    )
     def test_never_arms_another_configuration_and_says_what_differs(self, bench, change, word):
         bench.gateway |= change
         bench.run(1.0)
@@ -391,7 +393,11 @@ class TestStop:
         armed.run(0.5)
         armed.set_gateway(state, reason)
         armed.run(5.0)
-        assert armed.state is LinkState.NEEDS_RESET and "stopped on request" in armed.supervisor.reason and armed.sent == []
+        assert (
+            armed.state is LinkState.NEEDS_RESET
+            and "stopped on request" in armed.supervisor.reason
+            and armed.sent == []
+        )
 
     def test_a_stop_before_the_first_arming_counts_too(self, bench):
         bench.command = None

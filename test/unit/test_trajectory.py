@@ -182,10 +182,3 @@ class TestPlan:
     def test_refuses_an_empty_id(self):
         with pytest.raises(TrajectoryError, match="empty id"):
             plan(id="")
-
-    def test_matches_start_within_the_tolerance_of_every_joint(self):
-        assert plan().matches_start([0.0, 1.0], 0.0)
-        assert plan().matches_start((0.001, 0.9995), 0.001)
-        assert not plan().matches_start([0.0, 1.002], 0.001)
-        assert not plan().matches_start([0.0, math.nan], 0.001)
-        assert not plan().matches_start([0.0, 1.0, 0.0], 0.001)

@@ -229,8 +229,9 @@ def estimate_lag(recording: Recording, window: Window) -> float | None:
     coarse = min(range(0, MAX_LAG_NS + 1, CYCLE_NS), key=lambda lag: squares(lag, step))
     # Searched as an offset from the coarse value: the optimiser also carries a tolerance relative to its variable.
     bounds = (max(-coarse, -CYCLE_NS), CYCLE_NS)
-    fine = minimize_scalar(lambda offset: squares(coarse + offset), bounds=bounds, method="bounded",
-                           options={"xatol": LAG_TOLERANCE_NS})
+    fine = minimize_scalar(
+        lambda offset: squares(coarse + offset), bounds=bounds, method="bounded", options={"xatol": LAG_TOLERANCE_NS}
+    )
     return 0.0 if squares(0.0) <= fine.fun else float(coarse + fine.x)
 
 
@@ -273,6 +274,8 @@ def _align_command(name: str, recording: Recording, window: Window, lag_ns: floa
 def _paired(name, stamps, times, measured, path: TwinPath, missing: int = 0) -> Alignment:
     covered = path.covers(times)
     if not covered.any():
-        raise EvaluationError(f"alignment {name}: no physical sample inside the evaluated time meets the twin's recording")
+        raise EvaluationError(
+            f"alignment {name}: no physical sample inside the evaluated time meets the twin's recording"
+        )
     errors = measured[covered] - path(times[covered])
     return Alignment(name, stamps[covered], errors, missing + int(np.count_nonzero(~covered)))

@@ -62,7 +62,10 @@ def tool_path_figure(evaluation: Evaluation, robot: RobotModel) -> Figure:
     poses = twin.positions[evaluation.window.contains(twin.stamps)]
     poses = poses[:: max(1, len(poses) // PATH_POINTS)]
     path = np.array([chain.forward(q).position for q in poses])
-    arms = {"arm at the start": (chain.skeleton(poses[0]), "#9aa3ab"), "arm at the end": (chain.skeleton(poses[-1]), INK)}
+    arms = {
+        "arm at the start": (chain.skeleton(poses[0]), "#9aa3ab"),
+        "arm at the end": (chain.skeleton(poses[-1]), INK),
+    }
     figure = Figure(figsize=(7.0, 6.4), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(projection="3d", computed_zorder=False)

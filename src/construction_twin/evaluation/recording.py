@@ -168,7 +168,9 @@ class Recording:
 
     def __post_init__(self):
         if not self.joint_names:
-            raise EvaluationError("twin and physical arm report no joint in common; check the joint names in the recording")
+            raise EvaluationError(
+                "twin and physical arm report no joint in common; check the joint names in the recording"
+            )
         for name in ("twin", "physical"):
             count = len(getattr(self, name))
             if count < 2:
@@ -176,7 +178,9 @@ class Recording:
         for name in ("twin", "physical", "feedback", "command"):
             stream = getattr(self, name)
             if stream is not None and stream.positions.shape[1] != len(self.joint_names):
-                raise EvaluationError(f"{name} has {stream.positions.shape[1]} joints, expected {len(self.joint_names)}")
+                raise EvaluationError(
+                    f"{name} has {stream.positions.shape[1]} joints, expected {len(self.joint_names)}"
+                )
 
     @property
     def finished_plans(self) -> tuple[PlayedPlan, ...]:

@@ -123,7 +123,9 @@ def summary_lines(summary: Mapping) -> list[str]:
         f"samples: {summary['samples']} (paper {SAMPLES})   waypoints: {_text(summary['waypoints'])} (paper {WAYPOINTS})",
         f"duration: {summary['duration_s']:.3f} s   decimals: {_text(summary['decimals'])}   "
         f"servo: {_text(summary['servo'])}",
-        "lag: unknown" if lag is None else f"lag taken out in lag_removed: {lag * 1e3:.6f} ms (estimated, one for all joints)",
+        "lag: unknown"
+        if lag is None
+        else f"lag taken out in lag_removed: {lag * 1e3:.6f} ms (estimated, one for all joints)",
         f"commands sent: {_text(summary['commands_sent'])}   lost: {_text(summary['commands_lost'])}   "
         f"late RSI replies: {_text(summary['late_replies'])}",
         _times("round trip", summary["round_trip_ms"], "ms"),
@@ -149,7 +151,9 @@ def _rich_table(title: str, rows: Sequence[Sequence]) -> Table:
 
 
 def _times(name: str, figures: Mapping, unit: str) -> str:
-    parts = [f"{key.replace('_', '.')} {_text(value, '.3f' if unit == 'ms' else '.0f')}" for key, value in figures.items()]
+    parts = [
+        f"{key.replace('_', '.')} {_text(value, '.3f' if unit == 'ms' else '.0f')}" for key, value in figures.items()
+    ]
     return f"{name} [{unit}]: " + "   ".join(parts)
 
 

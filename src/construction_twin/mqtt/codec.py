@@ -126,4 +126,6 @@ class JointStringCodec:
             )
         if len(payload) != self.length:
             return PayloadError("length", f"{len(payload)} bytes {shown!r}; expected {self.length}")
-        return PayloadError("format", f"{shown!r} is not {self.joints} times a sign, 3 digits, a point, {self.decimals} digits")
+        return PayloadError(
+            "format", f"{shown!r} is not {self.joints} times a sign, 3 digits, a point, {self.decimals} digits"
+        )

@@ -31,7 +31,9 @@ class Topics:
     def __post_init__(self):
         for name in ("prefix", "robot"):
             if not _LEVEL.fullmatch(getattr(self, name)):
-                raise ConfigurationError(name, getattr(self, name), "letters, digits, - and _, because it becomes a topic level")
+                raise ConfigurationError(
+                    name, getattr(self, name), "letters, digits, - and _, because it becomes a topic level"
+                )
 
     def _topic(self, name: str) -> str:
         return f"{self.prefix}/{self.robot}/{name}"
@@ -96,13 +98,17 @@ class StateProperties:
 def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str]:
     values = dict(pairs)
     if len(values) != len(pairs) or set(values) != set(names):
-        raise PayloadError("properties", f"user properties {[name for name, _ in pairs][:8]}; expected exactly {list(names)}")
+        raise PayloadError(
+            "properties", f"user properties {[name for name, _ in pairs][:8]}; expected exactly {list(names)}"
+        )
     return values
 
 
 def _number(name: str, text: str) -> int:
     if not _NUMBER.fullmatch(text) or int(text) > _MAX_NUMBER:
-        raise PayloadError("properties", f"property {name} is {text[:32]!r}; expected a whole number up to {_MAX_NUMBER}")
+        raise PayloadError(
+            "properties", f"property {name} is {text[:32]!r}; expected a whole number up to {_MAX_NUMBER}"
+        )
     return int(text)
 
 
@@ -110,7 +116,9 @@ def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
     """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
     values = _read(pairs, ("session", "seq", "stamp"))
     if not _SESSION.fullmatch(values["session"]):
-        raise PayloadError("properties", f"property session is {values['session'][:32]!r}; expected letters, digits, - and _")
+        raise PayloadError(
+            "properties", f"property session is {values['session'][:32]!r}; expected letters, digits, - and _"
+        )
     return CommandProperties(values["session"], _number("seq", values["seq"]), _number("stamp", values["stamp"]))
 
 
@@ -138,7 +146,9 @@ def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
     document = _parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
-        raise PayloadError("control", f"control message with keys {sorted(document)[:8]}; expected id, session, verb and value")
+        raise PayloadError(
+            "control", f"control message with keys {sorted(document)[:8]}; expected id, session, verb and value"
+        )
     if not all(isinstance(document[key], str) and len(document[key]) <= 64 for key in ("id", "session", "verb")):
         raise PayloadError("control", "control message whose id, session or verb is not a short text")
     return Control(**document)
@@ -152,11 +162,15 @@ def parse_status(payload: bytes) -> dict:
     status = _parse_object(payload, "status", limit=1 << 20)
     reply = status.get("reply_us", {})
     if not isinstance(status.get("state", ""), str) or not isinstance(reply, dict):
-        raise PayloadError("status", f"status message {payload[:80]!r} whose state or reply_us is not what the interface says")
+        raise PayloadError(
+            "status", f"status message {payload[:80]!r} whose state or reply_us is not what the interface says"
+        )
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
         raise PayloadError("status", "status message whose counters are not whole numbers by name")
-    if not all(isinstance(reply.get(key, []), list) and all(map(_is_count, reply.get(key, []))) for key in ("bins", "counts")):
+    if not all(
+        isinstance(reply.get(key, []), list) and all(map(_is_count, reply.get(key, []))) for key in ("bins", "counts")
+    ):
         raise PayloadError("status", "status message whose reply_us is not a histogram of whole numbers")
     return status
 

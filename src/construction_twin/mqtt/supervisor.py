@@ -123,10 +123,17 @@ class LinkSupervisor:
         ReviewError
             When there is no arm to start from, or it moves.
         """
-        if self.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTROLLER, LinkState.MISMATCH):
+        if self.state in (
+            LinkState.DISCONNECTED,
+            LinkState.GATEWAY_OFFLINE,
+            LinkState.NO_CONTROLLER,
+            LinkState.MISMATCH,
+        ):
             raise ReviewError(f"cannot reset: {self.reason}")
         if not self._at_rest(now):
-            raise ReviewError("cannot reset: the arm's pose is unknown or still changing; stop it and wait until it is at rest")
+            raise ReviewError(
+                "cannot reset: the arm's pose is unknown or still changing; stop it and wait until it is at rest"
+            )
         self._reset_wanted = True
 
     def request_arm(self, now: int) -> None:
@@ -140,7 +147,9 @@ class LinkSupervisor:
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(f"nothing to arm: {self.state.name}, {self.reason}")
         if not (self._within_tolerance(now) and self._at_rest(now)):
-            raise ReviewError("twin and arm are not at rest within the start tolerance of each other; call reset instead")
+            raise ReviewError(
+                "twin and arm are not at rest within the start tolerance of each other; call reset instead"
+            )
         self._reset_wanted = True
 
     def drop(self, reason: str) -> None:

@@ -44,7 +44,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     render_tables(report.summary, console)
     if robot.joint_names != recording.joint_names:
-        console.print(f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config.")
+        console.print(
+            f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
+        )
     print_files(console, report.files)
     return 0
 
@@ -62,16 +64,22 @@ def package_file(relative: str) -> Path:
 
 
 def _robot(options: argparse.Namespace) -> RobotModel:
-    return read_robot_files(options.robot_xacro or package_file(XACRO), options.robot_config or package_file(DESCRIPTION))
+    return read_robot_files(
+        options.robot_xacro or package_file(XACRO), options.robot_config or package_file(DESCRIPTION)
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="evaluate", description="Compare twin and physical arm in a bag: tables, figures and summary.json."
     )
-    parser.add_argument("bag", type=Path, help="a bag with at least .../twin/joint_states and .../physical/joint_states")
+    parser.add_argument(
+        "bag", type=Path, help="a bag with at least .../twin/joint_states and .../physical/joint_states"
+    )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _evaluation)")
     parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
-    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro for figure 8 (default: {XACRO})")
+    parser.add_argument(
+        "--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro for figure 8 (default: {XACRO})"
+    )
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")
     return parser

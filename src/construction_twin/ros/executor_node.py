@@ -14,13 +14,13 @@ from construction_twin.errors import ConstructionTwinError
 from construction_twin.executor import Executor, ExecutorState
 from construction_twin.gate import SyncState
 from construction_twin.msg import Execution, Link, Plan, Review, Sync
+from construction_twin.review import Verdict
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.cycle import cycles
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns, to_time
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
-from construction_twin.review import Verdict
 from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
 from construction_twin.units import NANOSECONDS
 
@@ -128,7 +128,9 @@ class ExecutorNode:
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         decision = "approved" if verdict.approved else "not approved"
-        rospy.logwarn("plan %s %s by %s: %s", verdict.plan_id, decision, verdict.reviewer, verdict.reason or "no reason given")
+        rospy.logwarn(
+            "plan %s %s by %s: %s", verdict.plan_id, decision, verdict.reviewer, verdict.reason or "no reason given"
+        )
         message = Review(**asdict(verdict))
         message.header.stamp = rospy.Time.now()
         self._verdicts.publish(message)
@@ -144,7 +146,9 @@ class ExecutorNode:
             return
         self._reported = state
         rospy.loginfo("%s: %s", executor.state.name, executor.reason)
-        message = Execution(state=executor.state.value, text=executor.state.name, outcome=executor.outcome, reason=executor.reason)
+        message = Execution(
+            state=executor.state.value, text=executor.state.name, outcome=executor.outcome, reason=executor.reason
+        )
         message.header.stamp = rospy.Time.now()
         if executor.plan is not None:
             message.plan_id = executor.plan.id

@@ -131,7 +131,9 @@ class Experiment:
         joints = len(self._robot.joint_names)
         for goal in self._settings.goals_deg:
             if len(goal) != joints:
-                raise ExperimentError(f"a goal in ~goals_deg has {len(goal)} values; {self._robot.name} has {joints} joints")
+                raise ExperimentError(
+                    f"a goal in ~goals_deg has {len(goal)} values; {self._robot.name} has {joints} joints"
+                )
             self._robot.check_range(radians(goal))
 
     def _plan(self, goal_deg: list[float]) -> str:

@@ -53,7 +53,11 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
     if tuple(message.name) == names and len(message.position) == len(names):
         q = tuple(message.position)
     else:
-        if len(message.name) != len(message.position) or set(message.name) != set(names) or len(message.name) != len(names):
+        if (
+            len(message.name) != len(message.position)
+            or set(message.name) != set(names)
+            or len(message.name) != len(names)
+        ):
             found = f"joint state names {message.name}, {len(message.position)} positions"
             raise PayloadError("names", f"{found}; expected {list(names)}")
         by_name = dict(zip(message.name, message.position))

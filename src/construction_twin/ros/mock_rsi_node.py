@@ -112,7 +112,9 @@ class MockRsiNode:
             axis = self._robot.axes[self._robot.joint_names.index(request.joint)].rsi
             self._controller.stall(axis, request.stalled)
 
-        return StallJointResponse(*self._ask(stall, f"{request.joint} is {'stalled' if request.stalled else 'released'}"))
+        return StallJointResponse(
+            *self._ask(stall, f"{request.joint} is {'stalled' if request.stalled else 'released'}")
+        )
 
     def _ask(self, action: Callable[[], None], done: str) -> tuple[bool, str]:
         try:

@@ -57,7 +57,9 @@ class MqttBridgeNode:
         self._codec = JointStringCodec.of(robot, config.decimals)
         self._properties = config.properties and settings.protocol == "5"
         self._lock = threading.Lock()
-        self._supervisor = LinkSupervisor(config.hash, config.decimals, config.start_tolerance, lambda: uuid.uuid4().hex)
+        self._supervisor = LinkSupervisor(
+            config.hash, config.decimals, config.start_tolerance, lambda: uuid.uuid4().hex
+        )
         self._sequence = 0
         self._state_sequence = 0
         self._states = 0
@@ -85,7 +87,9 @@ class MqttBridgeNode:
                 self._send_control(control)
             self._publish_link()
             time.sleep(POLL)
-        self._client.publish(self._topics.bridge_status, json.dumps({"state": "offline", "reason": "bridge stopped"}), 1, True)
+        self._client.publish(
+            self._topics.bridge_status, json.dumps({"state": "offline", "reason": "bridge stopped"}), 1, True
+        )
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -103,7 +107,9 @@ class MqttBridgeNode:
             self._diagnostics.refuse(error.reason, str(error))
             return
         self._sequence += 1
-        beside = user_properties(CommandProperties(session, self._sequence, stamp).pairs()) if self._properties else None
+        beside = (
+            user_properties(CommandProperties(session, self._sequence, stamp).pairs()) if self._properties else None
+        )
         self._client.publish(self._topics.command, payload, properties=beside)
 
     def _send_control(self, control: Control) -> None:
@@ -127,7 +133,9 @@ class MqttBridgeNode:
         if reason_code.is_failure:
             rospy.logerr("broker refused the connection: %s", reason_code)
             return
-        client.subscribe(subscriptions(client, [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)]))
+        client.subscribe(
+            subscriptions(client, [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)])
+        )
         with self._lock:
             self._supervisor.on_connection(True)
 
@@ -242,9 +250,13 @@ class MqttBridgeNode:
         message.header.stamp = rospy.Time.now()
         message.gateway_state = str(status.get("state", "offline"))
         message.commands_sent = self._sequence
-        message.commands_refused = sum(count for name, count in self._diagnostics.refused.items() if not name.startswith("stat"))
+        message.commands_refused = sum(
+            count for name, count in self._diagnostics.refused.items() if not name.startswith("stat")
+        )
         message.states_received = self._states
-        message.states_refused = sum(count for name, count in self._diagnostics.refused.items() if name.startswith("stat"))
+        message.states_refused = sum(
+            count for name, count in self._diagnostics.refused.items() if name.startswith("stat")
+        )
         counters = dict(status.get("counters", {}))
         counters["decimals"] = status.get("decimals", "")
         reply = status.get("reply_us", {})

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import rospy
 
 from construction_twin.errors import ConstructionTwinError
-from construction_twin.realtime import request_realtime
+from construction_twin.realtime import release_realtime, request_realtime
 
 
 def run_node(name: str, start: Callable[[], object]) -> None:
@@ -26,6 +26,7 @@ def run_node(name: str, start: Callable[[], object]) -> None:
     rospy.init_node(name)
     try:
         node = start()
+        rospy.on_shutdown(release_realtime)
         rospy.loginfo(request_realtime(rospy.get_param("~realtime_priority", 0)))
         if hasattr(node, "run"):
             node.run()

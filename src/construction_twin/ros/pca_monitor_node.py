@@ -50,7 +50,11 @@ class PcaMonitorNode:
             MotionLimits.of(self._robot),
             JointStringCodec.of(self._robot, settings.decimals),
             GateSettings(
-                settings.threshold, settings.lag_allowance, settings.feedback_timeout, settings.agree_time, settings.arm != "none"
+                settings.threshold,
+                settings.lag_allowance,
+                settings.feedback_timeout,
+                settings.agree_time,
+                settings.arm != "none",
             ),
         )
         self._lock = threading.Lock()
@@ -157,7 +161,9 @@ class PcaMonitorNode:
             rospy.loginfo("%s: %s", state[0].name, state[1])
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
-        message = Sync(state=state.value, text=state.name, reason=reason, agreed=agreed, violations=self._gate.violations)
+        message = Sync(
+            state=state.value, text=state.name, reason=reason, agreed=agreed, violations=self._gate.violations
+        )
         message.header.stamp = rospy.Time.now()
         message.round_trip = math.nan
         last = self._gate.comparison.last
@@ -169,7 +175,11 @@ class PcaMonitorNode:
     def _report(self) -> tuple[int, str, dict]:
         gate = self._gate
         level = OK if gate.state is SyncState.IN_SYNC else WARN
-        return level, f"{gate.state.name}: {gate.reason}", {"violations": gate.violations, "refused setpoints": gate.refused}
+        return (
+            level,
+            f"{gate.state.name}: {gate.reason}",
+            {"violations": gate.violations, "refused setpoints": gate.refused},
+        )
 
 
 def main() -> None:

@@ -8,8 +8,8 @@ import xmlrpc.client
 from collections.abc import Sequence
 from pathlib import Path
 
-import roslib.packages
 import rosgraph
+import roslib.packages
 
 from construction_twin.errors import TransportError
 

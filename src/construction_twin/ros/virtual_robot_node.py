@@ -58,7 +58,9 @@ class VirtualRobotNode:
             if self._robot.execute(stamp, q):
                 self._publish(stamp)
                 return
-        self._diagnostics.refuse("order", "command before the arm's pose was taken over, away from it, or not newer than the last")
+        self._diagnostics.refuse(
+            "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
+        )
 
     def _on_physical(self, _stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:

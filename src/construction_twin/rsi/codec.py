@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Sequence
 from xml.etree import ElementTree
 
 from construction_twin.errors import ConfigurationError, TelegramError

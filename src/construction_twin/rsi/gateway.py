@@ -20,7 +20,13 @@ from queue import SimpleQueue
 
 from paho.mqtt import client as paho
 
-from construction_twin.errors import ConfigurationError, ConstructionTwinError, PayloadError, TelegramError, TransportError
+from construction_twin.errors import (
+    ConfigurationError,
+    ConstructionTwinError,
+    PayloadError,
+    TelegramError,
+    TransportError,
+)
 from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, user_properties
 from construction_twin.mqtt.messages import Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
@@ -71,7 +77,9 @@ class GatewayService:
         Only datagrams from this address are read; None reads any.
     """
 
-    def __init__(self, config: GatewayConfig, sock: socket.socket, broker: Broker, topics: Topics, controller: str | None = None):
+    def __init__(
+        self, config: GatewayConfig, sock: socket.socket, broker: Broker, topics: Topics, controller: str | None = None
+    ):
         self.gateway = Gateway(config)
         self.reply_time = Histogram.of_microseconds()
         self._sock = sock
@@ -253,15 +261,22 @@ def _arrival(ancillary) -> int:
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="rsi_gateway", description="Bridge between MQTT joint strings and KUKA RSI. Needs no ROS. Not safety rated."
+        prog="rsi_gateway",
+        description="Bridge between MQTT joint strings and KUKA RSI. Needs no ROS. Not safety rated.",
     )
-    parser.add_argument("--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`")
-    parser.add_argument("--listen", default="127.0.0.1:49152", metavar="HOST:PORT", help="UDP address for RSI [%(default)s]")
+    parser.add_argument(
+        "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
+    )
+    parser.add_argument(
+        "--listen", default="127.0.0.1:49152", metavar="HOST:PORT", help="UDP address for RSI [%(default)s]"
+    )
     parser.add_argument("--controller", metavar="HOST", help="read telegrams from this address only")
     parser.add_argument("--broker", default="127.0.0.1:1883", metavar="HOST:PORT", help="MQTT broker [%(default)s]")
     parser.add_argument("--protocol", default="5", choices=["5", "3.1.1"], help="MQTT version [%(default)s]")
     parser.add_argument("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
-    parser.add_argument("--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]")
+    parser.add_argument(
+        "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
+    )
     return parser.parse_args(argv)
 
 
@@ -288,7 +303,9 @@ def _run(arguments: argparse.Namespace) -> int:
         config = load_config(arguments.config)
         broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol)
         topics = Topics(arguments.prefix, config.robot)
-        service = GatewayService(config, bind(*_address(arguments.listen, "--listen")), broker, topics, arguments.controller)
+        service = GatewayService(
+            config, bind(*_address(arguments.listen, "--listen")), broker, topics, arguments.controller
+        )
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2

@@ -304,7 +304,9 @@ def _resolve(host: str, port: int) -> tuple[str, int]:
     try:
         return socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
     except OSError as error:
-        raise TransportError(f"gateway host {host!r} port {port}: {error}; give an IPv4 address or a known name") from error
+        raise TransportError(
+            f"gateway host {host!r} port {port}: {error}; give an IPv4 address or a known name"
+        ) from error
 
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
@@ -324,7 +326,9 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     option("--no-holdon", dest="holdon", action="store_false", help="HOLDON 0: a missed reply commands zero")
     option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
     option("--restart-after", type=float, metavar="S", help="new RSI session this long after a stop [s]; 0: never [0]")
-    option("--realtime", dest="realtime_priority", type=int, metavar="PRIORITY", help="SCHED_FIFO priority; 0: none [0]")
+    option(
+        "--realtime", dest="realtime_priority", type=int, metavar="PRIORITY", help="SCHED_FIFO priority; 0: none [0]"
+    )
     return parser.parse_args(argv)
 
 

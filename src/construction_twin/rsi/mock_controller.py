@@ -276,7 +276,10 @@ class MockController:
         self._last_step = self._zero
         below = tuple(min(0.0, low - q) for low, q in zip(config.lower, pose))
         above = tuple(max(0.0, high - q) for high, q in zip(config.upper, pose))
-        self.correction_lower, self.correction_upper = config.correction_lower or below, config.correction_upper or above
+        self.correction_lower, self.correction_upper = (
+            config.correction_lower or below,
+            config.correction_upper or above,
+        )
         largest = tuple(max(-low, high) for low, high in zip(self.correction_lower, self.correction_upper))
         self.correction_monitor = config.correction_monitor or largest
         self._open, self._reply = False, None

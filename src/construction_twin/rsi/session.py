@@ -279,7 +279,9 @@ class Gateway:
         travelled = now - properties.stamp
         quickest = travelled if self._quickest is None else min(self._quickest, travelled)
         if travelled - quickest > self.config.max_age * NANOSECONDS:
-            raise PayloadError("stale", f"command is {(travelled - quickest) / NANOSECONDS:.3f} s older than the freshest")
+            raise PayloadError(
+                "stale", f"command is {(travelled - quickest) / NANOSECONDS:.3f} s older than the freshest"
+            )
         self._quickest = quickest
         if self.state is State.FOLLOWING:
             self.counters["commands_lost"] += properties.seq - self._sequence - 1

@@ -1,0 +1,26 @@
+"""Real-time scheduling: in a process of its own, so that the test run itself is never at that priority."""
+
+import subprocess
+import sys
+
+from construction_twin.realtime import request_realtime
+
+SCRIPT = """
+import os, threading
+from construction_twin.realtime import release_realtime, request_realtime
+end = threading.Event()
+threading.Thread(target=end.wait, daemon=True).start()
+policies = lambda: {os.sched_getscheduler(int(thread)) for thread in os.listdir("/proc/self/task")}
+permitted = request_realtime(1) == "SCHED_FIFO 1"
+assert not permitted or policies() == {os.SCHED_FIFO}, policies()
+release_realtime()
+assert policies() == {os.SCHED_OTHER}, policies()
+"""
+
+
+def test_every_thread_is_raised_and_released():
+    subprocess.run([sys.executable, "-c", SCRIPT], check=True, timeout=30)
+
+
+def test_priority_zero_asks_for_nothing():
+    assert request_realtime(0) == "normal scheduling"
