@@ -62,7 +62,7 @@ class Executor:
         self._elapsed = 0.0
         self._progress = CYCLE
 
-    # -- inputs --------------------------------------------------------------------------------------------------------
+    # -- inputs
 
     def on_twin(self, stamp: int, q: tuple[float, ...], now: int) -> None:
         """Take the twin's pose [rad], the stamp of the command it executes, and the time of reception [ns]."""
@@ -133,7 +133,7 @@ class Executor:
         if self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING):
             self._finish("dropped", reason)
 
-    # -- output --------------------------------------------------------------------------------------------------------
+    # -- output
 
     def step(self, stamp: int, now: int) -> tuple[float, ...] | None:
         """Return the setpoint for the cycle with nominal stamp `stamp` [ns], or None when nothing may be sent."""
@@ -204,7 +204,7 @@ class Executor:
             for value, last, before, limit in zip(q.tolist(), self._setpoint, self._before, self._robot.acceleration)
         )
 
-    # -- plans ---------------------------------------------------------------------------------------------------------
+    # -- plans
 
     def _check_start(self, plan: Plan) -> None:
         if self.state is not ExecutorState.IDLE:

@@ -141,7 +141,7 @@ class SimulatedChain:
             plans=played,
         )
 
-    # -- events ----------------------------------------------------------------------------------------------------------
+    # -- events
 
     def _at(self, time: int, action: Callable[[], None]) -> None:
         heapq.heappush(self._events, (time, next(self._order), action))

@@ -55,7 +55,7 @@ class GarbageTest(unittest.TestCase):
         self.session = self.client.link.session
         self.changes = len(self.client.syncs)
 
-    # -- the tests -------------------------------------------------------------------------------------------------------
+    # -- the tests
 
     def test_garbage_on_command(self):
         self.assert_counted_without_motion(self.send_commands, self.client.gateway_counters)
@@ -87,7 +87,7 @@ class GarbageTest(unittest.TestCase):
             self.client.assert_within_limits(arm, missed)
         self.assert_undisturbed()
 
-    # -- what is sent ----------------------------------------------------------------------------------------------------
+    # -- what is sent
 
     def send_commands(self) -> Counter:
         """Publish on `command`; return what the gateway must count."""
@@ -166,7 +166,7 @@ class GarbageTest(unittest.TestCase):
             self.udp.sendto(data, self.gateway)
         return Counter(telegram_refused_source=len(garbage) + len(telegrams))
 
-    # -- how it is judged --------------------------------------------------------------------------------------------------
+    # -- how it is judged
 
     def publish(self, topic: str, payload: bytes, properties: list[tuple[str, str]] | None = None, retain: bool = False):
         """Publish one message."""

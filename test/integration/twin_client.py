@@ -113,7 +113,7 @@ class TwinClient:
         rospy.Subscriber("mock_rsi/status", String, self._on_mock)
         rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
 
-    # -- states --------------------------------------------------------------------------------------------------------
+    # -- states
 
     def wait(self, condition: Callable[[], object], what: str, timeout: float = 20.0) -> None:
         """Wait as the function `wait`; the error tells the robot's states too."""
@@ -161,7 +161,7 @@ class TwinClient:
         self.wait(lambda: self._mock_at > asked, "a report on mock_rsi/status")
         return self._mock["counters"][name]
 
-    # -- actions -------------------------------------------------------------------------------------------------------
+    # -- actions
 
     def plan_to(self, goal_deg: Sequence[float], duration: float = 2.5, start_deg: Sequence[float] = ()) -> PlanToJointsResponse:
         """Have a motion planned, from the twin's present pose if no other is given; AssertionError when there is no plan."""
@@ -220,7 +220,7 @@ class TwinClient:
         answer = rospy.ServiceProxy("mock_rsi/stall", StallJoint)(joint, stalled)
         assert answer.success, answer.message
 
-    # -- assertions ----------------------------------------------------------------------------------------------------
+    # -- assertions
 
     def assert_at(self, goal_deg: Sequence[float], *streams: Stream) -> None:
         """Wait until the streams rest; every joint has then come within `FINAL_ERROR` of the goal."""
@@ -258,7 +258,7 @@ class TwinClient:
             f"largest accelerations {worst} deg/s^2"
         )
 
-    # -- subscriptions -------------------------------------------------------------------------------------------------
+    # -- subscriptions
 
     def _on_link(self, message: Link) -> None:
         self.link = message

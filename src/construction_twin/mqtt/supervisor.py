@@ -78,7 +78,7 @@ class LinkSupervisor:
         self._pending: Control | None = None
         self._sent_at = 0
 
-    # -- events --------------------------------------------------------------------------------------------------------
+    # -- events
 
     def on_connection(self, connected: bool) -> None:
         """Take the state of the connection to the broker."""
@@ -158,7 +158,7 @@ class LinkSupervisor:
         self._pending = None
         self._enter(LinkState.NEEDS_RESET, reason)
 
-    # -- decisions -----------------------------------------------------------------------------------------------------
+    # -- decisions
 
     def poll(self, now: int) -> Control | None:
         """Update the state; return a control message to send now, or None."""

@@ -75,7 +75,7 @@ class ExecutorNode:
                 self._next.publish(stamp, setpoint)
             self._publish_changes()
 
-    # -- subscriptions ---------------------------------------------------------------------------------------------------
+    # -- subscriptions
 
     def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
@@ -105,7 +105,7 @@ class ExecutorNode:
                 self._session = message.session
             self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
 
-    # -- services ----------------------------------------------------------------------------------------------------------
+    # -- services
 
     def _on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
         try:
@@ -124,7 +124,7 @@ class ExecutorNode:
         rospy.logwarn("stop: %s", sentence)
         return TriggerResponse(True, sentence)
 
-    # -- reports -----------------------------------------------------------------------------------------------------------
+    # -- reports
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         decision = "approved" if verdict.approved else "not approved"

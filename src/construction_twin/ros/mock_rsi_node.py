@@ -59,7 +59,7 @@ class MockRsiNode:
             self._outbox.put(None)
             publisher.join(1.0)
 
-    # -- in the loop -----------------------------------------------------------------------------------------------------
+    # -- in the loop
 
     def _observe(self, mock: MockRsi) -> None:
         state = self._controller.session, self._controller.running
@@ -88,7 +88,7 @@ class MockRsiNode:
             "config": self._settings.model_dump(),
         }
 
-    # -- in other threads --------------------------------------------------------------------------------------------------
+    # -- in other threads
 
     def _publish(self) -> None:
         for stamp, angles, status in iter(self._outbox.get, None):

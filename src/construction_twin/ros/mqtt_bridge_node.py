@@ -93,7 +93,7 @@ class MqttBridgeNode:
         self._client.disconnect()
         self._client.loop_stop()
 
-    # -- ROS to MQTT -----------------------------------------------------------------------------------------------------
+    # -- ROS to MQTT
 
     def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
@@ -116,7 +116,7 @@ class MqttBridgeNode:
         rospy.loginfo("%s, session %s", control.verb, control.session)
         self._client.publish(self._topics.control, control.to_json(), qos=1)
 
-    # -- MQTT to ROS -----------------------------------------------------------------------------------------------------
+    # -- MQTT to ROS
 
     def _connect(self, broker: Broker):
         client = make_client(broker, f"{self._topics.robot}-bridge-{os.getpid()}", self._topics.bridge_status)
@@ -202,7 +202,7 @@ class MqttBridgeNode:
         with self._lock:
             self._supervisor.on_answer(answer, now_ns())
 
-    # -- services --------------------------------------------------------------------------------------------------------
+    # -- services
 
     def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
         try:
@@ -227,7 +227,7 @@ class MqttBridgeNode:
         self._send_control(control)
         return TriggerResponse(True, "stop sent to the gateway; call reset to go on")
 
-    # -- reports ---------------------------------------------------------------------------------------------------------
+    # -- reports
 
     def _publish_link(self) -> None:
         with self._lock:

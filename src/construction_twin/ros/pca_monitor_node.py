@@ -77,7 +77,7 @@ class PcaMonitorNode:
         rospy.Subscriber("link", Link, self._on_link, queue_size=5)
         self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), lambda _: self._publish_sync(now_ns()))
 
-    # -- the path --------------------------------------------------------------------------------------------------------
+    # -- the path
 
     def _on_next(self, stamp: int, theta_next: tuple[float, ...]) -> None:
         now = now_ns()
@@ -116,7 +116,7 @@ class PcaMonitorNode:
                 self._gate.restart("new command session")
             self._session = message.session
 
-    # -- the re-plan -----------------------------------------------------------------------------------------------------
+    # -- the re-plan
 
     def _on_plan(self, message: Plan) -> None:
         self._plans[message.id] = message
@@ -146,7 +146,7 @@ class PcaMonitorNode:
         else:
             rospy.logerr("re-plan failed: %s", answer.message)
 
-    # -- reports ---------------------------------------------------------------------------------------------------------
+    # -- reports
 
     def _publish_sync(self, now: int) -> None:
         with self._lock:

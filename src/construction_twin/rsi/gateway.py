@@ -124,7 +124,7 @@ class GatewayService:
         elif now >= self._status_at:
             self._publish_status()
 
-    # -- RSI -----------------------------------------------------------------------------------------------------------
+    # -- RSI
 
     def _serve_controller(self) -> None:
         newest = self._newest_telegram()
@@ -186,7 +186,7 @@ class GatewayService:
         except OSError as error:
             self.gateway.counters[f"udp_send_{error.errno}"] += 1
 
-    # -- MQTT ----------------------------------------------------------------------------------------------------------
+    # -- MQTT
 
     def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
         if reason_code.is_failure:

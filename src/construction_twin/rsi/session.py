@@ -71,7 +71,7 @@ class Gateway:
         self._answered_stamp = 0
         self._changed = True
 
-    # -- the controller's side ---------------------------------------------------------------------------------------
+    # -- the controller's side
 
     def accepts(self, source: object, now: int) -> bool:
         """Return whether a datagram from `source` may be read: while a controller is alive, only its own are.
@@ -204,7 +204,7 @@ class Gateway:
             self.counters["late_replies"] += max(0, delay - self._last_delay)
             self._last_delay = delay
 
-    # -- motion ------------------------------------------------------------------------------------------------------
+    # -- motion
 
     def _move(self, elapsed: int) -> tuple[float, ...]:
         if self.state is State.FOLLOWING:
@@ -232,7 +232,7 @@ class Gateway:
         self._disarm()
         self._enter(State.BRAKING, f"{cause}: {reason}")
 
-    # -- the command side --------------------------------------------------------------------------------------------
+    # -- the command side
 
     def on_command(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> None:
         """Take one message of the `command` topic.
@@ -315,7 +315,7 @@ class Gateway:
         self._playout.push(stamp, q)
         self.counters["commands_received"] += 1
 
-    # -- control -----------------------------------------------------------------------------------------------------
+    # -- control
 
     def on_control(self, control: Control) -> tuple[bool, str]:
         """Carry out a `control` message.
@@ -371,7 +371,7 @@ class Gateway:
         self._answered_stamp = 0
         self._playout.clear()
 
-    # -- status ------------------------------------------------------------------------------------------------------
+    # -- status
 
     def _enter(self, state: State, reason: str) -> None:
         self.state, self.reason, self._changed = state, reason, True
