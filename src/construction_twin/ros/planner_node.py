@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import uuid
@@ -53,6 +54,7 @@ class PlannerNode:
         self._planner = Planner(self._robot, self._chain, self._settings, clock=time.monotonic)
         self._base_frame = self._settings.base_frame or self._robot.base_link
         self._twin: tuple[float, JointState] | None = None
+        self._twin_news = threading.Condition()
         # one plan at a time: planner and kinematics are not made for several threads, and `plan` latches one
         self._busy = threading.Lock()
         self._plans = 0
@@ -66,7 +68,12 @@ class PlannerNode:
         rospy.Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
 
     def _on_twin(self, msg: JointState) -> None:
-        self._twin = (time.monotonic(), msg)
+        with self._twin_news:
+            self._twin = (time.monotonic(), msg)
+            self._twin_news.notify_all()
+
+    def _pose_age(self) -> float:
+        return math.inf if self._twin is None else time.monotonic() - self._twin[0]
 
     def _on_plan_to_joints(self, request) -> PlanToJointsResponse:
         def plan() -> Plan:
@@ -108,16 +115,16 @@ class PlannerNode:
         self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
 
     def _present_pose(self) -> Sequence[float]:
-        topic = rospy.resolve_name("twin/joint_states")
-        if self._twin is None:
-            raise PlanningError(f"the twin's pose is unknown: nothing received on {topic}; start the twin first")
-        received, msg = self._twin
-        age = time.monotonic() - received
-        if age > self._settings.max_pose_age:
-            raise PlanningError(
-                f"the twin's pose on {topic} is {age:.3f} s old; expected at most {self._settings.max_pose_age:g} s, "
-                "check that the twin is running"
-            )
+        """Return the twin's pose; right after start-up the first one may still be on its way, and is waited for."""
+        oldest = self._settings.max_pose_age
+        with self._twin_news:
+            if not self._twin_news.wait_for(lambda: self._pose_age() <= oldest, oldest):
+                topic, age = rospy.resolve_name("twin/joint_states"), self._pose_age()
+                found = f"{age:.3f} s old" if math.isfinite(age) else "unknown, nothing was received"
+                raise PlanningError(
+                    f"the twin's pose on {topic} is {found}; expected one at most {oldest:g} s old, check that the twin runs"
+                )
+            _, msg = self._twin
         return joint_values(msg, self._robot.joint_names)
 
     def _goal_in_base(self, goal: PoseStamped) -> Pose:
