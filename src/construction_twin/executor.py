@@ -80,9 +80,9 @@ class Executor:
         if not armed and self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING):
             self._finish("dropped", f"the arm is no longer armed: {reason}")
 
-    def restart(self, reason: str) -> None:
-        """Drop everything and wait for twin and arm to agree again."""
-        self.desk.clear()
+    def restart(self, reason: str, now: int) -> None:
+        """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
+        self.desk.void(now)
         if self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING):
             self._finish("dropped", reason)
         self._wait(reason)

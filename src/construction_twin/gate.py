@@ -81,6 +81,11 @@ class Gate:
         self._agreed_since: int | None = None
         self._stamp = 0
 
+    @property
+    def held(self) -> tuple[float, ...]:
+        """Last command that passed [rad], which a closed gate repeats; empty while it has never been open."""
+        return self._check.position
+
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the twin's pose [rad] with the stamp of the command it executes [ns]."""
         self.comparison.twin.add(stamp, q)
@@ -131,13 +136,18 @@ class Gate:
         self._stamp = stamp
         if self.state is not SyncState.IN_SYNC:
             self._try_to_open(stamp, theta_next, now)
-        elif not self._may_stay_open(now):
-            self.violations += 1
+        else:
+            self.watch(now)
         if self.state is SyncState.WAITING:
             return None
         if self.state is not SyncState.IN_SYNC:
             return self._check.position
         return self._checked(stamp, theta_next)
+
+    def watch(self, now: int) -> None:
+        """Close an open gate when feedback has gone stale or differs: also while nobody sends theta_next."""
+        if self.state is SyncState.IN_SYNC and not self._may_stay_open(now):
+            self.violations += 1
 
     def _fresh(self, now: int) -> bool:
         last = self.comparison.last

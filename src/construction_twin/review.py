@@ -40,7 +40,7 @@ class ReviewDesk:
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
             raise ReviewError(f"plan {plan.id} does not start and end at rest; plan again")
         if plan.created_ns < self._void_before:
-            raise ReviewError(f"plan {plan.id} was asked for before the stop and is void; plan again")
+            raise ReviewError(f"plan {plan.id} was asked for before the last stop or reset and is void; plan again")
         if plan.id not in self._decided:
             self.plan = plan
 

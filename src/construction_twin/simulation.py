@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.errors import PayloadError
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.executor import Executor, ExecutorState
 from construction_twin.gate import Gate, GateSettings
 from construction_twin.limits import MotionLimits
 from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
 from construction_twin.robot import RobotModel
@@ -33,6 +36,8 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 EPOCH = 1_790_000_000 * NANOSECONDS
 #: The supervisor is asked this often [ns], as in the bridge.
 POLL = 20_000_000
+#: The bridge's `max_state_age` [s].
+MAX_STATE_AGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,8 @@ class SimulatedChain:
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
         self.commands_sent = 0
+        self.state_check = StateCheck(MAX_STATE_AGE)
+        self.states_refused: Counter[str] = Counter()
         self._link = link
         self._sensor = SensorEncoder(config.sentype, config.axes)
         self._session = ""
@@ -186,6 +193,11 @@ class SimulatedChain:
             self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))
 
     def _receive(self, payload: bytes, properties: StateProperties) -> None:
+        try:
+            self.state_check.accept(properties.seq, properties.stamp, self.now)
+        except PayloadError as error:
+            self.states_refused[error.reason] += 1
+            return
         q = self.codec.decode(payload)
         self.twin.take_over(q)
         self.supervisor.on_pose(q, self.now)
@@ -194,6 +206,7 @@ class SimulatedChain:
 
     def _supervise(self) -> None:
         self._at(self.now + POLL, self._supervise)
+        self.gate.watch(self.now)
         self.supervisor.on_status(self.gateway.status(), self.now)
         control = self.supervisor.poll(self.now)
         if control is not None:
@@ -201,7 +214,7 @@ class SimulatedChain:
             self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
         if self.supervisor.session != self._session:
             if self._session:
-                self.executor.restart("new command session")
+                self.executor.restart("new command session", self.now)
                 self.gate.restart("new command session")
                 self.twin.restart()
             self._session = self.supervisor.session

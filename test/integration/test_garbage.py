@@ -143,6 +143,9 @@ class GarbageTest(unittest.TestCase):
             ("refused state_properties", FAR, old[:2]),
             ("refused state_properties", FAR, [("seq", "-1"), *old[1:]]),
             ("refused state_sequence", FAR, old),
+            # from then on every real one would look old, if this one were believed
+            ("refused state_sequence", FAR, [("seq", "999999999999"), *old[1:]]),
+            ("refused state_sequence", FAR, [("seq", str((1 << 62))), ("stamp", "0"), old[2]]),
         ]
         for _, payload, properties in states:
             self.publish(self.topics.state, payload, properties)

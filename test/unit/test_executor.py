@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -118,7 +119,7 @@ class TestIdle:
         assert bench.state is ExecutorState.WAITING
 
     def test_after_a_wait_they_must_agree_anew(self, bench):
-        bench.executor.restart("new command session")
+        bench.executor.restart("new command session", bench.stamp)
         assert set(bench.run(10)) == {None}
         bench.executor.on_sync(SyncState.WAITING, True)
         assert bench.step() == ROBOT.home
@@ -300,13 +301,19 @@ class TestPlaying:
         bench.run(100)
         waiting = make_plan("q", reach(start=bench.twin))
         bench.executor.desk.offer(waiting)
-        bench.executor.restart("new command session")
+        bench.executor.restart("new command session", 0)
         assert (bench.state, bench.executor.outcome) == (ExecutorState.WAITING, "dropped")
         bench.executor.on_sync(SyncState.IN_SYNC, True)
         bench.run(5)
         with pytest.raises(ReviewError, match="decided already"):
             bench.approve(waiting)
         assert len(set(bench.run(100))) == 1
+
+    def test_a_plan_asked_for_before_a_restart_is_void_when_it_arrives(self, bench):
+        bench.executor.restart("new command session", bench.stamp)
+        with pytest.raises(ReviewError, match="last stop or reset"):
+            bench.executor.desk.offer(replace(make_plan(), created_ns=bench.stamp - 1))
+        bench.executor.desk.offer(replace(make_plan(), created_ns=bench.stamp))
 
     @pytest.mark.parametrize("stopping", [False, True])
     def test_an_arm_that_is_no_longer_armed_drops_the_plan(self, bench, stopping):

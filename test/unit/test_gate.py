@@ -150,6 +150,7 @@ class TestOpening:
         bench = Bench(GateSettings(compares=False))
         bench.feedback = False
         assert bench.cycle() == START and bench.state is SyncState.IN_SYNC
+        bench.gate.watch(bench.stamp + NANOSECONDS)
         assert bench.cycle(moved(START, 0.5)) == START and bench.state is SyncState.REFUSING
 
 
@@ -189,6 +190,30 @@ class TestHolding:
         outputs = [bench.cycle(moved(START, 1e-5 * k)) for k in range(50)]
         assert bench.state is SyncState.STALE and bench.gate.violations == 1
         assert outputs[-1] == outputs[30] != START
+
+    def test_closes_without_a_setpoint_when_feedback_grows_old(self):
+        bench = Bench().opened()
+        timeout = round(SETTINGS.feedback_timeout * NANOSECONDS)
+        bench.gate.watch(bench.stamp + timeout)
+        assert bench.state is SyncState.IN_SYNC
+        bench.gate.watch(bench.stamp + timeout + 1)
+        assert (bench.state, bench.gate.violations, bench.gate.held) == (SyncState.STALE, 1, START)
+
+    def test_closes_without_a_setpoint_when_a_joint_differs_and_counts_once(self):
+        bench = Bench().opened()
+        bench.gate.on_physical(moved(START, 0.2), 0, bench.stamp)
+        for _ in range(3):
+            bench.gate.watch(bench.stamp)
+        bench.offset = 0.2
+        assert bench.cycle(moved(START, 1e-5)) == bench.gate.held == START
+        assert (bench.state, bench.gate.violations) == (SyncState.HOLDING, 1)
+
+    def test_watching_never_opens(self):
+        bench = Bench()
+        while not bench.gate.agreed(bench.stamp):
+            bench.cycle(moved(START, 0.5))
+        bench.gate.watch(bench.stamp)
+        assert (bench.state, bench.gate.violations, bench.gate.held) == (SyncState.WAITING, 0, ())
 
     def test_feedback_that_cannot_be_compared_is_no_feedback(self):
         bench = Bench().opened()

@@ -26,7 +26,7 @@ from construction_twin.mqtt.messages import CommandProperties, Control, Topics, 
 from construction_twin.rsi.codec import RobotEncoder, parse_sensor
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.gateway import GatewayService, bind, main
-from construction_twin.units import CYCLE_NS
+from construction_twin.units import CYCLE, CYCLE_NS, format_allowance
 
 AXES = ("A1", "A2")
 # a controller that waits longer than a real one, because this machine may be busy
@@ -548,6 +548,22 @@ def test_sigterm_ends_the_program_cleanly(broker, topics, config_file):
         assert f"configuration {CONFIG.hash[:12]}" in log
         assert "ready: RSI session began" in log
         client.wait_for_status(state="offline", reason="gateway stopped")
+
+
+def test_ended_in_mid_motion_it_brakes_the_arm_before_it_goes(broker, topics):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.control("arm", PATIENT.hash)["ok"]
+        stream(client, controller, (motion(k) for k in range(200)))
+        count = len(controller.replies)
+        service.stop()
+        client.wait_for_status(state="offline", reason="gateway stopped")
+        replies = [reply for reply in controller.replies[count:] if reply is not None]
+    steps = [b[0] - a[0] for a, b in itertools.pairwise(replies)]
+    budget = PATIENT.acceleration[0] * CYCLE**2 + 2 * math.radians(2e-6)
+    assert abs(steps[0]) > 5 * budget
+    assert steps[-1] == 0.0
+    fastest = max(abs(b - a) for a, b in itertools.pairwise(steps[2:]))
+    assert fastest <= budget + format_allowance(PATIENT.decimals) * CYCLE**2
 
 
 def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):

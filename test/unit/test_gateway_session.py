@@ -56,6 +56,7 @@ class Cell:
         return reply
 
     def cycle(self, count=1, step_ms=4, **changes):
+        self.step_ms = step_ms
         for _ in range(count):
             self.now += step_ms * 1_000_000
             self.ipoc += step_ms
@@ -174,6 +175,24 @@ def test_a_telegram_with_only_an_ipoc_is_answered_with_zero_and_counted():
     assert cell.arm()[0]
 
 
+@pytest.mark.parametrize("lost", ["setpoint", "measured"])
+def test_a_session_whose_telegrams_lack_a_pose_is_not_answered_and_says_what_to_declare(lost):
+    # the arm may stand displaced: zero would take it to its start pose in one cycle (design, law 2)
+    cell = Cell()
+    assert cell.cycle(**{lost: None}) is None
+    assert cell.cycle(**{lost: None}) is None
+    assert cell.state is State.JOINED
+    assert "DEF_ASPos" in cell.gateway.reason and "DEF_AIPos" in cell.gateway.reason
+    assert not cell.arm()[0]
+
+
+def test_only_the_first_telegram_of_a_session_may_hold_nothing_but_its_ipoc():
+    cell = Cell()
+    assert cell.cycle(measured=None, setpoint=None) == (0.0, 0.0)
+    assert cell.cycle(measured=None, setpoint=None) is None
+    assert cell.state is State.JOINED
+
+
 def test_telegrams_that_lose_their_pose_later_do_not_stop_the_motion():
     cell = following()
     before = cell.measured
@@ -265,6 +284,34 @@ def test_the_controller_is_missed_after_its_timeout_and_not_before():
     cell.gateway.poll(cell.now + int(0.4 * NANOSECONDS) + 1)
     assert cell.state is State.NO_CONTROLLER
     assert cell.gateway.state_message(0) is None
+
+
+@pytest.mark.parametrize("missed", [2, 10, 50])
+def test_after_missed_telegrams_the_arm_starts_from_standstill(missed):
+    cell = Cell(decimals=6)
+    cell.cycle(3)
+    cell.arm()
+    acceleration = cell.config.acceleration[0] * CYCLE**2
+    velocity = 12 * acceleration
+    ramp = math.ceil(velocity / (acceleration * 0.9))
+    position, poses = START[0], []
+    for k in range(400):
+        position += min(velocity, k * acceleration * 0.9)
+        poses.append((position, START[1]))
+    cell.stream(poses[: ramp + 50])
+    assert cell.state is State.FOLLOWING
+    before = cell.measured[0]
+    for q in poses[ramp + 50 : ramp + 51 + missed]:
+        cell.send(q)
+    cell.cycle(step_ms=4 * (1 + missed))
+    step, budget = cell.measured[0] - before, acceleration + format_allowance(6) * CYCLE**2
+    assert 0.0 < step <= budget * (1 + 1e-8)
+    for q in poses[ramp + 51 + missed :]:
+        before, last = cell.measured[0], step
+        cell.send(q)
+        cell.cycle()
+        step = cell.measured[0] - before
+        assert abs(step - last) <= budget * (1 + 1e-8) + 1e-12
 
 
 def test_a_missed_telegram_moves_playout_by_8_ms_and_the_motion_stays_inside_the_limits():
@@ -615,6 +662,50 @@ def test_stop_brakes_and_latches_and_names_who_asked():
     cell.held()
 
 
+def test_a_stop_of_an_arm_at_rest_is_not_forgotten():
+    cell = Cell()
+    cell.cycle(3)
+    assert cell.control("stop")[0]
+    cell.cycle()
+    assert cell.state is State.HOLDING
+    assert cell.gateway.status()["fault"]
+    assert not cell.arm()[0]
+    assert cell.control("reset")[0]
+    assert not cell.gateway.status()["fault"]
+    assert cell.arm()[0]
+
+
+def test_a_stop_after_silence_replaces_its_reason():
+    cell = following()
+    cell.cycle(200)
+    assert (cell.state, cell.gateway.reason.split(":")[0]) == (State.HOLDING, "silence")
+    assert not cell.gateway.status()["fault"]
+    cell.control("stop")
+    cell.cycle()
+    assert (cell.state, cell.gateway.reason.split(":")[0]) == (State.HOLDING, "stop")
+    assert cell.gateway.status()["fault"]
+
+
+def test_a_stop_outlives_the_rsi_session():
+    cell = following()
+    cell.control("stop")
+    cell.cycle(100)
+    cell.setpoint = cell.measured
+    gap(cell)
+    cell.cycle(3)
+    assert cell.state is State.READY
+    assert not cell.arm()[0]
+    assert cell.control("reset")[0]
+    assert cell.arm()[0]
+
+
+def test_a_stop_without_a_controller_holds_when_one_comes():
+    cell = Cell()
+    assert cell.control("stop")[0]
+    cell.cycle(3)
+    assert not cell.arm()[0]
+
+
 def test_stop_needs_no_session_and_is_granted_in_every_state():
     for cell in (Cell(), following()):
         assert cell.control("stop", session="")[0]
@@ -807,6 +898,9 @@ class Guard:
             self.q, self.step = cell.setpoint, (0.0, 0.0)
             if reply is None:
                 return
+        if cell.step_ms > 8:
+            # under HOLDON the arm has come to a stand: the next step is one from standstill
+            self.step = (0.0, 0.0)
         q = tuple(start + value for start, value in zip(cell.setpoint, reply))
         step = tuple(new - old for new, old in zip(q, self.q))
         rounding = math.radians(10.0**-config.decimals)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from pathlib import Path
@@ -183,6 +184,27 @@ def test_a_silent_command_stream_brakes_the_arm_and_reset_brings_everything_back
     assert np.abs(np.array(chain.twin.pose) - resting).max() <= math.radians(0.5e-3)
     play_to_the_end(chain, make_plan(chain, REACH, speed_scale=1.0))
     assert_corrections_inside_limits(chain)
+
+
+def test_feedback_that_grows_older_is_stale_although_it_keeps_coming():
+    growth, sent = 0, itertools.count()
+    chain = make_chain(3, link=SimulatedLink(state_delay=lambda: 300_000 + growth * next(sent)))
+    chain.run_for(0.5)
+    assert chain.gate.state is SyncState.IN_SYNC
+    # every state takes 1 ms longer than the one before: they arrive every 5 ms, each agreeing with the command it answers
+    growth, sent = 1_000_000, itertools.count()
+    assert chain.run_until(lambda: chain.gate.state is SyncState.STALE, 1.5)
+    assert chain.feedback[-1][0] >= chain.now - 150_000_000
+    growth = 0
+    assert chain.run_until(lambda: chain.gate.state is SyncState.IN_SYNC, 2.0), chain.gate.reason
+    assert chain.states_refused["stale"] > 0
+
+
+def test_a_silent_executor_closes_the_gate_too():
+    chain = make_chain(3)
+    chain.executor.step = lambda stamp, now: None
+    chain.gate.on_physical = lambda *_: None
+    assert chain.run_until(lambda: chain.gate.state is SyncState.STALE, 0.5)
 
 
 def test_a_controller_restart_at_another_pose_captures_a_new_origin_and_waits_for_reset():

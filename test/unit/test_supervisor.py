@@ -71,7 +71,7 @@ class Bench:
         if control.verb == "arm":
             self.set_gateway("armed", "armed", session=control.session)
         elif control.verb == "reset":
-            self.set_gateway("ready", "reset", session="")
+            self.set_gateway("ready", "reset", session="", fault=False)
         if self.answering:
             self.answer(control)
 
@@ -414,6 +414,44 @@ class TestStop:
         bench.answer(bench.sent[0])
         bench.poll()
         assert bench.state is LinkState.NEEDS_RESET and not bench.forwarded
+
+
+class TestFault:
+    """What stopped the gateway is remembered there, whoever was here to see it."""
+
+    def test_a_restarted_bridge_does_not_begin_by_itself(self, bench):
+        bench.set_gateway("ready", "new RSI session", fault=True)
+        bench.run(5.0)
+        assert bench.state is LinkState.NEEDS_RESET and bench.sent == [] and bench.supervisor.session == ""
+        assert "new RSI session" in bench.supervisor.reason
+
+    def test_a_bridge_that_stayed_does_not_go_on_by_itself(self, armed):
+        armed.set_gateway("holding", FAULT, session="", fault=True)
+        armed.run(0.1)
+        armed.set_gateway("ready", "new RSI session")
+        armed.run(5.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+
+    @pytest.mark.parametrize("state", ["ready", "holding"])
+    def test_reset_clears_it_at_the_gateway_before_arming(self, bench, state):
+        bench.set_gateway(state, FAULT, fault=True)
+        bench.run(1.0)
+        bench.supervisor.request_reset(bench.now)
+        bench.run(1.0)
+        assert bench.verbs == ["reset", "arm"] and bench.state is LinkState.ARMED
+
+    def test_one_that_comes_while_a_session_begins_by_itself_ends_it(self, bench):
+        bench.command = None
+        bench.run(0.5)
+        assert bench.state is LinkState.RESYNC
+        bench.set_gateway("ready", "stop", fault=True)
+        bench.run(1.0)
+        assert bench.state is LinkState.NEEDS_RESET and bench.sent == []
+
+    @pytest.mark.parametrize("status", [{}, {"fault": False}])
+    def test_without_it_everything_begins_as_usual(self, bench, status):
+        bench.gateway |= status
+        assert bench.run(1.0).state is LinkState.ARMED
 
 
 class TestReset:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from construction_twin.twin import START_TOLERANCE, VirtualRobot
+from construction_twin.executor import TWIN_TIMEOUT
+from construction_twin.twin import SILENCE, START_TOLERANCE, TwinClock, VirtualRobot
+from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 HOME, POSE = (0.0, 1.0), (0.5, -0.5)
 
@@ -76,3 +78,47 @@ def test_after_a_restart_a_clock_that_was_set_back_does_no_harm():
     twin.restart()
     twin.take_over(POSE)
     assert twin.execute(4, POSE)
+
+
+class TestStamps:
+    T0 = 1000 * CYCLE_NS
+
+    def test_until_the_first_command_the_pose_is_repeated_by_the_clock(self):
+        clock = TwinClock()
+        assert all(clock.on_cycle(self.T0 + k * CYCLE_NS) for k in range(10))
+
+    def test_while_commands_come_only_theirs_are_published(self):
+        clock = TwinClock()
+        for now in range(self.T0, self.T0 + NANOSECONDS, CYCLE_NS):
+            assert clock.on_command(now, now)
+            assert not clock.on_cycle(now + 1)
+
+    def test_repeats_only_after_a_silence(self):
+        clock = TwinClock()
+        clock.on_command(self.T0, self.T0)
+        assert not clock.on_cycle(self.T0 + SILENCE - 1)
+        assert clock.on_cycle(self.T0 + SILENCE) and clock.on_cycle(self.T0 + SILENCE + CYCLE_NS)
+
+    def test_silence_is_what_is_received_not_what_is_stamped(self):
+        clock = TwinClock()
+        delay = 2 * SILENCE
+        for stamp in range(self.T0, self.T0 + NANOSECONDS, CYCLE_NS):
+            assert clock.on_command(stamp, stamp + delay) and not clock.on_cycle(stamp + delay + 1)
+
+    def test_never_goes_back(self):
+        clock = TwinClock()
+        clock.on_command(self.T0, self.T0)
+        shown = self.T0 + SILENCE
+        assert clock.on_cycle(shown)
+        assert not clock.on_command(self.T0 + CYCLE_NS, shown)
+        assert not clock.on_command(shown, shown) and not clock.on_cycle(shown)
+        assert clock.on_command(shown + 1, shown + 1)
+
+    def test_after_a_restart_nothing_is_known(self):
+        clock = TwinClock()
+        clock.on_command(10**18, 10**18)
+        clock.restart()
+        assert clock.on_cycle(self.T0) and clock.on_command(self.T0 + CYCLE_NS, self.T0 + CYCLE_NS)
+
+    def test_the_executor_waits_longer_than_the_twin_is_silent(self):
+        assert TWIN_TIMEOUT >= 2 * SILENCE

@@ -74,6 +74,7 @@ class LinkSupervisor:
         self._command_at = 0
         self._was_armed = False
         self._reset_wanted = False
+        self._asked_for = False
         self._stopped: str | None = None
         self._pending: Control | None = None
         self._sent_at = 0
@@ -170,9 +171,12 @@ class LinkSupervisor:
         if self._reset_wanted:
             self._reset_wanted = False
             self._begin_session("reset asked for")
+            self._asked_for = True
         gateway = self.status["state"]
         if self.state is LinkState.ARMED and not self._still_armed(gateway, now):
             self._enter(LinkState.NEEDS_RESET, f"gateway is {gateway}: {self.status.get('reason')}")
+        elif self.state is LinkState.RESYNC and self._fault and not self._asked_for:
+            self._enter(LinkState.NEEDS_RESET, self._stop_report())
         elif self.state not in (LinkState.ARMED, LinkState.RESYNC):
             self._leave_waiting(gateway, now)
         return self._next_control(gateway, now) if self.state is LinkState.RESYNC else None
@@ -202,12 +206,22 @@ class LinkSupervisor:
         """First start, return after an interruption: begin by itself only where nothing could jump."""
         if self._stopped is not None:
             self._enter(LinkState.NEEDS_RESET, self._stopped)
+        elif self._fault:
+            self._enter(LinkState.NEEDS_RESET, self._stop_report())
         elif not self._was_armed and gateway == "ready":
             self._begin_session("first session")
         elif self._without_fault(gateway) and self._within_tolerance(now) and self._at_rest(now):
             self._begin_session("the link is back and the poses agree within the start tolerance")
         elif self.state is not LinkState.NEEDS_RESET:
             self._enter(LinkState.NEEDS_RESET, f"gateway is {gateway}: {self.status.get('reason')}; call reset")
+
+    @property
+    def _fault(self) -> bool:
+        """True when the gateway was stopped by anything but silence since its last reset, whoever was there to see it."""
+        return bool(self.status.get("fault", False))
+
+    def _stop_report(self) -> str:
+        return f"gateway was stopped and is {self.status['state']}: {self.status.get('reason')}; call reset"
 
     def _without_fault(self, gateway: str) -> bool:
         """True when nothing but an interrupted link keeps the gateway from following; "armed" is a stream that never began."""
@@ -222,7 +236,7 @@ class LinkSupervisor:
     def _next_control(self, gateway: str, now: int) -> Control | None:
         if self._pending is not None and now - self._sent_at < RETRY:
             return None
-        if gateway != "ready":
+        if gateway != "ready" or self._fault:
             return self._send("reset", now) if gateway != "braking" else None
         if self._within_tolerance(now):
             return self._send("arm", now, self._hash)
@@ -235,7 +249,7 @@ class LinkSupervisor:
 
     def _begin_session(self, reason: str) -> None:
         self.session = self._new_id()
-        self._pending, self._stopped = None, None
+        self._pending, self._stopped, self._asked_for = None, None, False
         self._command = None
         self._enter(LinkState.RESYNC, reason)
 

@@ -101,7 +101,7 @@ class ExecutorNode:
         with self._lock:
             if message.session and message.session != self._session:
                 if self._session is not None:
-                    self._executor.restart("new command session")
+                    self._executor.restart("new command session", now_ns())
                 self._session = message.session
             self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
 

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 from construction_twin.errors import PayloadError, ReviewError
 from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, user_properties
 from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
 from construction_twin.msg import Feedback, Link
@@ -40,6 +41,7 @@ class Settings(NodeSettings):
     prefix: str = "twin"
     gate: str = "pca_monitor"
     reset_timeout: float = pydantic.Field(gt=0)
+    max_state_age: float = pydantic.Field(gt=0)
 
 
 class MqttBridgeNode:
@@ -61,9 +63,8 @@ class MqttBridgeNode:
             config.hash, config.decimals, config.start_tolerance, lambda: uuid.uuid4().hex
         )
         self._sequence = 0
-        self._state_sequence = 0
+        self._state_check = StateCheck(settings.max_state_age)
         self._states = 0
-        self._states_lost = 0
         self._reported: tuple = ()
         self._reported_at = 0.0
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
@@ -153,25 +154,16 @@ class MqttBridgeNode:
             q = self._codec.decode(message.payload)
             # where the link carries properties, a pose without them is not the gateway's
             properties = read_state_properties(pairs) if pairs or self._properties else None
+            if properties is not None:
+                # the monotonic clock: a correction of the wall clock makes no state old
+                self._state_check.accept(properties.seq, properties.stamp, time.monotonic_ns())
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
-            return
-        if properties is not None and not self._in_order(properties.seq):
             return
         with self._lock:
             self._supervisor.on_pose(q, received)
             self._states += 1
         self._publish_physical(q, received, properties)
-
-    def _in_order(self, seq: int) -> bool:
-        # a gateway that was restarted counts from 1 again
-        if 1 < seq <= self._state_sequence:
-            self._diagnostics.refuse("state_sequence", f"state seq {seq} after {self._state_sequence}")
-            return False
-        if self._state_sequence and seq > 1:
-            self._states_lost += seq - self._state_sequence - 1
-        self._state_sequence = seq
-        return True
 
     def _publish_physical(self, q: tuple[float, ...], received: int, properties) -> None:
         self._physical.publish(received, q)
@@ -189,7 +181,7 @@ class MqttBridgeNode:
             self._diagnostics.refuse(error.reason, str(error))
             return
         if status.get("state") == "offline":
-            self._state_sequence = 0
+            self._state_check.restart()
         with self._lock:
             self._supervisor.on_status(status, now_ns())
 
@@ -261,7 +253,7 @@ class MqttBridgeNode:
         counters["decimals"] = status.get("decimals", "")
         reply = status.get("reply_us", {})
         counters["reply_us_max"] = reply.get("max", 0)
-        counters["states_lost"] = self._states_lost
+        counters["states_lost"] = self._state_check.lost
         message.gateway_counters = [KeyValue(key, str(value)) for key, value in sorted(counters.items())]
         message.reply_us_bins = reply.get("bins", [])
         message.reply_us_counts = reply.get("counts", [])

@@ -75,7 +75,7 @@ class PcaMonitorNode:
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
         rospy.Subscriber("execution", Execution, self._on_execution, queue_size=5)
         rospy.Subscriber("link", Link, self._on_link, queue_size=5)
-        self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), lambda _: self._publish_sync(now_ns()))
+        self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), self._on_timer)
 
     # -- the path
 
@@ -84,15 +84,17 @@ class PcaMonitorNode:
         with self._lock:
             was = self._gate.state
             command = self._gate.pass_next(stamp, theta_next, now)
-            closed = was is SyncState.IN_SYNC and self._gate.state is not SyncState.IN_SYNC
-            # before anybody can hear that the gate closed: the executor then drops the plan
-            interrupted = self._interrupted_plan() if closed else None
+            self._note_closing(was)
         if command is not None:
             self._command.publish(stamp, command)
-        if closed:
-            rospy.logwarn("gate closed, %s: %s", self._gate.state.name, self._gate.reason)
-        if interrupted is not None:
-            self._replan(interrupted, command)
+        self._publish_sync(now)
+
+    def _on_timer(self, _event) -> None:
+        now = now_ns()
+        with self._lock:
+            was = self._gate.state
+            self._gate.watch(now)
+            self._note_closing(was)
         self._publish_sync(now)
 
     def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
@@ -127,13 +129,19 @@ class PcaMonitorNode:
         # a plan that a person stops is not taken up again
         self._playing = message.plan_id if message.state == Execution.PLAYING else None
 
-    def _interrupted_plan(self) -> Plan | None:
-        return None if self._gate.state is SyncState.REFUSING else self._plans.get(self._playing)
+    def _note_closing(self, was: SyncState) -> None:
+        """When the gate has just closed, ask once, beside the stream, for a plan from the held pose to the interrupted one's goal.
 
-    def _replan(self, plan: Plan, held: tuple[float, ...]) -> None:
-        """Ask once, beside the stream, for a plan from the held pose to the goal of the plan that was interrupted."""
-        goal = plan.trajectory.points[-1].positions
-        threading.Thread(target=self._request_plan, args=(held, goal, self._gate.state.name), daemon=True).start()
+        Whoever noticed calls this before anybody can hear of it: the executor then drops the plan.
+        """
+        state = self._gate.state
+        if was is not SyncState.IN_SYNC or state is SyncState.IN_SYNC:
+            return
+        rospy.logwarn("gate closed, %s: %s", state.name, self._gate.reason)
+        plan = None if state is SyncState.REFUSING else self._plans.get(self._playing)
+        if plan is not None:
+            request = self._gate.held, plan.trajectory.points[-1].positions, state.name
+            threading.Thread(target=self._request_plan, args=request, daemon=True).start()
 
     def _request_plan(self, held: tuple[float, ...], goal: tuple[float, ...], cause: str) -> None:
         try:

@@ -14,11 +14,7 @@ from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
-from construction_twin.twin import VirtualRobot
-from construction_twin.units import CYCLE_NS
-
-#: Cycles without a command after which the held pose is published by the clock.
-IDLE_CYCLES = 3
+from construction_twin.twin import TwinClock, VirtualRobot
 
 
 class Settings(NodeSettings):
@@ -29,14 +25,14 @@ class Settings(NodeSettings):
 
 
 class VirtualRobotNode:
-    """ROS around a VirtualRobot."""
+    """ROS around a VirtualRobot and its TwinClock."""
 
     def __init__(self):
         settings = read_parameters(Settings)
         robot = robot_from_parameters()
         self._robot = VirtualRobot(robot.home if settings.arm == "none" else None)
         self._lock = threading.Lock()
-        self._published = 0
+        self._clock = TwinClock()
         self._session: str | None = None
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._twin = JointPublisher("twin/joint_states", robot.joint_names)
@@ -50,13 +46,14 @@ class VirtualRobotNode:
         """Publish the held pose while no commands come, until shutdown."""
         for stamp, _ in cycles():
             with self._lock:
-                if self._robot.pose is not None and stamp - self._published > IDLE_CYCLES * CYCLE_NS:
-                    self._publish(stamp)
+                if self._robot.pose is not None and self._clock.on_cycle(stamp):
+                    self._twin.publish(stamp, self._robot.pose)
 
     def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
             if self._robot.execute(stamp, q):
-                self._publish(stamp)
+                if self._clock.on_command(stamp, now_ns()):
+                    self._twin.publish(stamp, q)
                 return
         self._diagnostics.refuse(
             "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
@@ -66,7 +63,6 @@ class VirtualRobotNode:
         with self._lock:
             if self._robot.take_over(q):
                 rospy.loginfo("took over the physical arm's pose")
-                self._publish(now_ns())
 
     def _on_link(self, message: Link) -> None:
         if not message.session or message.session == self._session:
@@ -74,11 +70,8 @@ class VirtualRobotNode:
         with self._lock:
             if self._session is not None:
                 self._robot.restart()
+                self._clock.restart()
             self._session = message.session
-
-    def _publish(self, stamp: int) -> None:
-        self._published = stamp
-        self._twin.publish(stamp, self._robot.pose)
 
     def _report(self) -> tuple[int, str, dict]:
         if self._robot.pose is None:

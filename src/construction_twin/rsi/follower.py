@@ -85,6 +85,11 @@ class Follower:
         self.position = tuple(position)
         return self.position
 
+    def rest(self) -> None:
+        """Take the arm to be standing at the present position, because it was not told to move on."""
+        self._step = [0.0] * len(self._step)
+        self._target = list(self.position)
+
     def brake(self) -> tuple[float, ...]:
         """Take one step of braking within the limits and return the new position [rad]."""
         for index, step in enumerate(self._step):

@@ -34,7 +34,7 @@ from construction_twin.realtime import request_realtime
 from construction_twin.rsi.codec import RobotTelegram, SensorEncoder, parse_robot
 from construction_twin.rsi.config import GatewayConfig, load_config
 from construction_twin.rsi.histogram import Histogram
-from construction_twin.rsi.session import Gateway
+from construction_twin.rsi.session import Gateway, State
 
 log = logging.getLogger("rsi_gateway")
 
@@ -44,6 +44,8 @@ _MAX_DATAGRAM = 65535
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 _DRAIN_LIMIT = 64
 _STATUS_PERIOD = 1.0
+#: The slowest axis comes to rest from full speed in less than 1 s; a controller that went silent is not waited for [s].
+_LONGEST_BRAKING = 3.0
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -98,9 +100,13 @@ class GatewayService:
         self._running = True
 
     def run(self) -> None:
-        """Serve until `stop` is called."""
+        """Serve until `stop` is called; then bring the arm to rest before answering ends, because HOLDON would stop it dead."""
         try:
             while self._running:
+                self._turn(self._selector.select(0.05))
+            self.gateway.stop("the gateway is ending")
+            deadline = time.monotonic() + _LONGEST_BRAKING
+            while self.gateway.state is State.BRAKING and time.monotonic() < deadline:
                 self._turn(self._selector.select(0.05))
         finally:
             self._publish_status(final=True)
@@ -108,7 +114,7 @@ class GatewayService:
             self._sock.close()
 
     def stop(self) -> None:
-        """Make `run` return; safe in a signal handler."""
+        """Make `run` brake and return; safe in a signal handler."""
         self._running = False
 
     def _turn(self, events) -> None:

@@ -14,6 +14,7 @@ from construction_twin.limits import MotionCheck, outside_tolerance
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties
 from construction_twin.rsi.codec import RobotTelegram
+from construction_twin.rsi.command_stream import CommandStream
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.follower import Follower
 from construction_twin.rsi.playout import Playout
@@ -23,16 +24,16 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 IPOC_NS = 1_000_000
 #: A controller that was heard this recently is alive, and its session its own [ns].
 ALIVE = NANOSECONDS // 10
-#: Share of its distance to the arrivals by which the grid of unstamped commands moves per command: follows the drift between two
-#: clocks within minutes, and lets 10 ms of network jitter through as less than a microsecond.
-ARRIVAL_SMOOTHING = 16_384
+#: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. A single missed telegram is less of a
+#: blow when the motion goes on at its speed than when it starts over [ns].
+STANDSTILL = 2 * CYCLE_NS
 
 
 class State(Enum):
     """What the gateway is doing; the words are those of `status`."""
 
     NO_CONTROLLER = "no_controller"  # no telegram for the timeout: nothing to answer
-    JOINED = "joined_running"  # telegrams of a session we did not see begin: not answered, so that it times out
+    JOINED = "joined_running"  # telegrams whose correction we cannot know: not answered, so that the session times out
     READY = "ready"  # origin captured, holding; waits for `arm`
     ARMED = "armed"  # holding; the session's stream may begin
     FOLLOWING = "following"  # the stream is played
@@ -54,7 +55,7 @@ class Gateway:
         self.counters: Counter[str] = Counter()
         self.state = State.NO_CONTROLLER
         self.reason = "no telegram yet"
-        self.session = ""
+        self._stream = CommandStream(config, self.codec)
         self._check = MotionCheck(config.limits, config.decimals)
         self._playout = Playout(round(config.playout_delay * NANOSECONDS))
         self._follower: Follower | None = None
@@ -64,12 +65,17 @@ class Gateway:
         self._ipoc = 0
         self._last_telegram = 0
         self._last_delay = 0
-        self._sequence = 0
-        self._quickest: int | None = None
-        self._last_command = 0
+        self._empty_telegrams = 0
         self._target_stamp = 0
         self._answered_stamp = 0
         self._changed = True
+        #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
+        self.fault = False
+
+    @property
+    def session(self) -> str:
+        """Id of the session that may command; "" for none."""
+        return self._stream.session
 
     # -- the controller's side
 
@@ -111,16 +117,15 @@ class Gateway:
         self._note_delay(telegram.delay)
         if telegram.measured is None or telegram.setpoint is None:
             self.counters["telegrams_without_pose"] += 1
-        elif not self._origin:
-            self._capture_origin(telegram)
-            if self.state is State.JOINED:
-                return None
+        if self._follower is None and not self._begin_at(telegram):
+            return None if self.state is State.JOINED else (0.0,) * len(self.config.axes)
         if telegram.measured is not None:
             self._note_pose(telegram)
         self._answered_stamp = self._target_stamp
         self.counters["telegrams"] += 1
-        if self._follower is None:
-            return (0.0,) * len(self.config.axes)
+        if elapsed > STANDSTILL:
+            # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
+            self._follower.rest()
         position = self._move(elapsed)
         return tuple([value - start for value, start in zip(position, self._origin)])
 
@@ -174,6 +179,7 @@ class Gateway:
         self._disarm()
         # a Delay on the first packet belongs to the session's start, before anybody could answer
         self._last_delay = telegram.delay or 0
+        self._empty_telegrams = 0
         self.counters["rsi_sessions"] += 1
         self._enter(State.READY, f"RSI session began at IPOC {telegram.ipoc}")
 
@@ -181,6 +187,22 @@ class Gateway:
         self._origin, self._follower, self._measured = (), None, ()
         self._disarm()
         self._enter(State.NO_CONTROLLER, reason)
+
+    def _begin_at(self, telegram: RobotTelegram) -> bool:
+        """Capture the origin; return False while there is none, or when this session must not be answered (JOINED)."""
+        if telegram.measured is None and telegram.setpoint is None and not self._empty_telegrams:
+            # RSI up to 2.3 opens a session with a telegram that holds only IPOC (rsi.md, section 2)
+            self._empty_telegrams += 1
+            return False
+        if telegram.measured is None or telegram.setpoint is None:
+            self._enter(
+                State.JOINED,
+                "telegrams lack AIPos or ASPos, so nobody can tell where the correction stands: not answering; declare DEF_AIPos "
+                "and DEF_ASPos in the Ethernet XML",
+            )
+            return False
+        self._capture_origin(telegram)
+        return self.state is not State.JOINED
 
     def _capture_origin(self, telegram: RobotTelegram) -> None:
         off = outside_tolerance(telegram.measured, telegram.setpoint, self.config.start_tolerance)
@@ -229,6 +251,7 @@ class Gateway:
 
     def _brake(self, cause: str, reason: str) -> None:
         self.counters[f"stops_{cause}"] += 1
+        self.fault = self.fault or cause != "silence"
         self._disarm()
         self._enter(State.BRAKING, f"{cause}: {reason}")
 
@@ -263,38 +286,14 @@ class Gateway:
     ) -> tuple[int, tuple[float, ...]]:
         if isinstance(properties, PayloadError):
             raise properties
-        if not self.config.properties:
-            if self.state not in (State.ARMED, State.FOLLOWING):
-                raise PayloadError("not_armed", f"gateway is {self.state.value}")
-            return self._arrival_stamp(now), self.codec.decode(payload)
-        if properties is None:
+        if self.config.properties and properties is None:
             raise PayloadError("properties", "command without session, seq and stamp")
         if self.state not in (State.ARMED, State.FOLLOWING):
             raise PayloadError("not_armed", f"gateway is {self.state.value}")
-        if properties.session != self.session:
-            raise PayloadError("session", f"command of session {properties.session!r}; armed is {self.session!r}")
-        if properties.seq <= self._sequence:
-            raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}")
-        q = self.codec.decode(payload)
-        travelled = now - properties.stamp
-        quickest = travelled if self._quickest is None else min(self._quickest, travelled)
-        if travelled - quickest > self.config.max_age * NANOSECONDS:
-            raise PayloadError(
-                "stale", f"command is {(travelled - quickest) / NANOSECONDS:.3f} s older than the freshest"
-            )
-        self._quickest = quickest
+        stamp, q, lost = self._stream.read(payload, properties, now)
         if self.state is State.FOLLOWING:
-            self.counters["commands_lost"] += properties.seq - self._sequence - 1
-        self._sequence = properties.seq
-        return properties.stamp, q
-
-    def _arrival_stamp(self, now: int) -> int:
-        """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap longer than `silence`."""
-        expected = self._last_command + CYCLE_NS
-        distance = now - expected
-        if abs(distance) > self.config.silence * NANOSECONDS:
-            return now
-        return expected + distance // ARRIVAL_SMOOTHING
+            self.counters["commands_lost"] += lost
+        return stamp, q
 
     def _take(self, stamp: int, q: tuple[float, ...]) -> None:
         if self.state is State.ARMED:
@@ -311,7 +310,7 @@ class Gateway:
                 # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
                 raise MotionRefused("lead", "", lead, self.config.max_age, "s")
             self._check.accept(stamp, q)
-        self._last_command = stamp
+        self._stream.last_stamp = stamp
         self._playout.push(stamp, q)
         self.counters["commands_received"] += 1
 
@@ -342,16 +341,24 @@ class Gateway:
             if control.session == self.session:
                 return True, "already armed for this session"
             return False, f"armed for session {self.session}; stop and reset first"
+        if self.fault:
+            return False, "stopped since the last reset; reset first"
         if self.state is not State.READY or self._follower is None:
             return False, f"gateway is {self.state.value}: {self.reason}"
-        self.session = control.session
+        self._stream.begin(control.session)
         self._enter(State.ARMED, f"armed for session {control.session}")
         return True, "armed"
 
     def _stop(self, control: Control) -> tuple[bool, str]:
-        if self.state in (State.ARMED, State.FOLLOWING):
-            self._brake("stop", f"asked for by {control.session or 'nobody by name'}")
+        self.stop(f"asked for by {control.session or 'nobody by name'}")
         return True, f"gateway is {self.state.value}"
+
+    def stop(self, reason: str) -> None:
+        """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
+        if self._follower is None:
+            self.fault = True
+            return
+        self._brake("stop", reason)
 
     def _reset(self, control: Control) -> tuple[bool, str]:
         if self._follower is None:
@@ -359,14 +366,12 @@ class Gateway:
         if not self._follower.at_rest:
             return False, "the arm is still moving; stop it first"
         self._disarm()
+        self.fault = False
         self._enter(State.READY, "reset")
         return True, "reset"
 
     def _disarm(self) -> None:
-        self.session = ""
-        self._sequence = 0
-        self._quickest = None
-        self._last_command = 0
+        self._stream.begin("")
         self._target_stamp = 0
         self._answered_stamp = 0
         self._playout.clear()
@@ -387,6 +392,7 @@ class Gateway:
             "state": self.state.value,
             "reason": self.reason,
             "session": self.session,
+            "fault": self.fault,
             "hash": self.config.hash,
             "decimals": self.config.decimals,
             "properties": self.config.properties,
