@@ -14,6 +14,7 @@ from rich.console import Console
 from construction_twin.evaluation import paper, report, tables
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.robot import read_robot_files
+from construction_twin.rsi.histogram import percentile
 
 KEYS = [
     "waypoints", "samples", "duration_s", "decimals", "servo", "lag_s", "tables", "commands_sent", "commands_lost",
@@ -110,7 +111,7 @@ def test_a_counter_appears_with_its_first_use():
     ],
 )
 def test_percentile_of_a_histogram(counts, share, expected):
-    assert tables.histogram_percentile((10, 20), counts, share) == expected
+    assert percentile((10, 20), counts, share) == expected
 
 
 def test_percentiles_of_values():

@@ -396,7 +396,7 @@ class TestStop:
 
     def test_a_plan_asked_for_before_the_stop_is_void_when_it_arrives(self, bench):
         bench.executor.stop(bench.stamp)
-        with pytest.raises(ReviewError, match="before the stop"):
+        with pytest.raises(ReviewError, match="before the last stop"):
             bench.executor.desk.offer(make_plan())
 
     def test_a_stopped_plan_does_not_go_on(self, bench):

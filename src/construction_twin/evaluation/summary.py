@@ -13,7 +13,8 @@ import numpy as np
 from construction_twin.evaluation import alignment, paper
 from construction_twin.evaluation.alignment import Alignment, Window
 from construction_twin.evaluation.recording import LinkSnapshot, Recording, Stream
-from construction_twin.evaluation.tables import PERCENTILES, error_table, histogram_percentile, percentiles
+from construction_twin.evaluation.tables import PERCENTILES, error_table, percentiles
+from construction_twin.rsi.histogram import percentile
 from construction_twin.units import NANOSECONDS
 
 _MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg", "correction_monitor_deg")
@@ -135,7 +136,7 @@ def reply_times(first: LinkSnapshot | None, last: LinkSnapshot | None) -> dict[s
         return result
     largest = last.counter("reply_us_max")
     for name, share in {**PERCENTILES, "max": 1.0}.items():
-        edges = (histogram_percentile(last.reply_bins, counts, share), largest)
+        edges = (percentile(last.reply_bins, counts, share), largest)
         result[name] = min((edge for edge in edges if edge is not None), default=None)
     return result
 

@@ -44,32 +44,6 @@ def percentiles(values: np.ndarray) -> dict[str, float | None]:
     return {**shares, "max": float(np.max(values))}
 
 
-def histogram_percentile(bins: Sequence[int], counts: Sequence[int], share: float) -> int | None:
-    """Return the upper edge of the bin that holds the given share of all counts.
-
-    The true percentile is at most the value returned and lies above the next lower edge.
-
-    Parameters
-    ----------
-    bins : sequence of int, length b
-        Upper bin edges, increasing.
-    counts : sequence of int, length b or b + 1
-        Counts per bin; the one beyond `bins` is overflow.
-    share : float
-        (0, 1]
-
-    Returns
-    -------
-    edge : int or None
-        None when nothing was counted or the percentile lies in the overflow, which has no upper edge.
-    """
-    total = sum(counts)
-    if not total:
-        return None
-    bin_index = int(np.searchsorted(np.cumsum(counts), share * total - 1e-9))
-    return int(bins[bin_index]) if bin_index < len(bins) else None
-
-
 def table_rows(tables: Mapping) -> Iterator[tuple]:
     """Yield a row of `CSV_COLUMNS` per alignment and joint; None where unknown. Ratios are this run's over the paper's."""
     joints = next((table for table in tables.values() if table), {})

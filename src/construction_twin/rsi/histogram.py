@@ -4,6 +4,35 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Sequence
+
+
+def percentile(edges: Sequence[float], counts: Sequence[int], share: float) -> float | None:
+    """Return the upper edge of the bin that holds the given share of all counts.
+
+    The true percentile is at most the value returned and lies above the next lower edge.
+
+    Parameters
+    ----------
+    edges : sequence of float, length b
+        Upper bin edges, ascending.
+    counts : sequence of int, length b or b + 1
+        Counts per bin; the one beyond `edges` is overflow.
+    share : float
+        (0, 1]
+
+    Returns
+    -------
+    edge : float or None
+        None when nothing was counted or the percentile lies in the overflow, which has no upper edge.
+    """
+    wanted = math.ceil(share * sum(counts) - 1e-9)
+    seen = 0
+    for edge, count in zip(edges, counts):
+        seen += count
+        if wanted and seen >= wanted:
+            return edge
+    return None
 
 
 class Histogram:
@@ -32,16 +61,11 @@ class Histogram:
             self.largest = value
 
     def percentile(self, share: float) -> float | None:
-        """Return the upper edge of the bin that holds the given share of values (0 to 1); None when empty."""
-        wanted = math.ceil(share * sum(self.counts))
-        if wanted == 0:
+        """Return `percentile` of the values so far, never more than the largest; None when there is none."""
+        if not any(self.counts):
             return None
-        seen = 0
-        for edge, count in zip([*self.edges, self.largest], self.counts):
-            seen += count
-            if seen >= wanted:
-                return min(edge, self.largest)
-        return self.largest
+        edge = percentile(self.edges, self.counts, share)
+        return self.largest if edge is None else min(edge, self.largest)
 
     def summary(self) -> dict:
         """Return edges, counts, the largest value and the usual percentiles."""
