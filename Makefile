@@ -13,7 +13,7 @@ setup:
 	@bash setup/setup.sh
 
 demo: setup
-	@bash scripts/demo.sh $(ARGS)
+	@bash -c 'source .ws/env.bash && exec python scripts/demo.py "$$@"' demo $(ARGS)
 
 test: setup
 	@bash -c 'source .ws/env.bash && python scripts/run_tests.py $(ARGS)'

@@ -63,10 +63,14 @@ make_venv() {
   printf '%s\n' "$want" >"$stamp"
 }
 
-# What the build depends on: editing a Python module needs no build, a message, a node's name or a CMake file does.
+# What the build depends on: editing a Python module needs no build, a message, the name of a node or rostest or a CMake file does.
 build_inputs() {
-  cd "$root"
-  { cat CMakeLists.txt package.xml setup.py msg/* srv/* setup/setup.sh; ls . nodes msg srv; printf '%s\n' "$root"; } | sha256sum
+  (
+    cd "$root"
+    cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv
+    printf '%s\n' "$root" msg/*.msg srv/*.srv nodes/* test/integration/*.test
+    declare -f build_workspace
+  ) | sha256sum
 }
 
 # The repository appears in the workspace entry by entry: a link to its root would contain the workspace itself, and rosrun and
@@ -74,9 +78,12 @@ build_inputs() {
 link_repository() {
   local package="$workspace/src/construction_twin" entry
   mkdir -p "$package" "$root/results"
-  find "$package" -mindepth 1 -maxdepth 1 -type l -delete
+  for entry in "$package"/*; do
+    # gone are links to what is gone, and to where the repository used to lie
+    if [ -L "$entry" ] && { [ ! -e "$entry" ] || [ "$(readlink "$entry")" != "$root/${entry##*/}" ]; }; then rm "$entry"; fi
+  done
   for entry in "$root"/*; do
-    ln -s "$entry" "$package/"
+    [ -L "$package/${entry##*/}" ] || ln -s "$entry" "$package/"
   done
 }
 
@@ -85,7 +92,6 @@ build_workspace() {
   want=$(build_inputs)
   [ -f "$workspace/devel/setup.bash" ] && [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$want" ] && return 0
   say "building the catkin workspace $workspace"
-  link_repository
   (
     cd "$workspace"
     # an environment that belongs to another ROS installation must not leak into this build
@@ -107,6 +113,7 @@ EOF
 check_system
 install_packages
 make_venv
+link_repository
 build_workspace
 write_environment
 say "ready; for your own shell: source $work/env.bash"

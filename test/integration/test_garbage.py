@@ -145,7 +145,7 @@ class GarbageTest(unittest.TestCase):
             ("refused state_sequence", FAR, old),
             # from then on every real one would look old, if this one were believed
             ("refused state_sequence", FAR, [("seq", "999999999999"), *old[1:]]),
-            ("refused state_sequence", FAR, [("seq", str((1 << 62))), ("stamp", "0"), old[2]]),
+            ("refused state_sequence", FAR, [("seq", str(4 * 10**18)), ("stamp", "0"), old[2]]),
         ]
         for _, payload, properties in states:
             self.publish(self.topics.state, payload, properties)

@@ -133,7 +133,7 @@ def test_messages_in_the_troubleshooting_are_the_programs_own():
 
 def as_template(quote: str) -> str:
     """Return a pattern for a message whose numbers may be placeholders in the code."""
-    return re.sub(r"TCP|1883|MQTT\\ broker", lambda found: rf"(?:\*|{found.group()})", re.escape(quote))
+    return re.sub(r"TCP|18830|MQTT\\ broker", lambda found: rf"(?:\*|{found.group()})", re.escape(quote))
 
 
 def test_every_package_earns_its_place():

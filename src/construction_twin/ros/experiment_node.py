@@ -251,7 +251,7 @@ class _ProgressView:
     def __init__(self, console: Console, title: str):
         self._console = console
         self._title = title
-        self._bar = Progress(console=console) if console.is_terminal else None
+        self._bar = Progress(console=console) if console.is_terminal and not console.is_dumb_terminal else None
         self._next = 0.0
 
     def __enter__(self) -> Callable[[float], None]:

@@ -58,9 +58,16 @@ def run_gateway() -> None:
     except ConstructionTwinError as error:
         sys.exit(f"rsi_gateway cannot run: {error}")
     name = rospy.get_name().strip("/").replace("/", "_")
-    path = Path(os.environ.get("ROS_HOME", Path.home() / ".ros")) / f"{name}.{os.getpid()}.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(config.to_json(), encoding="utf-8")
+    path = Path(os.environ.get("ROS_HOME", Path.home() / ".ros")) / f"{name}.json"
+    write_whole(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
     arguments = rospy.myargv(sys.argv)[1:]
     os.execv(sys.executable, [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", str(path), *arguments])
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file in one step: whoever reads it meanwhile sees the old text or the new one, never a part."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)

@@ -356,7 +356,7 @@ class Gateway:
     def stop(self, reason: str) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
         if self._follower is None:
-            self.fault = True
+            self.fault = self._changed = True
             return
         self._brake("stop", reason)
 

@@ -1,0 +1,133 @@
+"""Runs launch/experiment.launch and ends with its success: `python scripts/demo.py [launch arguments]`.
+
+Between roslaunch and the terminal stands a filter: what roslaunch has to say about itself is not news. On a terminal the
+experiment is told so by TTY_COMPATIBLE, which rich reads, and its progress bar passes the filter as it comes.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import check_ports
+
+ROOT = Path(__file__).resolve().parent.parent
+#: Lines that tell how roslaunch works rather than what the experiment does.
+NOISE = re.compile(
+    rb"process\[|setting /run_id|started core service|auto-starting|started roslaunch|ROS_MASTER_URI=|logging to|Checking log|"
+    rb"Press Ctrl-C|Done checking|killing on exit|shutting down processing monitor|^done$"
+)
+#: The experiment ends the launch by ending itself; everything after this is roslaunch cleaning up.
+END = re.compile(rb"REQUIRED process \[.*/experiment-")
+#: How rich begins to draw a bar, and what it must not leave undone: making the cursor visible again.
+BAR = re.compile(rb"\r|\x1b\[\?25l|\x1b\[2K")
+CURSOR = b"\x1b[?25h"
+
+
+class Filter:
+    """Drops noise from a byte stream, line by line; a progress bar, which rewrites its line, passes at once."""
+
+    def __init__(self):
+        self._tail = b""
+        self._bar = False
+        self._blank = False
+        self._noise = True
+        self._ended = False
+
+    def feed(self, data: bytes) -> bytes:
+        """Return what is to be shown after `data` came."""
+        *lines, self._tail = (self._tail + data).split(b"\n")
+        shown = b"".join(self._line(line) for line in lines)
+        if not self._ended and (self._bar or BAR.match(self._tail)):
+            shown += self._separator() + self._tail
+            self._bar = self._bar or bool(self._tail)
+            self._tail = b""
+        return shown
+
+    def close(self) -> bytes:
+        """Return what is left when the stream has ended."""
+        return self._line(self._tail) if self._tail else b""
+
+    def _line(self, line: bytes) -> bytes:
+        if self._bar:  # its beginning has been shown
+            self._bar = False
+            return line + b"\n"
+        self._ended = self._ended or END.search(line) is not None
+        if self._ended:
+            return CURSOR if CURSOR in line else b""
+        if not line.strip():
+            # one blank line between what is shown, none around what is dropped
+            self._blank = not self._noise
+            return b""
+        if NOISE.search(line):
+            self._noise, self._blank = True, False
+            return CURSOR if CURSOR in line else b""
+        return self._separator() + line + b"\n"
+
+    def _separator(self) -> bytes:
+        blank, self._blank, self._noise = self._blank, False, False
+        return b"\n" if blank else b""
+
+
+def environment(given: Mapping[str, str], terminal: bool) -> dict[str, str]:
+    """Return the environment of roslaunch: its master, and whether its output ends on a terminal."""
+    settings = {"ROS_MASTER_URI": f"http://localhost:{given.get('ROS_MASTER_PORT', '11311')}"}
+    if terminal:
+        settings["TTY_COMPATIBLE"] = "1"
+    return {**given, **settings}
+
+
+def results_folder(given: Mapping[str, str]) -> Path:
+    """Return the folder that the launch arguments name for the results."""
+    return Path(given.get("results_dir", ROOT / "results")).expanduser()
+
+
+def newest(results: Path) -> str | None:
+    """Return the name of the newest finished run, None when there is none."""
+    latest = results / "latest"
+    return os.readlink(latest) if latest.is_symlink() and (latest / "summary.json").is_file() else None
+
+
+def launch(arguments: list[str]) -> None:
+    """Run the experiment and show its output."""
+    port = os.environ.get("ROS_MASTER_PORT", "11311")
+    command = ["roslaunch", "-p", port, "--no-summary", "--disable-title", "construction_twin", "experiment.launch", *arguments]
+    variables = environment(os.environ, sys.stdout.isatty())
+    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=variables)
+    # Ctrl-C reaches roslaunch as well, which ends its nodes; what they say while ending is still shown.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    signal.signal(signal.SIGTERM, lambda *_: run.terminate())
+    output = Filter()
+    while data := os.read(run.stdout.fileno(), 65536):
+        _show(output.feed(data))
+    _show(output.close())
+    run.wait()
+
+
+def main(arguments: list[str]) -> int:
+    """Run the demo; return the exit code: 0 when the experiment left a new summary, else 1 after a sentence."""
+    if check_ports.main(arguments):
+        return 1
+    given = check_ports.launch_arguments(arguments)
+    results = results_folder(given)
+    before = newest(results)
+    launch(arguments if "results_dir" in given else [f"results_dir:={results}", *arguments])
+    if newest(results) in (None, before):
+        logs = Path(os.environ.get("ROS_LOG_DIR", Path.home() / ".ros/log")) / "latest"
+        print(f"demo: the experiment did not finish; the sentences above say why. Logs of every node: {logs}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _show(text: bytes) -> None:
+    sys.stdout.buffer.write(text)
+    sys.stdout.buffer.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
