@@ -96,7 +96,16 @@ def newest(results: Path) -> str | None:
 def launch(arguments: list[str]) -> None:
     """Run the experiment and show its output."""
     port = os.environ.get("ROS_MASTER_PORT", "11311")
-    command = ["roslaunch", "-p", port, "--no-summary", "--disable-title", "construction_twin", "experiment.launch", *arguments]
+    command = [
+        "roslaunch",
+        "-p",
+        port,
+        "--no-summary",
+        "--disable-title",
+        "construction_twin",
+        "experiment.launch",
+        *arguments,
+    ]
     variables = environment(os.environ, sys.stdout.isatty())
     run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=variables)
     # Ctrl-C reaches roslaunch as well, which ends its nodes; what they say while ending is still shown.
@@ -119,7 +128,10 @@ def main(arguments: list[str]) -> int:
     launch(arguments if "results_dir" in given else [f"results_dir:={results}", *arguments])
     if newest(results) in (None, before):
         logs = Path(os.environ.get("ROS_LOG_DIR", Path.home() / ".ros/log")) / "latest"
-        print(f"demo: the experiment did not finish; the sentences above say why. Logs of every node: {logs}", file=sys.stderr)
+        print(
+            f"demo: the experiment did not finish; the sentences above say why. Logs of every node: {logs}",
+            file=sys.stderr,
+        )
         return 1
     return 0
 

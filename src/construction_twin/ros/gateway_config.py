@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from pathlib import Path
 
+import rosgraph
 import rospy
 
 from construction_twin.errors import ConfigurationError, ConstructionTwinError
@@ -57,7 +59,8 @@ def run_gateway() -> None:
         config = config_from_parameters()
     except ConstructionTwinError as error:
         sys.exit(f"rsi_gateway cannot run: {error}")
-    name = rospy.get_name().strip("/").replace("/", "_")
+    # one file per node and ROS master: two masters of one user must not hand each other's configuration over
+    name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     path = Path(os.environ.get("ROS_HOME", Path.home() / ".ros")) / f"{name}.json"
     write_whole(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
