@@ -6,6 +6,7 @@ One thread, one select loop: RSI datagrams first, then MQTT. Standard library an
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import logging
 import os
@@ -319,6 +320,8 @@ def _run(arguments: argparse.Namespace) -> int:
         signal.signal(number, lambda *_: service.stop())
     log.info("configuration %s; listening on %s; broker %s", config.hash[:12], arguments.listen, arguments.broker)
     log.info(request_realtime(arguments.realtime))
+    # a full collection over everything imported would take longer than the controller waits
+    gc.freeze()
     service.run()
     return 0
 
