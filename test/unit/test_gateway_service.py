@@ -93,7 +93,7 @@ class Controller(threading.Thread):
     def close(self):
         self._ended.set()
         if self.is_alive():
-            self.join(2.0)
+            self.join(5.0)
         self.socket.close()
 
 
