@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from construction_twin.errors import PayloadError
 from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.freshness import MAX_DRIFT
 from construction_twin.mqtt.messages import CommandProperties
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.units import CYCLE_NS, NANOSECONDS
@@ -34,6 +35,7 @@ class CommandStream:
         self.last_stamp = 0
         self._sequence = 0
         self._quickest: int | None = None
+        self._quickest_at = 0
 
     def read(
         self, payload: bytes, properties: CommandProperties | None, now: int
@@ -72,17 +74,20 @@ class CommandStream:
         if properties.seq <= self._sequence:
             raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}")
         q = self._codec.decode(payload)
-        self._check_age(now - properties.stamp)
+        self._check_age(now - properties.stamp, now)
         lost = properties.seq - self._sequence - 1
         self._sequence = properties.seq
         return properties.stamp, q, lost
 
-    def _check_age(self, travelled: int) -> None:
-        quickest = travelled if self._quickest is None else min(self._quickest, travelled)
+    def _check_age(self, travelled: int, now: int) -> None:
+        quickest = travelled
+        if self._quickest is not None:
+            # forgotten at the rate at which two clocks may drift apart, or a slow one would make every command look old
+            quickest = min(travelled, self._quickest + round((now - self._quickest_at) * MAX_DRIFT))
         late = (travelled - quickest) / NANOSECONDS
         if late > self._config.max_age:
             raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
-        self._quickest = quickest
+        self._quickest, self._quickest_at = quickest, now
 
     def _arrival_stamp(self, now: int) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap longer than `silence`."""
