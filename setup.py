@@ -6,9 +6,12 @@ setup(
         packages=[
             "construction_twin",
             "construction_twin.evaluation",
+            "construction_twin.kinematics",
             "construction_twin.mqtt",
+            "construction_twin.planning",
             "construction_twin.ros",
             "construction_twin.rsi",
+            "construction_twin.scene",
         ],
         package_dir={"": "src"},
     )

@@ -12,7 +12,7 @@ from construction_twin.gate import SyncState
 from construction_twin.limits import outside_tolerance
 from construction_twin.review import ReviewDesk, Verdict
 from construction_twin.robot import RobotModel
-from construction_twin.trajectory import Plan
+from construction_twin.plan import Plan
 from construction_twin.units import CYCLE, NANOSECONDS
 
 #: A plan may start this far from the present pose [rad]; rounding, not motion.

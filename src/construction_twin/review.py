@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.errors import ReviewError
-from construction_twin.trajectory import Plan
+from construction_twin.plan import Plan
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from construction_twin.rsi.codec import SensorEncoder, parse_robot
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.mock_controller import MockController
 from construction_twin.rsi.session import Gateway
-from construction_twin.trajectory import Plan
+from construction_twin.plan import Plan
 from construction_twin.twin import VirtualRobot
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 

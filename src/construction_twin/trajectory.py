@@ -158,48 +158,6 @@ class Trajectory:
             raise TrajectoryError(f"{name} of waypoint {row}: {joint_name} is {value}, not a finite number")
 
 
-@dataclass(frozen=True)
-class Plan:
-    """A trajectory with its origin, as a reviewer sees it. It cannot exist with a hash that is not its trajectory's.
-
-    Attributes
-    ----------
-    id : str
-        Unique id.
-    hash : str
-        The trajectory's `content_hash`.
-    source : str
-        Who asked for it.
-    planner : str
-        Name of the planner that found the path.
-    created_ns : int
-        When it was planned [ns, ROS time].
-    planning_time : float
-        Time spent planning and timing [s].
-    trajectory : Trajectory
-
-    Raises
-    ------
-    TrajectoryError
-        If `id` is empty or `hash` is not the trajectory's.
-    """
-
-    id: str
-    hash: str
-    source: str
-    planner: str
-    created_ns: int
-    planning_time: float
-    trajectory: Trajectory
-
-    def __post_init__(self):
-        if not self.id:
-            raise TrajectoryError("a plan has an empty id; expected a unique one")
-        found = self.trajectory.content_hash()
-        if self.hash != found:
-            raise TrajectoryError(f"plan {self.id} has hash {self.hash!r}, its waypoints have {found}; plan it again")
-
-
 def whole_nanoseconds(times: np.ndarray) -> np.ndarray:
     """Round times to whole nanoseconds, the resolution of a ROS duration.
 

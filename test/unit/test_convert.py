@@ -13,7 +13,8 @@ from geometry_msgs.msg import Pose as PoseMsg
 
 from construction_twin.errors import KinematicsError, TrajectoryError
 from construction_twin.ros import convert
-from construction_twin.trajectory import Plan, Trajectory
+from construction_twin.plan import Plan
+from construction_twin.trajectory import Trajectory
 
 NAMES = ("joint_a1", "joint_a2")
 

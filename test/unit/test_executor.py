@@ -14,8 +14,9 @@ from construction_twin.errors import ReviewError
 from construction_twin.executor import START_TOLERANCE, TWIN_TIMEOUT, Executor, ExecutorState
 from construction_twin.gate import SyncState
 from construction_twin.robot import read_robot_files
-from construction_twin.timing import time_path
-from construction_twin.trajectory import Plan, Trajectory
+from construction_twin.planning.timing import time_path
+from construction_twin.plan import Plan
+from construction_twin.trajectory import Trajectory
 from construction_twin.units import CYCLE, CYCLE_NS
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ import pytest
 
 from construction_twin.errors import JointRangeError, KinematicsError, NoSolutionError, UnreachableError
 from construction_twin.frames import abc_to_rotation, rotation_angle, rotation_to_abc
-from construction_twin.kinematics import Chain, IkSettings, Pose
+from construction_twin.kinematics.chain import Chain, IkSettings, Pose
 from construction_twin.robot import load_robot, read_robot_files
 
 ROOT = Path(__file__).parents[2]

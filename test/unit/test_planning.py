@@ -17,10 +17,10 @@ from construction_twin.errors import (
     TrajectoryError,
     UnreachableError,
 )
-from construction_twin.kinematics import Chain, Pose
-from construction_twin.planning import PLANNERS, Planner, PlannerSettings, PlanRequest
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.planning.planner import PLANNERS, Planner, PlannerSettings, PlanRequest
 from construction_twin.robot import read_robot_files
-from construction_twin.timing import limit_use
+from construction_twin.planning.timing import limit_use
 
 ROOT = Path(__file__).parents[2]
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")

@@ -6,7 +6,8 @@ import pytest
 
 from construction_twin.errors import ReviewError
 from construction_twin.review import ReviewDesk
-from construction_twin.trajectory import Plan, Trajectory
+from construction_twin.plan import Plan
+from construction_twin.trajectory import Trajectory
 
 
 def make_plan(name: str, goal: float = 1.0) -> Plan:

@@ -21,8 +21,8 @@ from construction_twin.robot import read_robot_files
 from construction_twin.rsi.export import gateway_config
 from construction_twin.rsi.mock import MockSettings, build_controller
 from construction_twin.simulation import SimulatedChain, SimulatedLink
-from construction_twin.timing import time_path
-from construction_twin.trajectory import Plan
+from construction_twin.planning.timing import time_path
+from construction_twin.plan import Plan
 from construction_twin.units import CYCLE, format_allowance, radians
 
 ROOT = Path(__file__).resolve().parents[2]

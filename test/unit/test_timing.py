@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from construction_twin.errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.robot import read_robot_files
-from construction_twin.timing import LIMIT_SHARE, limit_use, time_path, with_midpoints
+from construction_twin.planning.timing import LIMIT_SHARE, limit_use, time_path, with_midpoints
 from construction_twin.trajectory import Trajectory
 from construction_twin.units import CYCLE, format_allowance
 

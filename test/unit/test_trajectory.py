@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from construction_twin.errors import TrajectoryError
-from construction_twin.trajectory import Plan, Trajectory, whole_nanoseconds
+from construction_twin.plan import Plan
+from construction_twin.trajectory import Trajectory, whole_nanoseconds
 
 NAMES = ("joint_a1", "joint_a2")
 

@@ -16,7 +16,7 @@ from construction_twin.evaluation.paper import axis_name
 from construction_twin.evaluation.recording import Stream
 from construction_twin.evaluation.summary import Evaluation, link_span, reply_counts
 from construction_twin.evaluation.tables import percentiles
-from construction_twin.kinematics import Chain
+from construction_twin.kinematics.chain import Chain
 from construction_twin.robot import RobotModel
 from construction_twin.units import NANOSECONDS
 

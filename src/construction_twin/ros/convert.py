@@ -12,9 +12,10 @@ from geometry_msgs.msg import Pose as PoseMsg
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.frames import quaternion_to_rotation
-from construction_twin.kinematics import Pose
+from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Plan as PlanMsg
-from construction_twin.trajectory import Plan, Trajectory
+from construction_twin.plan import Plan
+from construction_twin.trajectory import Trajectory
 from construction_twin.units import NANOSECONDS
 
 

@@ -16,16 +16,16 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
 from construction_twin.errors import ConstructionTwinError, PlanningError
-from construction_twin.kinematics import Chain, Pose
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Plan as PlanMsg
-from construction_twin.planning import Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.ros.convert import plan_to_msg, pose_from_msg, pose_from_transform_msg
 from construction_twin.ros.diagnostics import OK, NodeDiagnostics
 from construction_twin.ros.joint_stream import joint_values, now_ns
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PlanToPose, PlanToPoseResponse
-from construction_twin.trajectory import Plan
+from construction_twin.plan import Plan
 
 
 class Settings(PlannerSettings):

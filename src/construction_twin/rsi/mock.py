@@ -122,7 +122,7 @@ def build_servo(settings: MockSettings) -> Servo:
 def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
     """Return the function from axis angles [rad] to position [m] and A, B, C [rad] of `tip_link` in `base_link`."""
     from construction_twin.frames import rotation_to_abc
-    from construction_twin.kinematics import Chain  # needs PyKDL, which the pure core and its users do not
+    from construction_twin.kinematics.chain import Chain  # needs PyKDL, which the pure core and its users do not
 
     chain = Chain(robot)
 

@@ -22,10 +22,11 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from construction_twin.errors import NoPathError, PlanningError
-from construction_twin.kinematics import Chain, Pose
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot import RobotModel
-from construction_twin.timing import time_path, with_midpoints
-from construction_twin.trajectory import Plan, Trajectory
+from construction_twin.planning.timing import time_path, with_midpoints
+from construction_twin.plan import Plan
+from construction_twin.trajectory import Trajectory
 
 #: Planners by the name used in the configuration. The last three use their whole time budget to improve the path.
 PLANNERS = {
