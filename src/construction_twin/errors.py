@@ -32,6 +32,20 @@ class ConfigurationError(ConstructionTwinError):
         super().__init__(f"{where}: found {value!r}, expected {expected}")
 
 
+class EthernetXmlError(ConfigurationError):
+    """An RSI Ethernet XML cannot be used.
+
+    Attributes
+    ----------
+    element : str
+        Path or TAG of the element that does not fit, e.g. ``CONFIG/PORT`` or ``RECEIVE AK.A1 HOLDON``.
+    """
+
+    def __init__(self, where: str, element: str, value: object, expected: str):
+        self.element = element
+        super().__init__(f"{where}: {element}", value, expected)
+
+
 class KinematicsError(ConstructionTwinError):
     """A pose has no usable joint solution, or joints have no usable pose."""
 
@@ -196,6 +210,10 @@ class TelegramError(ProtocolError):
 
 class TransportError(ConstructionTwinError):
     """A socket or a connection cannot be used."""
+
+
+class SiteError(ConstructionTwinError):
+    """The certificates and accounts of a broker's site could not be made."""
 
 
 class EvaluationError(ConstructionTwinError):

@@ -9,7 +9,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from construction_twin.rsi.playout import interpolate
+from construction_twin.rsi.interpolation import interpolate
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: Twin poses kept for comparison by command stamp: 2 s.
@@ -70,21 +70,24 @@ class TwinHistory:
 
         Between two poses the playout's own interpolation is used.
         """
-        later = None
-        for pose in reversed(self._poses):
+        after = later = None
+        poses = reversed(self._poses)
+        for pose in poses:
             if pose[0] <= stamp:
-                return self._between(stamp, pose, later)
-            later = pose
+                return self._between(stamp, pose, later, next(poses, None), after)
+            after, later = later, pose
         return None
 
     @staticmethod
-    def _between(stamp: int, earlier: tuple, later: tuple | None) -> tuple | None:
+    def _between(
+        stamp: int, earlier: tuple, later: tuple | None, before: tuple | None, after: tuple | None
+    ) -> tuple | None:
         stamp0, q0 = earlier
         if later is None:
             return (q0, (0.0,) * len(q0)) if stamp == stamp0 else None
         stamp1, q1 = later
         period = (stamp1 - stamp0) / NANOSECONDS
-        return interpolate(stamp, stamp0, q0, stamp1, q1), tuple((b - a) / period for a, b in zip(q0, q1))
+        return interpolate(stamp, earlier, later, before, after), tuple((b - a) / period for a, b in zip(q0, q1))
 
 
 @dataclass(frozen=True)

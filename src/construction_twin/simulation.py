@@ -24,7 +24,7 @@ from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
 from construction_twin.robot import RobotModel
-from construction_twin.rsi.codec import SensorEncoder, parse_robot
+from construction_twin.rsi.codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.mock_controller import MockController
 from construction_twin.rsi.session import Gateway
@@ -47,14 +47,17 @@ class SimulatedLink:
     Attributes
     ----------
     command_delay, state_delay : callable
-        Return the travel time of the next message [ns].
+        Return the travel time of the next message [ns]. A command does not overtake another: MQTT runs over TCP.
     phase : int
         Offset of the controller's clock against the executor's grid [ns].
+    drift_ppm : float
+        By how much the executor's clock is faster than the controller's.
     """
 
     command_delay: Callable[[], int] = lambda: 300_000
     state_delay: Callable[[], int] = lambda: 300_000
     phase: int = 1_700_000
+    drift_ppm: float = 0.0
 
 
 class SimulatedChain:
@@ -95,13 +98,17 @@ class SimulatedChain:
         self.state_check = StateCheck(MAX_STATE_AGE)
         self.states_refused: Counter[str] = Counter()
         self._link = link
-        self._sensor = SensorEncoder(config.sentype, config.axes)
+        self._decoder = RobotDecoder(config.axes, config.units)
+        self._sensor = SensorEncoder.of(config.layout, config.axes, config.units)
         self._session = ""
+        self._command_arrival = 0
+        self._first_cycle = EPOCH + CYCLE_NS + link.phase
+        self._controller_cycles = 0
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self.supervisor.on_connection(True)
         self._at(EPOCH + CYCLE_NS, self._execute)
-        self._at(EPOCH + CYCLE_NS + link.phase, self._control)
+        self._at(self._first_cycle, self._control)
         self._at(EPOCH, self._supervise)
 
     def run_until(self, condition: Callable[[], bool], timeout: float) -> bool:
@@ -173,21 +180,24 @@ class SimulatedChain:
         self.commands_sent += 1
         payload = self.codec.encode(command)
         properties = CommandProperties(self.supervisor.session, self.commands_sent, stamp)
-        arrival = stamp + self._link.command_delay()
+        arrival = max(stamp + self._link.command_delay(), self._command_arrival)
+        self._command_arrival = arrival
         self._at(arrival, lambda: self.gateway.on_command(payload, properties, arrival))
 
     def _control(self) -> None:
         """One cycle of the controller, and the gateway's answer to it."""
-        self._at(self.now + CYCLE_NS, self._control)
+        self._controller_cycles += 1
+        elapsed = round(self._controller_cycles * CYCLE_NS * (1.0 + self._link.drift_ppm * 1e-6))
+        self._at(self._first_cycle + elapsed, self._control)
         packet = self.controller.begin_cycle()
         self.gateway.poll(self.now)
         if packet is None:
             return
-        telegram = parse_robot(packet, self.gateway.config.axes)
+        telegram = self._decoder.parse(packet)
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.ipoc, correction))
-            self.controller.receive(self._sensor.encode(correction, telegram.ipoc))
+            self.controller.receive(self._sensor.encode(correction, telegram.ipoc, True if self.gateway.ends else None))
         message = self.gateway.state_message(self.now)
         if message is not None:
             self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import socket
 import subprocess
 import time
@@ -9,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from construction_twin.mqtt.messages import Topics
+
 ROOT = Path(__file__).resolve().parents[2]
+_prefixes = (f"test{number}" for number in itertools.count())
 
 
 def wait_until(condition, timeout: float = 10.0, what: str = "the condition"):
@@ -67,3 +71,9 @@ def broker():
     process.start()
     yield process.port
     process.kill()
+
+
+@pytest.fixture
+def topics():
+    """MQTT topics that no other test uses."""
+    return Topics(next(_prefixes), "arm")

@@ -51,6 +51,7 @@ class Cell:
         self.delay = 0
         self.seq = 0
         self.stamp = SENDER_EPOCH
+        self.controls = 0
         self.replies = []
 
     # the controller
@@ -86,14 +87,15 @@ class Cell:
             self.now,
         )
 
-    def stream(self, poses):
+    def stream(self, poses, session="s1"):
         """One command, one cycle, and so on."""
         for q in poses:
-            self.send(q)
+            self.send(q, session)
             self.cycle()
 
     def control(self, verb, session="s1", value=None):
-        return self.gateway.on_control(Control("1", session, verb, value))
+        self.controls += 1
+        return self.gateway.on_control(Control(str(self.controls), session, verb, value))
 
     def arm(self, session="s1"):
         return self.control("arm", session, self.config.hash)

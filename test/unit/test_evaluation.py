@@ -15,7 +15,7 @@ from construction_twin.evaluation import alignment
 from construction_twin.evaluation.alignment import TwinPath, task_window
 from construction_twin.evaluation.recording import PlayedPlan, Stream
 from construction_twin.evaluation.summary import evaluate
-from construction_twin.rsi.playout import interpolate
+from construction_twin.rsi.interpolation import interpolate
 from construction_twin.units import NANOSECONDS
 
 
@@ -73,8 +73,8 @@ def test_interpolation_is_the_playouts_to_the_last_bit():
     poses = TwinPath(twin, BASE)((stamps - BASE).astype(float))
     for stamp, pose in zip(stamps, poses):
         k = int((stamp - BASE) // 4_000_000)
-        expected = interpolate(stamp, twin.stamps[k], twin.positions[k], twin.stamps[k + 1], twin.positions[k + 1])
-        assert tuple(pose) == tuple(expected)
+        before, start, end, after = ((int(twin.stamps[n]), tuple(twin.positions[n])) for n in range(k - 1, k + 3))
+        assert tuple(pose) == interpolate(int(stamp), start, end, before, after)
 
 
 def test_window_is_the_task_plus_what_the_arm_needs_to_answer():

@@ -163,6 +163,57 @@ class Pilot:
         for _ in range(cycles):
             self.cycle()
 
+    def _jitter(self, value, cycles):
+        """Commands that arrive in bunches, while the controller goes on."""
+        waiting = 0
+        for k in range(3 * cycles):
+            waiting += 1
+            if (k * 7 + cycles) % 5 == 0 or waiting > cycles:
+                for _ in range(waiting):
+                    self.send(acceleration=value)
+                waiting = 0
+            self.cycle()
+
+    def _stalls(self, value, cycles):
+        """As the network does it: nothing, and then everything at once, up to beyond the silence."""
+        for _ in range(3):
+            for _ in range(cycles):
+                self.cycle()
+            for _ in range(cycles):
+                self.send(acceleration=value / 2)
+
+    def _drift(self, value, cycles):
+        """A sender faster or slower than time."""
+        for k in range(5 * cycles):
+            if value > 0 or k % 12:
+                self.send(acceleration=value)
+            if value > 0 and k % 12 == 0:
+                self.send(acceleration=value)
+            self.cycle()
+
+    def _reorder(self, value, cycles):
+        seq, stamp = self.cell.seq, self.cell.stamp
+        for number in ((2, 1), (1, 1), (3, 1, 2), (1, 3, 3))[cycles % 4]:
+            self.cell.seq, self.cell.stamp = seq + number - 1, stamp + (number - 1) * CYCLE_NS
+            self.send(acceleration=value)
+        self.cell.seq, self.cell.stamp = seq + 3, stamp + 3 * CYCLE_NS
+        for _ in range(3):
+            self.cycle()
+
+    def _replay(self, value, cycles):
+        """Numbers that were, with today's stamps."""
+        for k in range(cycles):
+            self.cell.send((self.q + value, START[1]), session=self.session, seq=max(1, self.cell.seq - k))
+            self.cell.seq -= 1
+        self.cycle()
+
+    def _take_over(self, value, cycles):
+        for verb in ("arm", "reset", "arm"):
+            self.cell.control(verb, f"x{cycles}", self.cell.config.hash)
+            for _ in range(cycles):
+                self.cell.send((self.q + value, START[1]), session=f"x{cycles}")
+                self.cycle()
+
     def _garbage(self, value, cycles):
         self.send(payload=PAYLOADS[cycles % len(PAYLOADS)])
         self.cycle()
@@ -206,7 +257,8 @@ class Pilot:
 
 _KINDS = [
     "drive", "drive", "to_the_end", "to_the_end", "rest", "jump", "lose", "silence", "burst", "garbage", "wrong", "other_session",
-    "skip", "control", "recover", "recover", "new_session",
+    "skip", "control", "recover", "recover", "new_session", "jitter", "jitter", "stalls", "stalls", "drift", "reorder", "replay",
+    "take_over",
 ]  # fmt: skip
 _EVENT = st.tuples(
     st.sampled_from(_KINDS),
@@ -216,9 +268,17 @@ _EVENT = st.tuples(
 
 
 @settings(max_examples=120, deadline=None)
-@given(st.lists(_EVENT, min_size=1, max_size=14), st.sampled_from((2, 3, 6)), st.booleans())
-def test_corrections_stay_inside_the_limits_whatever_arrives(events, decimals, properties):
-    cell = Cell(decimals=decimals, properties=properties)
+@given(
+    st.lists(_EVENT, min_size=1, max_size=14),
+    st.sampled_from((2, 3, 6)),
+    st.booleans(),
+    st.sampled_from((0, 0, 2, 4)),
+    st.sampled_from((0.02, 0.0213, 0.1)),
+)
+def test_corrections_stay_inside_the_limits_whatever_arrives(events, decimals, properties, smoothing_cycles, delay):
+    cell = Cell(
+        decimals=decimals, properties=properties, smoothing_cycles=smoothing_cycles, playout_delay=delay, silence=0.06
+    )
     pilot = Pilot(cell)
     pilot.cycle()
     cell.arm()

@@ -111,10 +111,10 @@ def test_a_refused_motion_brakes_latches_and_waits_for_reset(reason, q):
     for k in range(101, 140):
         cell.send(slow(k))
         cell.cycle()
-    assert not cell.arm()[0]
+    assert not cell.arm("s2")[0]
     assert cell.measured == held
     assert cell.control("reset") == (True, "reset")
-    assert cell.arm()[0]
+    assert cell.arm("s2")[0]
 
 
 def test_the_refused_setpoint_itself_is_never_played():
@@ -147,7 +147,14 @@ def test_another_decimals_setting_is_one_clear_counter():
 
 @pytest.mark.parametrize(
     "reason, changes",
-    [("session", {"session": "s2"}), ("sequence", {"seq": 100}), ("sequence", {"seq": 1}), ("sequence", {"seq": 0})],
+    [
+        ("session", {"session": "s2"}),
+        ("duplicate", {"seq": 100}),
+        ("duplicate", {"seq": 37}),
+        ("sequence", {"seq": 36}),
+        ("sequence", {"seq": 1}),
+        ("sequence", {"seq": 0}),
+    ],
 )
 def test_a_command_of_another_session_or_an_old_one_is_counted_and_disturbs_nothing(reason, changes):
     cell = following()
@@ -302,9 +309,9 @@ def test_a_stop_outlives_the_rsi_session():
     gap(cell)
     cell.cycle(3)
     assert cell.state is State.READY
-    assert not cell.arm()[0]
+    assert not cell.arm("s2")[0]
     assert cell.control("reset")[0]
-    assert cell.arm()[0]
+    assert cell.arm("s2")[0]
 
 
 def test_a_stop_without_a_controller_holds_when_one_comes():

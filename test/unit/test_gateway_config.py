@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from construction_twin.errors import ConfigurationError
+from construction_twin.errors import ConfigurationError, EthernetXmlError
 from construction_twin.robot import AxisMapping, read_robot_files
 from construction_twin.rsi.config import GatewayConfig, load_config, parse_config
 from construction_twin.rsi.export import gateway_config
+from construction_twin.rsi.layout import AxisUnit
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = GatewayConfig("arm", ("A1", "A2"), (-3.0, -1.0), (3.0, 1.0), (2.0, 1.0), (2.5, 5.0))
@@ -44,6 +45,10 @@ def test_the_hash_does_not_depend_on_the_files_layout():
         {"robot": "other"},
         {"playout_delay": 0.021},
         {"acceleration": (2.5, 5.1)},
+        {"e1_sign": -1},
+        {"layout": dataclasses.replace(CONFIG.layout, sentype="Twin")},
+        {"layout": dataclasses.replace(CONFIG.layout, port=49153)},
+        {"layout": dataclasses.replace(CONFIG.layout, onlysend=True)},
     ],
 )
 def test_every_change_of_what_the_arm_may_do_changes_the_hash(changes):
@@ -68,10 +73,25 @@ def test_every_change_of_what_the_arm_may_do_changes_the_hash(changes):
         ({"reference": "aspos"}, "reference"),
         ({"start_tolerance": 0}, "start_tolerance"),
         ({"playout_delay": -0.02}, "playout_delay"),
+        ({"playout_delay": 0.019}, "playout_delay"),
+        ({"playout_delay": 0.26}, "playout_delay"),
+        ({"playout_delay_min": 0.0}, "playout_delay_min"),
+        ({"playout_delay_max": math.inf}, "playout_delay_max"),
+        ({"playout_delay_max": 0.5}, "playout_delay_max"),
+        ({"smoothing_cycles": 1}, "smoothing_cycles"),
+        ({"smoothing_cycles": 11}, "smoothing_cycles"),
+        ({"smoothing_cycles": 2.0}, "smoothing_cycles"),
+        ({"smoothing_cycles": False}, "smoothing_cycles"),
         ({"silence": "0.1"}, "silence"),
         ({"silence": math.inf}, "silence"),
         ({"max_age": math.nan}, "max_age"),
         ({"timeout": None}, "timeout"),
+        ({"e1_sign": 0}, "e1_sign"),
+        ({"e1_sign": True}, "e1_sign"),
+        ({"e1_offset": math.nan}, "e1_offset"),
+        ({"e1_feedback_scale": 0.0}, "e1_feedback_scale"),
+        ({"e1_correction_scale": -1.0}, "e1_correction_scale"),
+        ({"linear": ("E1",)}, "linear"),
     ],
 )
 def test_values_without_meaning_are_refused_by_name(changes, where):
@@ -100,14 +120,17 @@ def test_a_file_edited_by_hand_is_refused_and_says_so():
         "null",
         "3",
         "{}",
-        '{"format": 1, "motion": []}',
+        '{"format": 2, "motion": []}',
         edited(lambda document: document.pop("hash")),
         edited(lambda document: document.pop("format")),
-        edited(lambda document: document.update(format=2)),
-        edited(lambda document: document["motion"].pop("sentype")),
+        edited(lambda document: document.update(format=1)),
+        edited(lambda document: document["motion"].pop("timeout")),
         edited(lambda document: document["motion"].update(colour="orange")),
         edited(lambda document: document["motion"].update(axes=2)),
         edited(lambda document: document["motion"].update(lower=-3.0)),
+        edited(lambda document: document["motion"].update(layout=None)),
+        edited(lambda document: document["motion"]["layout"].update(receive=3)),
+        edited(lambda document: document["motion"]["layout"].pop("port")),
     ],
 )
 def test_what_the_exporter_did_not_write_is_refused_with_the_files_name_or_its_key(text):
@@ -163,3 +186,41 @@ def test_sign_and_offset_turn_joint_ranges_into_axis_ranges(robot, settings):
 def test_an_unknown_setting_is_refused(robot, settings):
     with pytest.raises(ConfigurationError, match="colour"):
         gateway_config(robot, settings | {"colour": "orange"})
+
+
+# -- the Ethernet XML --------------------------------------------------------------------------------------------------
+
+FILE = (ROOT / "krl" / "ethernet" / "ctwin_ethernet.xml").read_text()
+
+
+def test_the_ethernet_xml_is_in_the_file_and_in_the_hash(robot, settings, tmp_path):
+    config = gateway_config(robot, settings | {"ethernet_xml": FILE})
+    assert config.layout.receive == ("Stop", *(f"AK.{axis}" for axis in config.axes))
+    path = tmp_path / "kr120.json"
+    path.write_text(config.to_json())
+    assert load_config(str(path)) == config
+    assert config.hash != gateway_config(robot, settings).hash
+    other = FILE.replace("192.168.1.10", "192.168.1.11").replace("<CONFIG>", "<CONFIG><!-- a comment -->")
+    # where the PC is, is no property of the motion
+    assert gateway_config(robot, settings | {"ethernet_xml": other}).hash == config.hash
+
+
+def test_an_ethernet_xml_that_does_not_fit_the_robot_is_refused_when_it_is_exported(robot, settings):
+    track = (ROOT / "krl" / "ethernet" / "ctwin_e1_ethernet.xml").read_text()
+    with pytest.raises(EthernetXmlError, match="RECEIVE EK.E1: found 'E1', expected the robot's axes A1, A2"):
+        gateway_config(robot, settings | {"ethernet_xml": track})
+
+
+def test_a_linear_joint_is_refused_with_a_sentence(robot, settings):
+    head, tail = robot.urdf.split('name="joint_a1"', 1)
+    linear = dataclasses.replace(robot, urdf=head + 'name="joint_a1"' + tail.replace("revolute", "prismatic", 1))
+    with pytest.raises(ConfigurationError, match="joint joint_a1: found 'prismatic', expected .* no metres yet"):
+        gateway_config(linear, settings)
+
+
+def test_units_of_an_external_axis_are_the_settings():
+    axes = ("A1", "E1")
+    limits = ((-1.0, -1.0), (1.0, 5.0), (1.0, 1.0), (1.0, 1.0))
+    config = GatewayConfig("arm", axes, *limits, linear=("E1",), e1_sign=-1, e1_offset=0.15, e1_feedback_scale=57.3)
+    assert config.units == (AxisUnit(), AxisUnit(True, -1, 0.15, 57.3, 1.0))
+    assert parse_config(config.to_json(), "file") == config

@@ -130,8 +130,8 @@ def test_a_new_session_captures_its_own_origin_and_disarms(event, counter):
     cell.send(slow(100))
     assert cell.count("refused_not_armed") == 1
     here = cell.held()
-    assert cell.arm()[0]
-    cell.stream([here] * 30)
+    assert cell.arm("s2")[0]
+    cell.stream([here] * 30, "s2")
     assert cell.measured == pytest.approx(here, abs=math.radians(0.0005))
 
 
@@ -308,7 +308,7 @@ def test_command_stamp_is_that_of_the_target_in_the_reply_before_the_packet():
 
 
 def test_command_stamp_lies_between_commands_when_playout_does():
-    cell = Cell(playout_delay=0.019)
+    cell = Cell(playout_delay=0.019, playout_delay_min=0.019)
     cell.cycle()
     cell.arm()
     cell.stream([START] * 20)

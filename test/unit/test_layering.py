@@ -14,6 +14,7 @@ import yaml
 from construction_twin.robot import read_robot_files
 from construction_twin.ros.experiment_node import ExperimentSettings
 from construction_twin.ros.mqtt_bridge_node import Settings as BridgeSettings
+from construction_twin.ros.mqtt_review_node import Settings as ReviewSettings
 from construction_twin.ros.pca_monitor_node import Settings as MonitorSettings
 from construction_twin.ros.planner_node import Settings as PlannerSettings
 from construction_twin.rsi.config import GatewayConfig
@@ -36,11 +37,12 @@ THIRD_PARTY = {
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
-    "mqtt_bridge": {"host", "port", "protocol", "prefix", "realtime_priority"},
+    "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
     "pca_monitor": {"arm", "decimals", "realtime_priority"},
-    "mock_rsi": {"gateway_host", "gateway_port"},
+    "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
     "experiment": {"results_dir"},
-    "gateway": {"decimals", "robot", "axes", "lower", "upper", "velocity", "acceleration"},
+    "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
     "planner": set(),
 }
 #: Names of partner nodes: they follow from the launch files' own node names.
@@ -162,6 +164,7 @@ SETTINGS = {
     "gateway": {field.name for field in fields(GatewayConfig)},
     "mock_rsi": set(MockSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
+    "mqtt_review": set(ReviewSettings.model_fields),
     "pca_monitor": set(MonitorSettings.model_fields),
     "planner": set(PlannerSettings.model_fields),
 }
@@ -190,6 +193,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (ExperimentSettings, "experiment", {"results_dir": "/tmp"}),
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
+        (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
         (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3}),
         (PlannerSettings, "planner", {}),
     ],

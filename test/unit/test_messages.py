@@ -44,6 +44,11 @@ def test_topics_are_those_of_the_design():
     )
     assert topics.bridge_status == "twin/kr120/bridge/status"
     assert (topics.control, topics.control_ack) == ("twin/kr120/control", "twin/kr120/control/ack")
+    assert (topics.plan, topics.review, topics.review_ack) == (
+        "twin/kr120/plan",
+        "twin/kr120/review",
+        "twin/kr120/review/ack",
+    )
 
 
 @pytest.mark.parametrize("level", ["", "a/b", "+", "#", "a b", "ä", "a\n", "$SYS"])
@@ -135,6 +140,7 @@ def test_control_s_value_may_be_left_out():
         control(verb="x" * 65),
         control(value="x" * MAX_CONTROL_BYTES),
         b"[" * 2000,
+        b'{"verb": "stop", ' + control()[1:],
         b'{"id": "1", "session": "s", "verb": "arm", "value": ' + b"9" * 1900 + b"",
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 
 from construction_twin.errors import ConfigurationError, JointRangeError
 from construction_twin.rsi.codec import SensorEncoder, parse_robot
+from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.mock_controller import MockConfig, MockController
 from construction_twin.rsi.servo import IdealServo, RealisticServo
 from construction_twin.units import CYCLE, radians
@@ -24,6 +25,9 @@ CONFIG = MockConfig(
     acceleration=radians((155.8, 134.2, 368.7, 998.8, 518.0, 492.1)),
 )
 ZERO = (0.0,) * 6
+PLAIN = RsiLayout.plain(AXES)
+NO_HOLDON = dataclasses.replace(PLAIN, holdon=(False,) * 6)
+WITH_STOP = dataclasses.replace(PLAIN, receive=("Stop", *PLAIN.receive), holdon=(False, *PLAIN.holdon))
 
 
 def forward_kinematics(angles):
@@ -37,7 +41,7 @@ class Cell:
     def __init__(self, servo=None, **changes):
         self.config = dataclasses.replace(CONFIG, **changes)
         self.mock = MockController(self.config, servo or IdealServo(3), forward_kinematics)
-        self.encoder = SensorEncoder("ImFree", AXES)
+        self.encoder = SensorEncoder.of(self.config.layout, AXES)
         self.packets = []
 
     def cycle(self, correction=None, ipoc_offset=0, encoder=None):
@@ -219,7 +223,7 @@ def test_correction_limits_wider_than_the_soft_limits_end_in_a_soft_limit_stop()
 
 
 def test_f_holdon_0_and_one_miss_is_a_jump_and_a_fault():
-    cell = Cell(holdon=False)
+    cell = Cell(layout=NO_HOLDON)
     for k in range(200):
         cell.cycle(step(1, 0.02 * k))
     cell.cycle(None)
@@ -237,7 +241,8 @@ def test_f_holdon_1_and_one_miss_keeps_the_correction():
 
 
 def test_g_stop_ends_the_session():
-    cell = Cell()
+    cell = Cell(layout=WITH_STOP)
+    cell.cycles(5)
     packet = parse_robot(cell.mock.begin_cycle(), AXES)
     cell.mock.receive(cell.encoder.encode(ZERO, packet.ipoc, stop=True))
     assert_stopped(cell, "stop: requested")

@@ -17,17 +17,19 @@ from construction_twin.evaluation.tables import error_table
 from construction_twin.executor import ExecutorState
 from construction_twin.gate import SyncState
 from construction_twin.mqtt.supervisor import LinkState
+from construction_twin.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.planning.timing import time_path
 from construction_twin.robot import read_robot_files
 from construction_twin.rsi.export import gateway_config
 from construction_twin.rsi.mock import MockSettings, build_controller
+from construction_twin.rsi.slew import CALM
 from construction_twin.simulation import SimulatedChain, SimulatedLink
-from construction_twin.planning.timing import time_path
-from construction_twin.plan import Plan
-from construction_twin.units import CYCLE, format_allowance, radians
+from construction_twin.units import CYCLE, CYCLE_NS, format_allowance, radians
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = read_robot_files(ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml")
 SETTINGS = yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text())
+NOT_MEASURED = PlanReport(Clearance(math.inf), LimitShares((), (), ()), 0.0)
 REACH = radians((55.0, -50.0, 75.0, 40.0, 60.0, -70.0))
 
 
@@ -47,7 +49,17 @@ def make_chain(
 
 def make_plan(chain: SimulatedChain, goal, **timing) -> Plan:
     trajectory = time_path(np.array([chain.twin.pose, goal]), ROBOT, **timing)
-    return Plan(f"plan-{chain.now}", trajectory.content_hash(), "test", "none", chain.now, 0.0, trajectory)
+    return Plan(
+        f"plan-{chain.now}",
+        trajectory.content_hash(),
+        "test",
+        "direct",
+        "none",
+        chain.now,
+        0.0,
+        trajectory,
+        NOT_MEASURED,
+    )
 
 
 def play_to_the_end(chain: SimulatedChain, plan: Plan) -> None:
@@ -120,6 +132,63 @@ def test_three_decimals_err_by_no_more_than_their_own_rounding(phase):
     assert max(figures["max_rad"] for figures in errors.values()) <= 1.0e-5
     assert np.abs(np.array(chain.controller.measured) - REACH).max() <= 1e-5
     assert chain.gateway.counters["commands_lost"] == 0
+    assert_corrections_inside_limits(chain)
+
+
+def worst_error(chain) -> float:
+    errors, _ = table(chain)
+    return max(figures["max_rad"] for figures in errors.values())
+
+
+@pytest.mark.parametrize("decimals", [3, 6])
+def test_on_an_undisturbed_link_the_commands_own_stamps_are_played_and_nothing_is_left_of_the_error(decimals):
+    chain = make_chain(decimals)
+    play_to_the_end(chain, make_plan(chain, REACH, duration=10.0, waypoints=200))
+    assert worst_error(chain) < 1e-14
+    playout = chain.gateway.status()["playout"]
+    assert (playout["delay_ms"], playout["jitter_ms"]) == (20.0, 0.0)
+
+
+@pytest.mark.parametrize("drift_ppm", [200.0, -200.0])
+def test_clocks_that_drift_apart_change_nothing(drift_ppm):
+    chain = make_chain(6, link=SimulatedLink(drift_ppm=drift_ppm))
+    # a cycle is gained or lost every 20 s
+    chain.run_for(1.0)
+    plan = make_plan(chain, REACH, duration=45.0, waypoints=500)
+    play_to_the_end(chain, plan)
+    # while time is moved at a rate r, the servo's lag of 8 ms counts 8 ms (1 + r) in stamps
+    fastest = np.abs(np.diff(plan.trajectory.sample_many(np.arange(0.0, 45.0, CYCLE))[0], axis=0)).max() / CYCLE
+    assert worst_error(chain) <= 1.1e-8 + fastest * 0.008 * CALM.ahead / CYCLE_NS
+    assert chain.gateway.counters["settling"] == chain.gateway.counters["cycles_without_command"] == 0
+    assert chain.gateway.status()["playout"]["drift_ppm"] == pytest.approx(drift_ppm, abs=1.0)
+    assert_corrections_inside_limits(chain)
+
+
+def test_jitter_of_20_ms_is_absorbed_by_a_longer_delay():
+    jitter = random.Random(4)
+    chain = make_chain(6, link=SimulatedLink(command_delay=lambda: jitter.randrange(10_000_000, 30_000_001)))
+    chain.run_for(3.0)
+    dry = chain.gateway.counters["cycles_without_command"]
+    play_to_the_end(chain, make_plan(chain, REACH, speed_scale=0.8))
+    assert worst_error(chain) <= 1.1e-8
+    assert (chain.gateway.counters["cycles_without_command"], chain.gateway.counters["settling"]) == (dry, 0)
+    assert chain.gateway.status()["playout"]["delay_ms"] in (32.0, 36.0)
+    assert_corrections_inside_limits(chain)
+
+
+@pytest.mark.parametrize("cycles", [2, 3, 6])
+@pytest.mark.parametrize("timing", [{"duration": 10.0, "waypoints": 200}, {}], ids=["slow", "full_speed"])
+@pytest.mark.parametrize("phase", [0.0, 0.00137])
+def test_smoothing_errs_by_the_rounding_of_the_twin_and_the_state_together(cycles, timing, phase):
+    chain = make_chain(3, playout_delay=0.02 + phase, smoothing_cycles=cycles)
+    chain.run_for(0.5)
+    play_to_the_end(chain, make_plan(chain, REACH, **timing))
+    assert worst_error(chain) <= 2.0e-5
+    # its own delay is removed with the lag: the two cycles of the servo, and its own
+    assert table(chain)[1] == pytest.approx((2 + cycles) * 4_000_000, abs=2000)
+    # at rest it is exact
+    assert np.abs(np.array(chain.controller.measured) - chain.twin.pose).max() < 1e-14
+    assert chain.gateway.counters["settling"] == 0
     assert_corrections_inside_limits(chain)
 
 

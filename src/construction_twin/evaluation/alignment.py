@@ -10,8 +10,8 @@
     ``by_command`` with one constant lag L >= 0, the same for all joints, taken out: twin(command_stamp - L). L minimises
     the sum of squared differences over all joints and samples.
 
-The twin is known at its own stamps and interpolated linearly in between, with the playout's arithmetic
-(`construction_twin.rsi.playout.interpolate`): what the gateway plays between two commands is then exactly what is compared.
+The twin is known at its own stamps and interpolated in between by a cubic, with the playout's arithmetic
+(`construction_twin.rsi.interpolation`): what the gateway plays between two commands is then exactly what is compared.
 Differences of stamps are taken in int64, so that float64 keeps them to far below a nanosecond.
 """
 
@@ -125,6 +125,10 @@ class TwinPath:
         self.dropped = int(np.count_nonzero(~increasing))
         self._times = (twin.stamps[increasing] - base).astype(float)
         self._positions = twin.positions[increasing]
+        periods = np.diff(self._times)
+        # of each segment: the periods before and after it; where there is none, any that counts for nothing
+        self._earlier = np.concatenate([periods[:1], periods[:-1]])
+        self._later = np.concatenate([periods[1:], periods[-1:]])
 
     def covers(self, times: np.ndarray) -> np.ndarray:
         """Return which times [ns after base] lie within the recorded motion; shape (m,), bool."""
@@ -132,10 +136,27 @@ class TwinPath:
 
     def __call__(self, times: np.ndarray) -> np.ndarray:
         """Return the twin's pose at `times` [ns after base], which must be covered; shape (m, n), rad."""
-        after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
-        start, end = self._times[after - 1], self._times[after]
-        before, behind = self._positions[after - 1], self._positions[after]
-        return before + (behind - before) * ((times - start) / (end - start))[:, None]
+        last = len(self._times) - 2
+        segment = np.clip(np.searchsorted(self._times, times, side="right") - 1, 0, last)
+        a, b, c = self._weights(segment, times, last)
+        before, after = np.maximum(segment - 1, 0), np.minimum(segment + 2, last + 1)
+        q_before, q0, q1, q_after = (self._positions[row] for row in (before, segment, segment + 1, after))
+        return q0 + (a * (q0 - q_before) + b * (q1 - q0) + c * (q_after - q1))
+
+    def _weights(self, segment: np.ndarray, times: np.ndarray, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `construction_twin.rsi.interpolation.weights` for every time, each with shape (m, 1)."""
+        period = self._times[segment + 1] - self._times[segment]
+        earlier, later = self._earlier[segment], self._later[segment]
+        share = (times - self._times[segment]) / period
+        rest = 1.0 - share
+        begin, end = share * rest * rest, -share * share * rest
+        first, final = segment == 0, segment == last
+        b = share * share * (3.0 - 2.0 * share)
+        b += np.where(first, begin, begin * (earlier / (earlier + period)))
+        b += np.where(final, end, end * (later / (later + period)))
+        a = np.where(first, 0.0, begin * (period / earlier * (period / (earlier + period))))
+        c = np.where(final, 0.0, end * (period / later * (period / (later + period))))
+        return a[:, None], b[:, None], c[:, None]
 
 
 def task_window(recording: Recording) -> Window:

@@ -1,4 +1,4 @@
-"""A paho client set up the way this package needs it: MQTT 5 or 3.1.1, TCP_NODELAY, a last will, user properties.
+"""A paho client set up the way this package needs it: MQTT 5 or 3.1.1, TLS, TCP_NODELAY, a last will, user properties.
 
 Standard library and paho-mqtt only. Without TCP_NODELAY, traffic in both directions on one connection waits for the peer's
 delayed acknowledgement, up to 40 ms.
@@ -6,8 +6,11 @@ delayed acknowledgement, up to 40 ms.
 
 from __future__ import annotations
 
+import ipaddress
 import json
+import secrets
 import socket
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from paho.mqtt import client as paho
@@ -17,6 +20,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.errors import ConfigurationError
+from construction_twin.mqtt.account import Account
 
 _PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTTv311}
 
@@ -33,38 +37,108 @@ class Broker:
         ``5`` or ``3.1.1``.
     keepalive : int
         [s]
+    account : Account or None
+        None: anonymous, without TLS.
+
+    Raises
+    ------
+    ConfigurationError
+        When the protocol is another one, or a password would cross a network in clear.
     """
 
     host: str = "127.0.0.1"
     port: int = 1883
     protocol: str = "5"
     keepalive: int = 5
+    account: Account | None = None
 
     def __post_init__(self):
         if self.protocol not in _PROTOCOLS:
             raise ConfigurationError("protocol", self.protocol, "one of " + ", ".join(sorted(_PROTOCOLS)))
+        if self.account is not None and not self.encrypted and not _is_loopback(self.host):
+            raise ConfigurationError(
+                f"{self.account.name}: ca_file",
+                "",
+                f"the CA of {self.host}'s certificate: a password crosses a network in TLS only",
+            )
+
+    @property
+    def encrypted(self) -> bool:
+        """True when the connection is TLS."""
+        return self.account is not None and bool(self.account.ca_file)
 
 
-def make_client(broker: Broker, client_id: str, will_topic: str) -> paho.Client:
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def unique_id(robot: str, role: str) -> str:
+    """Return a client id that nobody can guess: who connects with the id of another client takes its connection away."""
+    return f"{robot}-{role}-{secrets.token_hex(8)}"
+
+
+#: What the broker says in a client's place when its connection is lost.
+OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
+
+
+def make_client(broker: Broker, client_id: str, will_topic: str, will: str = OFFLINE) -> paho.Client:
     """Return a client that is not connected yet.
 
     Parameters
     ----------
     broker : Broker
     client_id : str
+        See `unique_id`.
     will_topic : str
-        Status topic; the broker publishes ``{"state": "offline"}`` there, retained, when the connection is lost.
+        The broker publishes `will` there, retained, when the connection is lost.
+    will : str, optional
+        Empty: the topic's retained message is taken away.
 
     Returns
     -------
     client : paho.Client
         Call `connect_async` and a loop on it.
+
+    Raises
+    ------
+    ConfigurationError
+        When a file of the account cannot be used.
     """
     client = paho.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=_PROTOCOLS[broker.protocol])
-    client.will_set(will_topic, json.dumps({"state": "offline", "reason": "connection lost"}), qos=1, retain=True)
+    client.will_set(will_topic, will, qos=1, retain=True)
+    # the same on a TLS socket: it hands the option to the TCP socket below
     client.on_socket_open = lambda client, userdata, sock: sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     client.reconnect_delay_set(min_delay=1, max_delay=2)
+    if broker.account is not None and broker.account.user:
+        client.username_pw_set(broker.account.user, broker.account.password())
+    if broker.encrypted:
+        client.tls_set_context(broker.account.context())
     return client
+
+
+def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[object], None]) -> None:
+    """Call `on_refused` with the reason code when the broker's access rules refuse one message that was just published.
+
+    For one message only: a callback for every published message would cost time with each command. MQTT 3.1.1 has no such answer.
+
+    Parameters
+    ----------
+    client : paho.Client
+    mid : int
+        Of a publish with QoS 1; call this from the thread that serves the client, so that the answer cannot be here already.
+    on_refused : callable
+    """
+
+    def look(client, userdata, answered, reason_code, properties) -> None:
+        if answered == mid:
+            client.on_publish = None
+            if reason_code.is_failure:
+                on_refused(reason_code)
+
+    client.on_publish = look
 
 
 def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tuple[str, int | SubscribeOptions]]:

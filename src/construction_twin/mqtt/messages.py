@@ -68,6 +68,21 @@ class Topics:
         """The gateway's answers to verbs."""
         return self._topic("control/ack")
 
+    @property
+    def plan(self) -> str:
+        """The plan under review, retained."""
+        return self._topic("plan")
+
+    @property
+    def review(self) -> str:
+        """Verdicts on the plan."""
+        return self._topic("review")
+
+    @property
+    def review_ack(self) -> str:
+        """Answers to verdicts."""
+        return self._topic("review/ack")
+
 
 @dataclass(frozen=True)
 class CommandProperties:
@@ -144,7 +159,7 @@ class Control:
 
 def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
-    document = _parse_object(payload, "control")
+    document = parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
         raise PayloadError(
             "control", f"control message with keys {sorted(document)[:8]}; expected id, session, verb and value"
@@ -159,7 +174,7 @@ def parse_status(payload: bytes) -> dict:
 
     What is reported on ROS is checked here: a word as `state`, whole numbers as counters, the reply-time histogram.
     """
-    status = _parse_object(payload, "status", limit=1 << 20)
+    status = parse_object(payload, "status", limit=1 << 20)
     reply = status.get("reply_us", {})
     if not isinstance(status.get("state", ""), str) or not isinstance(reply, dict):
         raise PayloadError(
@@ -179,11 +194,19 @@ def _is_count(value: object) -> bool:
     return isinstance(value, int) and 0 <= value < 1 << 63
 
 
-def _parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
+def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        raise ValueError("a key stands in it twice")
+    return document
+
+
+def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
+    """Return the JSON object in `payload`; PayloadError (`reason`) when there is none, or more than `limit` bytes."""
     if len(payload) > limit:
         raise PayloadError(reason, f"{reason} message of {len(payload)} bytes; at most {limit} are read")
     try:
-        document = json.loads(payload)
+        document = json.loads(payload, object_pairs_hook=_without_duplicates)
     except (ValueError, RecursionError) as error:
         raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not JSON: {error}") from error
     if not isinstance(document, dict):

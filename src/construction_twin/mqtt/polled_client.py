@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import selectors
 import socket
+import ssl
 import threading
 import time
+from collections.abc import Callable
 
 from paho.mqtt import client as paho
 
 #: Pause between attempts to connect [s].
 RETRY = 0.5
+#: Packets handled in a row when TLS holds more than one: the gateway's loop has other work.
+_MAX_PACKETS = 32
 
 
 class PolledClient:
@@ -27,11 +31,19 @@ class PolledClient:
         With `connect_async` called and callbacks set.
     selector : selectors.BaseSelector
         The loop's selector; the MQTT socket is registered with this object as data.
+    on_failure : callable, optional
+        Called with the OSError of every attempt to connect that fails, from the thread that connects.
     """
 
-    def __init__(self, client: paho.Client, selector: selectors.BaseSelector):
+    def __init__(
+        self,
+        client: paho.Client,
+        selector: selectors.BaseSelector,
+        on_failure: Callable[[OSError], None] = lambda error: None,
+    ):
         self.client = client
         self._selector = selector
+        self._on_failure = on_failure
         self._registered = None
         self._events = 0
         self._connector: threading.Thread | None = None
@@ -44,8 +56,15 @@ class PolledClient:
         return self._registered is not None and self.client.is_connected()
 
     def read(self) -> None:
-        """Handle one incoming packet; call when the selector says that the socket is readable."""
+        """Handle what has come in; call when the selector says that the socket is readable.
+
+        On TCP that is one packet. TLS decrypts whole records: packets that are decrypted already make no socket readable.
+        """
         self.client.loop_read(1)
+        for _ in range(_MAX_PACKETS):
+            if not self._decrypted():
+                return
+            self.client.loop_read(1)
 
     def service(self, now: float) -> None:
         """Write what is queued, keep the connection alive, connect again when it is lost.
@@ -67,19 +86,30 @@ class PolledClient:
             return
         if self.client.want_write():
             self.client.loop_write()
+        if self._decrypted():
+            self.read()
         if now >= self._misc_at:
             self._misc_at = now + 0.5
+            if isinstance(sock, ssl.SSLSocket):
+                # a TLS read can stop because TLS wants to write first; then no event says when to go on
+                self.client.loop_read(1)
             self.client.loop_misc()
         wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if self.client.want_write() else 0)
         if self.client.socket() is self._registered and wanted != self._events:
             self._selector.modify(self._registered, wanted, self)
             self._events = wanted
 
+    def _decrypted(self) -> bool:
+        """True when TLS holds bytes that the selector cannot see."""
+        sock = self.client.socket()
+        return isinstance(sock, ssl.SSLSocket) and sock.pending() > 0
+
     def close(self) -> None:
         """Say goodbye to the broker and wait until it has hung up, at most 1 s."""
         sock = self.client.socket()
-        # paho closes its socket at once; with an answer still unread the broker would see a reset, and could lose our last words
-        line = sock.dup() if sock is not None else None
+        # paho closes its socket at once; with an answer still unread the broker would see a reset, and could lose our last words.
+        # Of a TLS socket the TCP socket below is kept: what comes in is not read, only waited for
+        line = socket.fromfd(sock.fileno(), sock.family, sock.type) if sock is not None else None
         self.client.disconnect()
         deadline = time.monotonic() + 1.0
         while self.client.want_write() and time.monotonic() < deadline:
@@ -109,9 +139,9 @@ class PolledClient:
     def _try_connect(self) -> None:
         try:
             self.client.reconnect()
-        except OSError:
-            # refused or unreachable: service() tries again; `connected` stays False and the status says so
-            return
+        except OSError as error:
+            # service() tries again; `connected` stays False
+            self._on_failure(error)
 
 
 def _hear_out(line: socket.socket, deadline: float) -> None:

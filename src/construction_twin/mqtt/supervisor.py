@@ -114,7 +114,9 @@ class LinkSupervisor:
         self._pending = None
         if verb == "arm":
             self._was_armed = True
-            self._enter(LinkState.ARMED, f"session {self.session}")
+            # commissioning: the link is armed, and yet the arm stands still
+            mode = "; gateway is in commissioning mode" if self.status.get("mode") == "commissioning" else ""
+            self._enter(LinkState.ARMED, f"session {self.session}{mode}")
 
     def request_reset(self, now: int) -> None:
         """Start over from the arm's pose, on a person's request.
@@ -198,8 +200,8 @@ class LinkSupervisor:
                 "gateway runs another configuration (its hash differs); export it again with `rosrun construction_twin "
                 "export_gateway_config` and restart the gateway",
             )
-        if gateway in ("no_controller", "joined_running"):
-            return LinkState.NO_CONTROLLER, f"gateway has no RSI session: {self.status.get('reason')}"
+        if gateway in ("no_controller", "joined_running", "read_only"):
+            return LinkState.NO_CONTROLLER, f"gateway has no RSI session to command: {self.status.get('reason')}"
         return None
 
     def _leave_waiting(self, gateway: str, now: int) -> None:

@@ -28,7 +28,12 @@ def config_from_parameters(namespace: str = "") -> GatewayConfig:
     name = namespace + "gateway"
     if not rospy.has_param(name):
         raise ConfigurationError(rospy.resolve_name(name), None, "link settings, as launch/bringup.launch loads them")
-    return gateway_config(robot_from_parameters(namespace), rospy.get_param(name))
+    settings = rospy.get_param(name)
+    if "ethernet_xml" not in settings:
+        raise ConfigurationError(
+            rospy.resolve_name(f"{name}/ethernet_xml"), None, "the controller's RSI Ethernet XML, as launch/bringup.launch loads it"
+        )
+    return gateway_config(robot_from_parameters(namespace), settings)
 
 
 def export_main() -> None:
@@ -49,7 +54,11 @@ def export_main() -> None:
         print(config.to_json(), end="")
         return
     Path(arguments.output).write_text(config.to_json(), encoding="utf-8")
-    print(f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals")
+    layout = config.layout
+    print(
+        f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; RSI on UDP port "
+        f"{layout.port}, SENTYPE {layout.sentype}, " + ("read-only" if layout.onlysend else f"channels {', '.join(layout.receive)}")
+    )
 
 
 def run_gateway() -> None:

@@ -7,6 +7,7 @@ import json
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import asdict
 from queue import SimpleQueue
 
 import rospy
@@ -18,7 +19,7 @@ from construction_twin.ros.diagnostics import ERROR, OK, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
-from construction_twin.rsi.mock import MockRsi, MockSettings, build_controller, joint_angles
+from construction_twin.rsi.mock import MockRsi, MockSettings, build_controller, gateway_address, joint_angles
 from construction_twin.srv import StallJoint, StallJointRequest, StallJointResponse
 from construction_twin.units import degrees
 
@@ -33,7 +34,7 @@ class MockRsiNode:
         self._settings = read_parameters(MockSettings)
         self._robot = robot_from_parameters()
         self._controller = build_controller(self._settings, self._robot)
-        gateway = (self._settings.gateway_host, self._settings.gateway_port)
+        gateway = gateway_address(self._settings)
         self._mock = MockRsi(self._controller, gateway, self._settings.restart_after, self._observe, rospy.loginfo)
         self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0
@@ -85,7 +86,8 @@ class MockRsiNode:
             "correction_monitor_deg": degrees(controller.correction_monitor),
             "stalled": [self._robot.joint_names[index] for index in sorted(controller.servo.stalled)],
             "counters": self._mock.counters,
-            "config": self._settings.model_dump(),
+            "config": self._settings.model_dump(exclude={"ethernet_xml"}),
+            "ethernet": asdict(controller.config.layout),
         }
 
     # -- in other threads

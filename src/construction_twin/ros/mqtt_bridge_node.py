@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import threading
 import time
@@ -16,7 +15,7 @@ from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.errors import PayloadError, ReviewError
-from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, user_properties
+from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, unique_id, user_properties
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
@@ -25,20 +24,17 @@ from construction_twin.msg import Feedback, Link
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.gateway_config import config_from_parameters
 from construction_twin.ros.joint_stream import QUEUE, JointPublisher, JointSubscriber, now_ns, to_time
+from construction_twin.ros.mqtt_connection import MqttSettings, broker_of, report_of
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
+from construction_twin.ros.params import read_parameters, robot_from_parameters
 
 #: Period at which the link's state is looked at [s].
 POLL = 0.02
 
 
-class Settings(NodeSettings):
+class Settings(MqttSettings):
     """Private parameters; see config/mqtt_bridge.yaml."""
 
-    host: str
-    port: int = pydantic.Field(gt=0, lt=65536)
-    protocol: str = "5"
-    prefix: str = "twin"
     gate: str = "pca_monitor"
     reset_timeout: float = pydantic.Field(gt=0)
     max_state_age: float = pydantic.Field(gt=0)
@@ -72,7 +68,7 @@ class MqttBridgeNode:
         self._feedback = rospy.Publisher("physical/feedback", Feedback, queue_size=QUEUE, tcp_nodelay=True)
         self._link = rospy.Publisher("link", Link, queue_size=10, latch=True)
         self._topics = Topics(settings.prefix, robot.name)
-        self._client = self._connect(Broker(settings.host, settings.port, settings.protocol))
+        self._client = self._connect(broker_of(settings))
         gate = rospy.resolve_name(settings.gate)
         JointSubscriber("command/joint_states", robot.joint_names, self._on_command, self._diagnostics.refuse, gate)
         rospy.Service("reset", Trigger, lambda _: self._begin_session(self._supervisor.request_reset))
@@ -120,7 +116,9 @@ class MqttBridgeNode:
     # -- MQTT to ROS
 
     def _connect(self, broker: Broker):
-        client = make_client(broker, f"{self._topics.robot}-bridge-{os.getpid()}", self._topics.bridge_status)
+        client = make_client(broker, unique_id(self._topics.robot, "bridge"), self._topics.bridge_status)
+        self._connection = report_of(broker)
+        self._connection.watch(client)
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
         client.message_callback_add(self._topics.state, self._on_state)
@@ -132,16 +130,20 @@ class MqttBridgeNode:
 
     def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
         if reason_code.is_failure:
-            rospy.logerr("broker refused the connection: %s", reason_code)
+            self._connection.refused(reason_code)
             return
+        self._connection.connected()
         client.subscribe(
             subscriptions(client, [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)])
         )
+        # the broker answers it, and so shows whether this is the account of a bridge
+        info = client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
+        self._connection.watch_publish(client, self._topics.bridge_status, info.mid)
         with self._lock:
             self._supervisor.on_connection(True)
 
     def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
-        rospy.logwarn("connection to the broker lost: %s; trying again", reason_code)
+        self._connection.lost(reason_code)
         with self._lock:
             self._supervisor.on_connection(False)
 
@@ -221,10 +223,15 @@ class MqttBridgeNode:
 
     # -- reports
 
+    def _status_report(self) -> str:
+        with self._lock:
+            state, reason, session = self._supervisor.state, self._supervisor.reason, self._supervisor.session
+        return json.dumps({"state": state.name.lower(), "reason": reason, "session": session})
+
     def _publish_link(self) -> None:
         with self._lock:
             supervisor = self._supervisor
-            state = (supervisor.state, supervisor.reason, supervisor.session)
+            state = (supervisor.state, self._reason(), supervisor.session)
             status = dict(supervisor.status)
         now = time.monotonic()
         changed = state != self._reported
@@ -234,8 +241,12 @@ class MqttBridgeNode:
         self._link.publish(self._link_message(*state, status))
         if changed:
             rospy.loginfo("%s: %s", state[0].name, state[1])
-            report = {"state": state[0].name.lower(), "reason": state[1], "session": state[2]}
-            self._client.publish(self._topics.bridge_status, json.dumps(report), qos=1, retain=True)
+            self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
+
+    def _reason(self) -> str:
+        """Return the supervisor's sentence; without a connection, also why there is none."""
+        reason, why = self._supervisor.reason, self._connection.sentence
+        return f"{reason}: {why}" if why and self._supervisor.state is LinkState.DISCONNECTED else reason
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict) -> Link:
         message = Link(state=state.value, text=state.name, reason=reason, session=session)
@@ -266,7 +277,7 @@ class MqttBridgeNode:
         values |= {f"gateway {key}": value for key, value in sorted(supervisor.status.get("counters", {}).items())}
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
-        return level, f"{supervisor.state.name}: {supervisor.reason}", values
+        return level, f"{supervisor.state.name}: {self._reason()}", values
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
 file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
-command line. Standard library only. SI units throughout.
+command line. What the controller's Ethernet XML says about the telegrams is part of it. Standard library only. SI units throughout.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from pathlib import Path
 
 from construction_twin.errors import ConfigurationError
 from construction_twin.limits import MotionLimits
+from construction_twin.rsi.ethernet_xml import check_gateway
+from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
 #: Written into the file; another number means another meaning of its keys.
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -43,17 +45,29 @@ class GatewayConfig:
     start_tolerance : float
         A stream may begin this close to the held pose [rad].
     playout_delay : float
-        Distance of the playout to the newest command [s].
+        Distance of the playout to the newest command when a stream begins [s].
+    playout_delay_min, playout_delay_max : float
+        Bounds of that distance, which follows the jitter of the commands [s].
+    smoothing_cycles : int
+        Delay of the smoothing of played targets, in cycles of 4 ms; 0 for none.
     silence : float
         The stream may be overdue this long before the gateway brakes and holds [s].
     max_age : float
         A command may have travelled this much longer than the quickest one [s].
     reference : str
         ``ASPos`` or ``AIPos``: what the corrections are relative to.
-    sentype : str
-        SENTYPE of the controller's Ethernet XML.
     timeout : float
         Silence of the controller after which its session is over [s].
+    e1_sign : int
+        +1 or -1: whether E1 counts as the controller does.
+    e1_offset : float
+        Controller's E1 where ours is 0 [rad], [m] when it is linear.
+    e1_feedback_scale, e1_correction_scale : float
+        What the controller's unit of E1 is off by: wire value = scale * value in deg or mm.
+    linear : tuple of str
+        Those of `axes` that are linear: m in place of rad, mm on the wire.
+    layout : RsiLayout
+        The controller's telegrams, from its Ethernet XML; not given: `RsiLayout.plain`.
     """
 
     robot: str
@@ -66,11 +80,19 @@ class GatewayConfig:
     properties: bool = True
     start_tolerance: float = math.radians(0.05)
     playout_delay: float = 0.02
+    playout_delay_min: float = 0.02
+    playout_delay_max: float = 0.25
+    smoothing_cycles: int = 0
     silence: float = 0.1
     max_age: float = 0.5
     reference: str = "ASPos"
-    sentype: str = "ImFree"
     timeout: float = 0.4
+    e1_sign: int = 1
+    e1_offset: float = 0.0
+    e1_feedback_scale: float = 1.0
+    e1_correction_scale: float = 1.0
+    linear: tuple[str, ...] = ()
+    layout: RsiLayout | None = None
 
     def __post_init__(self):
         count = len(self.axes)
@@ -90,10 +112,47 @@ class GatewayConfig:
             raise ConfigurationError("properties", self.properties, "true or false")
         if self.reference not in ("ASPos", "AIPos"):
             raise ConfigurationError("reference", self.reference, "ASPos or AIPos")
-        for name in ("start_tolerance", "playout_delay", "silence", "max_age", "timeout"):
+        if type(self.smoothing_cycles) is not int or self.smoothing_cycles not in (0, *range(2, 11)):
+            raise ConfigurationError("smoothing_cycles", self.smoothing_cycles, "0 (off) or 2 to 10")
+        for name in (
+            "start_tolerance",
+            "playout_delay",
+            "playout_delay_min",
+            "playout_delay_max",
+            "silence",
+            "max_age",
+            "timeout",
+        ):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not 0 < value < math.inf:
                 raise ConfigurationError(name, value, "a positive number")
+        if not self.playout_delay_min <= self.playout_delay <= self.playout_delay_max:
+            bounds = f"{self.playout_delay_min} (playout_delay_min) to {self.playout_delay_max} (playout_delay_max)"
+            raise ConfigurationError("playout_delay", self.playout_delay, bounds)
+        if self.playout_delay_max >= self.max_age:
+            raise ConfigurationError("playout_delay_max", self.playout_delay_max, f"less than max_age, {self.max_age}")
+        self._check_rsi()
+
+    def _check_rsi(self) -> None:
+        if type(self.e1_sign) is not int or self.e1_sign not in (1, -1):
+            raise ConfigurationError("e1_sign", self.e1_sign, "1 or -1")
+        if not isinstance(self.e1_offset, (int, float)) or not math.isfinite(self.e1_offset):
+            raise ConfigurationError("e1_offset", self.e1_offset, "a finite number [rad] or [m]")
+        for name in ("e1_feedback_scale", "e1_correction_scale"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or not 0 < value < math.inf:
+                raise ConfigurationError(name, value, "a positive number")
+        if not set(self.linear) <= set(self.axes):
+            raise ConfigurationError("linear", self.linear, f"some of the axes {', '.join(self.axes)}")
+        if self.layout is None:
+            object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
+        check_gateway(self.layout, self.axes, "Ethernet XML")
+
+    @property
+    def units(self) -> tuple[AxisUnit, ...]:
+        """How each axis is written in RSI."""
+        e1 = (self.e1_sign, self.e1_offset, self.e1_feedback_scale, self.e1_correction_scale)
+        return tuple(AxisUnit(axis in self.linear, *(e1 if axis == "E1" else ())) for axis in self.axes)
 
     @property
     def limits(self) -> MotionLimits:
@@ -131,20 +190,24 @@ def parse_config(text: str, where: str) -> GatewayConfig:
     """
     try:
         document = json.loads(text)
-        motion = {key: tuple(value) if isinstance(value, list) else value for key, value in document["motion"].items()}
+        motion = _with_tuples(document["motion"])
         known = {field.name for field in fields(GatewayConfig)}
         if document["format"] != FORMAT:
             raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
         if set(motion) != known:
             difference = sorted(set(motion) ^ known)
             raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
-        config = GatewayConfig(**motion)
+        config = GatewayConfig(**motion | {"layout": RsiLayout(**_with_tuples(motion["layout"]))})
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
     if document.get("hash") != config.hash:
         expected = f"hash {config.hash}; the file was edited, export it again"
         raise ConfigurationError(where, document.get("hash"), expected)
     return config
+
+
+def _with_tuples(document: dict) -> dict:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
 
 
 def load_config(path: str) -> GatewayConfig:

@@ -9,11 +9,9 @@ import argparse
 import gc
 import json
 import logging
-import os
 import selectors
 import signal
 import socket
-import struct
 import sys
 import time
 from logging.handlers import QueueHandler, QueueListener
@@ -26,44 +24,38 @@ from construction_twin.errors import (
     ConstructionTwinError,
     PayloadError,
     TelegramError,
-    TransportError,
 )
-from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, user_properties
+from construction_twin.mqtt.account import load_account
+from construction_twin.mqtt.client import (
+    Broker,
+    make_client,
+    received_pairs,
+    subscriptions,
+    unique_id,
+    user_properties,
+)
+from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.realtime import request_realtime
-from construction_twin.rsi.codec import RobotTelegram, SensorEncoder, parse_robot
+from construction_twin.rsi.codec import RobotDecoder, RobotTelegram, SensorEncoder
 from construction_twin.rsi.config import GatewayConfig, load_config
+from construction_twin.rsi.ethernet_xml import controller_sends_to
 from construction_twin.rsi.histogram import Histogram
+from construction_twin.rsi.mode import NOTES, Mode
 from construction_twin.rsi.session import Gateway, State
+from construction_twin.rsi.trace import TraceWriter
+from construction_twin.rsi.udp import bind, receive
 
 log = logging.getLogger("rsi_gateway")
 
-#: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor.
-_SO_TIMESTAMPNS = 35
-_MAX_DATAGRAM = 65535
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 _DRAIN_LIMIT = 64
 _STATUS_PERIOD = 1.0
 #: The slowest axis comes to rest from full speed in less than 1 s; a controller that went silent is not waited for [s].
 _LONGEST_BRAKING = 3.0
-
-
-def bind(host: str, port: int) -> socket.socket:
-    """Return a UDP socket bound for RSI; TransportError when the port is taken or the address is not ours."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        sock.bind((host, port))
-    except OSError as error:
-        sock.close()
-        raise TransportError(
-            f"cannot listen for RSI on UDP {host}:{port}: {error.strerror}; another gateway (or KUKA's TestServer) may hold the "
-            "port, or the address is not this machine's"
-        ) from error
-    sock.setblocking(False)
-    if sys.platform == "linux":
-        sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-    return sock
+#: `Stop` is sent for this long: a few telegrams, in case one of them is lost [s].
+_LAST_STOP = 0.1
 
 
 class GatewayService:
@@ -78,36 +70,53 @@ class GatewayService:
     topics : Topics
     controller : str or None
         Only datagrams from this address are read; None reads any.
+    commissioning : bool, optional
+        Send every correction as zero.
     """
 
     def __init__(
-        self, config: GatewayConfig, sock: socket.socket, broker: Broker, topics: Topics, controller: str | None = None
+        self,
+        config: GatewayConfig,
+        sock: socket.socket,
+        broker: Broker,
+        topics: Topics,
+        controller: str | None = None,
+        commissioning: bool = False,
     ):
-        self.gateway = Gateway(config)
+        self.gateway = Gateway(config, commissioning)
         self.reply_time = Histogram.of_microseconds()
         self._sock = sock
         self._topics = topics
         self._controller = controller
-        self._encoder = SensorEncoder(config.sentype, config.axes)
+        self._decoder = RobotDecoder(config.axes, config.units)
+        self._encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
         self._selector = selectors.DefaultSelector()
         self._selector.register(sock, selectors.EVENT_READ, None)
-        client = make_client(broker, f"{topics.robot}-gateway-{os.getpid()}", topics.status)
+        client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status)
+        self._connection = ConnectionReport(broker, log.error)
         client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
         client.on_message = self._on_message
         client.connect_async(broker.host, broker.port, broker.keepalive)
-        self._mqtt = PolledClient(client, self._selector)
+        self._mqtt = PolledClient(client, self._selector, self._connection.failed)
         self._state_properties = broker.protocol == "5"
         self._status_at = 0.0
         self._running = True
 
     def run(self) -> None:
-        """Serve until `stop` is called; then bring the arm to rest before answering ends, because HOLDON would stop it dead."""
+        """Serve until `stop` is called; then bring the arm to rest before answering ends, because HOLDON would stop it dead.
+
+        Where the Ethernet XML declares `Stop`, RSI_MOVECORR is ended too: a controller left alone would report a timeout.
+        """
         try:
             while self._running:
                 self._turn(self._selector.select(0.05))
-            self.gateway.stop("the gateway is ending")
+            self.gateway.end("the gateway is ending")
             deadline = time.monotonic() + _LONGEST_BRAKING
             while self.gateway.state is State.BRAKING and time.monotonic() < deadline:
+                self._turn(self._selector.select(0.05))
+            deadline = time.monotonic() + _LAST_STOP
+            while self.gateway.ends and time.monotonic() < deadline:
                 self._turn(self._selector.select(0.05))
         finally:
             self._publish_status(final=True)
@@ -140,7 +149,8 @@ class GatewayService:
         telegram, source, arrived = newest
         correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
         if correction is not None:
-            self._answer(self._encoder.encode(correction, telegram.ipoc), source)
+            stop = True if self.gateway.ends else None
+            self._answer(self._encoder.encode(correction, telegram.ipoc, stop), source)
             self.reply_time.add((time.time_ns() - arrived) / 1e3)
         self._publish_state()
 
@@ -152,7 +162,7 @@ class GatewayService:
         newest = None
         for _ in range(_DRAIN_LIMIT):
             try:
-                data, ancillary, source = self._receive()
+                data, arrived, source = receive(self._sock)
             except BlockingIOError:
                 break
             except OSError as error:
@@ -164,7 +174,7 @@ class GatewayService:
                 continue
             if newest is not None:
                 self.gateway.counters["telegrams_skipped"] += 1
-            newest = telegram, source, _arrival(ancillary)
+            newest = telegram, source, arrived
         return newest
 
     def _read_telegram(self, data: bytes, source: tuple) -> RobotTelegram | None:
@@ -175,17 +185,10 @@ class GatewayService:
             self.gateway.counters["telegram_refused_source"] += 1
             return None
         try:
-            return parse_robot(data, self.gateway.config.axes)
+            return self._decoder.parse(data)
         except TelegramError as error:
             self.gateway.counters[f"telegram_refused_{error.reason}"] += 1
             return None
-
-    def _receive(self) -> tuple[bytes, list, tuple]:
-        if not hasattr(self._sock, "recvmsg"):  # Windows
-            data, source = self._sock.recvfrom(_MAX_DATAGRAM)
-            return data, [], source
-        data, ancillary, _, source = self._sock.recvmsg(_MAX_DATAGRAM, 64)
-        return data, ancillary, source
 
     def _answer(self, reply: bytes, source: tuple) -> None:
         try:
@@ -197,11 +200,17 @@ class GatewayService:
 
     def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
         if reason_code.is_failure:
-            log.error("broker refused the connection: %s", reason_code)
+            self._connection.refused(reason_code)
             return
+        self._connection.connected()
         log.info("connected to the broker")
         client.subscribe(subscriptions(client, [(self._topics.command, 0), (self._topics.control, 1)]))
-        self._status_at = 0.0
+        info = self._publish_status()
+        if info is not None:
+            self._connection.watch_publish(client, self._topics.status, info.mid)
+
+    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+        self._connection.lost(reason_code)
 
     def _on_message(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.topic == self._topics.command:
@@ -247,23 +256,15 @@ class GatewayService:
         beside = user_properties(properties.pairs()) if self._state_properties else None
         self._mqtt.client.publish(self._topics.state, payload, properties=beside)
 
-    def _publish_status(self, final: bool = False) -> None:
+    def _publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
         self._status_at = time.monotonic() + _STATUS_PERIOD
         if not self._mqtt.connected:
-            return
+            return None
         status = self.gateway.status()
         status["reply_us"] = self.reply_time.summary()
         if final:
             status |= {"state": "offline", "reason": "gateway stopped"}
-        self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
-
-
-def _arrival(ancillary) -> int:
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS:
-            seconds, nanoseconds = struct.unpack("qq", data[:16])
-            return seconds * 1_000_000_000 + nanoseconds
-    return time.time_ns()
+        return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
@@ -275,23 +276,51 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
     )
     parser.add_argument(
-        "--listen", default="127.0.0.1:49152", metavar="HOST:PORT", help="UDP address for RSI [%(default)s]"
+        "--listen",
+        default="127.0.0.1:0",
+        metavar="HOST:PORT",
+        help="UDP address for RSI; port 0: PORT of the Ethernet XML [%(default)s]",
+    )
+    parser.add_argument(
+        "--ethernet-xml",
+        metavar="FILE",
+        help="the file that was copied to the controller: do not start when the configuration was made from another one",
+    )
+    parser.add_argument(
+        "--commissioning",
+        nargs="?",
+        const="true",
+        default="false",
+        choices=["true", "false"],
+        help="send every correction as zero; everything else runs and is reported as usual",
     )
     parser.add_argument("--controller", metavar="HOST", help="read telegrams from this address only")
     parser.add_argument("--broker", default="127.0.0.1:1883", metavar="HOST:PORT", help="MQTT broker [%(default)s]")
+    parser.add_argument(
+        "--account",
+        metavar="FILE",
+        help="account file for the broker, as make_site writes it; without: anonymous, no TLS",
+    )
     parser.add_argument("--protocol", default="5", choices=["5", "3.1.1"], help="MQTT version [%(default)s]")
     parser.add_argument("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
     parser.add_argument(
         "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
     )
+    parser.add_argument("--trace", metavar="FILE", help="record what is really sent, cycle by cycle, for an hour")
     return parser.parse_args(argv)
 
 
 def _address(text: str, option: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+    lowest = 0 if option == "--listen" else 1
+    if not host or not (port.isascii() and port.isdigit()) or not lowest <= int(port) < 65536:
         raise ConfigurationError(option, text, "HOST:PORT")
     return host, int(port)
+
+
+def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
+    host, port = _address(text, "--listen")
+    return host, port or config.layout.port
 
 
 def _log_beside_the_loop() -> QueueListener:
@@ -308,21 +337,34 @@ def _log_beside_the_loop() -> QueueListener:
 def _run(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config)
-        broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol)
+        account = load_account(arguments.account) if arguments.account else None
+        broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
         topics = Topics(arguments.prefix, config.robot)
+        address = _listen_address(arguments.listen, config)
+        told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
+        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         service = GatewayService(
-            config, bind(*_address(arguments.listen, "--listen")), broker, topics, arguments.controller
+            config, bind(*address), broker, topics, arguments.controller, arguments.commissioning == "true"
         )
+        service.gateway.trace = trace and trace.record
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
-    log.info("configuration %s; listening on %s; broker %s", config.hash[:12], arguments.listen, arguments.broker)
+    log.info("configuration %s; listening on %s:%d; broker %s", config.hash[:12], *address, arguments.broker)
+    if address[1] != config.layout.port:
+        log.warning("the Ethernet XML tells the controller to send to port %d, not %d", config.layout.port, address[1])
+    if told != address[0] and address[0] != "0.0.0.0":
+        log.warning("the Ethernet XML tells the controller to send to address %s, not %s", told, address[0])
+    if service.gateway.mode is not Mode.NORMAL:
+        log.warning("mode %s%s", service.gateway.mode.value, NOTES[service.gateway.mode])
     log.info(request_realtime(arguments.realtime))
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()
     service.run()
+    if trace is not None:
+        trace.close()
     return 0
 
 

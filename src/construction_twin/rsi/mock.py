@@ -30,9 +30,11 @@ import pydantic
 from construction_twin.errors import ConfigurationError, ConstructionTwinError, TransportError
 from construction_twin.realtime import request_realtime
 from construction_twin.robot import RobotModel, read_robot_files
-from construction_twin.rsi.codec import MAX_TELEGRAM
+from construction_twin.rsi.ethernet_xml import load_ethernet_xml, read_ethernet_xml
+from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.mock_controller import ForwardKinematics, MockConfig, MockController
 from construction_twin.rsi.servo import IdealServo, RealisticServo, Servo
+from construction_twin.rsi.telegram import MAX_TELEGRAM
 from construction_twin.units import CYCLE_NS, NANOSECONDS, degrees, radians
 
 log = logging.getLogger(__name__)
@@ -55,11 +57,10 @@ class MockSettings(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     gateway_host: str
-    gateway_port: Annotated[int, pydantic.Field(ge=1, le=65535)]
-    sentype: str = "ImFree"
+    gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
+    ethernet_xml: str = ""
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
-    holdon: bool = True
     cumulative_delay: bool = False
     start_pose_deg: _Degrees = []
     correction_lower_deg: _Degrees = []
@@ -87,6 +88,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
     JointRangeError
         If the start pose lies outside the range.
     """
+    layout = _layout(settings)
     ends = zip(_to_axes(robot, robot.lower), _to_axes(robot, robot.upper))
     lower, upper = zip(*(sorted(pair) for pair in ends))
     config = MockConfig(
@@ -96,10 +98,9 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         upper=upper,
         velocity=robot.velocity,
         acceleration=robot.acceleration,
-        sentype=settings.sentype,
+        layout=layout,
         precision=settings.precision,
         timeout=settings.timeout,
-        holdon=settings.holdon,
         cumulative_delay=settings.cumulative_delay,
         correction_lower=radians(settings.correction_lower_deg) or None,
         correction_upper=radians(settings.correction_upper_deg) or None,
@@ -109,6 +110,18 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         first_ipoc=settings.first_ipoc,
     )
     return MockController(config, build_servo(settings), make_forward_kinematics(robot))
+
+
+def gateway_address(settings: MockSettings) -> tuple[str, int]:
+    """Return where packets go: the port is the Ethernet XML's unless another one is given."""
+    layout = _layout(settings)
+    if not settings.gateway_port and layout is None:
+        raise ConfigurationError("gateway_port", 0, "a port, or an Ethernet XML that names it")
+    return settings.gateway_host, settings.gateway_port or layout.port
+
+
+def _layout(settings: MockSettings) -> RsiLayout | None:
+    return read_ethernet_xml(settings.ethernet_xml, "Ethernet XML").layout if settings.ethernet_xml else None
 
 
 def build_servo(settings: MockSettings) -> Servo:
@@ -318,12 +331,17 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     option = parser.add_argument
     option("--robot-xacro", type=Path, default=_ROOT / "urdf/kr120r2500.urdf.xacro", help="URDF or xacro [%(default)s]")
     option("--robot-config", type=Path, default=_ROOT / "config/kr120.yaml", help="robot YAML [%(default)s]")
-    option("--gateway", default="127.0.0.1:49152", metavar="HOST:PORT", help="where packets go [%(default)s]")
+    option("--ethernet-xml", type=Path, default=_ROOT / "krl/ethernet/ctwin_ethernet.xml", metavar="FILE",
+           help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
+    option(
+        "--gateway",
+        default="127.0.0.1:0",
+        metavar="HOST:PORT",
+        help="where packets go; port 0: the Ethernet XML's [%(default)s]",
+    )
     option("--start", dest="start_pose_deg", type=_pose, metavar="DEG,...", help="start pose of the axes [deg] [home]")
-    option("--sentype", help="SENTYPE of the Ethernet configuration [ImFree]")
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
     option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")
-    option("--no-holdon", dest="holdon", action="store_false", help="HOLDON 0: a missed reply commands zero")
     option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
     option("--restart-after", type=float, metavar="S", help="new RSI session this long after a stop [s]; 0: never [0]")
     option(
@@ -338,6 +356,8 @@ def _pose(text: str) -> list[float]:
 
 def _settings(options: dict) -> MockSettings:
     host, _, port = options.pop("gateway").rpartition(":")
+    if "ethernet_xml" in options:
+        options["ethernet_xml"] = load_ethernet_xml(options["ethernet_xml"]).text
     try:
         return MockSettings(gateway_host=host, gateway_port=port, **options)
     except pydantic.ValidationError as error:
@@ -353,7 +373,7 @@ def main(argv: list[str] | None = None) -> int:
         robot = read_robot_files(options.pop("robot_xacro"), options.pop("robot_config"))
         settings = _settings(options)
         controller = build_controller(settings, robot)
-        mock = MockRsi(controller, (settings.gateway_host, settings.gateway_port), settings.restart_after)
+        mock = MockRsi(controller, gateway_address(settings), settings.restart_after)
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2

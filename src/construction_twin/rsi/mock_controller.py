@@ -10,8 +10,9 @@ cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the AIPos
 reply k. Before the first valid reply the setpoint is the start pose.
 
 What it does: IPOC +4 ms per packet from a large start value; a reply is valid only with the IPOC of the open cycle;
-`Delay`; `Timeout`; HOLDON; SENTYPE; `#ABSOLUTE` corrections clamped by AXISCORR, supervised by AXISCORRMON; soft limits;
-supervision of command velocity and acceleration; `Stop`; constant ASPos and RSol. What it does not: brake. A stopped arm
+`Delay`; `Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE`
+corrections clamped by AXISCORR, supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration; the
+STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; constant ASPos and RSol. What it does not: brake. A stopped arm
 stands where it is.
 """
 
@@ -22,7 +23,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from construction_twin.errors import ConfigurationError, JointRangeError, TelegramError
-from construction_twin.rsi.codec import RobotEncoder, parse_sensor
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
+from construction_twin.rsi.ethernet_xml import check_axes
+from construction_twin.rsi.layout import STOP, AxisUnit, RsiLayout
 from construction_twin.rsi.servo import Servo
 from construction_twin.units import CYCLE
 
@@ -49,14 +52,14 @@ class MockConfig:
         Soft limits [rad].
     velocity, acceleration : tuple of float
         Limits that the supervision is a multiple of [rad/s], [rad/s^2].
-    sentype : str
-        SENTYPE of the Ethernet configuration; a reply with another one does not count.
+    layout : RsiLayout, optional
+        The Ethernet configuration; a reply that does not fit it does not count. Default: `RsiLayout.plain`.
+    units : tuple of AxisUnit, optional
+        How each axis is written in the telegrams; default: deg, and no axis linear.
     precision : int
         Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
     timeout : int
         Cycles without a valid reply after which RSI stops.
-    holdon : bool
-        True: a missed reply keeps the last correction (HOLDON 1); False: it commands zero, back to the start pose.
     cumulative_delay : bool
         True: `Delay` counts all missed cycles of the session; False: consecutive ones.
     correction_lower, correction_upper : tuple of float, or None
@@ -80,10 +83,10 @@ class MockConfig:
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
-    sentype: str = "ImFree"
+    layout: RsiLayout | None = None
+    units: tuple[AxisUnit, ...] = ()
     precision: int = 6
     timeout: int = 100
-    holdon: bool = True
     cumulative_delay: bool = False
     correction_lower: tuple[float, ...] | None = None
     correction_upper: tuple[float, ...] | None = None
@@ -94,6 +97,9 @@ class MockConfig:
     restart_gap: int = 10_000
 
     def __post_init__(self) -> None:
+        if self.layout is None:
+            object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
+        check_axes(self.layout, self.axes, "Ethernet XML")
         count = len(self.axes)
         for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *_BOUNDS):
             values = getattr(self, name)
@@ -167,7 +173,16 @@ class MockController:
         self.config = config
         self.servo = servo
         self._forward_kinematics = forward_kinematics
-        self._encoder = RobotEncoder(config.axes, config.precision)
+        layout = config.layout
+        self._encoder = RobotEncoder(config.axes, config.precision, layout.send, config.units)
+        self._decoder = None
+        if not layout.onlysend:
+            self._decoder = SensorDecoder(layout.sentype, config.axes, layout.receive, config.units)
+        holdon = dict(zip(layout.receive, layout.holdon))
+        axis_of = {channel: channel.partition(".")[2] for channel in holdon}
+        #: Per axis, whether a missed reply keeps its correction.
+        self._holdon = tuple(any(holdon[c] for c in holdon if axis_of[c] == axis) for axis in config.axes)
+        self._stop_holdon = holdon.get(STOP, False)
         self._max_step = _per_cycle(config.velocity, config.velocity_factor * CYCLE)
         self._max_step_change = _per_cycle(config.acceleration, config.acceleration_factor * CYCLE * CYCLE)
         self.counters = dict.fromkeys(self.COUNTERS, 0)
@@ -230,10 +245,10 @@ class MockController:
         valid : bool
             True when it is the reply of this cycle; everything else is counted by its kind and has no effect.
         """
-        if not self.running:
+        if not self.running or self._decoder is None:
             return self._count("unexpected")
         try:
-            telegram = parse_sensor(data, self.config.sentype, self.config.axes)
+            telegram = self._decoder.parse(data)
         except TelegramError as error:
             return self._count("wrong_sentype" if error.reason == "sentype" else "malformed")
         if telegram.ipoc != self.ipoc or not self._open:
@@ -274,6 +289,7 @@ class MockController:
         self.start_pose = self.setpoint = pose
         self.applied = self._zero = (0.0,) * len(pose)
         self._last_step = self._zero
+        self._stop_level = False
         below = tuple(min(0.0, low - q) for low, q in zip(config.lower, pose))
         above = tuple(max(0.0, high - q) for high, q in zip(config.upper, pose))
         self.correction_lower, self.correction_upper = (
@@ -287,6 +303,10 @@ class MockController:
         self.servo.reset(pose)
 
     def _close_cycle(self) -> None:
+        if self._decoder is None:
+            # ONLYSEND: RSI_MOVECORR is not called, nothing is expected, nothing is corrected
+            self.servo.step(self.setpoint)
+            return
         correction = self._missed_reply() if self._reply is None else self._valid_reply()
         setpoint = tuple(start + value for start, value in zip(self.start_pose, correction))
         fault = self._fault(correction, setpoint)
@@ -304,13 +324,16 @@ class MockController:
         if self.delay >= self.config.timeout:
             self.flag = True
             self._stop(f"timeout: {self.delay} cycles without a valid reply")
-        return self.applied if self.config.holdon else self._zero
+        self._stop_level = self._stop_level and self._stop_holdon
+        return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holdon))
 
     def _valid_reply(self) -> tuple[float, ...]:
         if not self.config.cumulative_delay:
             self.delay = 0
-        if self._reply.stop:
-            self._stop("stop: requested by the PC")
+        stop = bool(self._reply.stop)
+        if stop and not self._stop_level:
+            self._stop("stop: requested by the PC, RSI_MOVECORR ended")
+        self._stop_level = stop
         wanted = self._reply.correction
         correction = _clamp(wanted, self.correction_lower, self.correction_upper)
         self.stat = 1

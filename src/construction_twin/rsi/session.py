@@ -7,7 +7,7 @@ is already here (design, law 1). Standard library only; rad and ns.
 from __future__ import annotations
 
 from collections import Counter
-from enum import Enum
+from collections.abc import Callable
 
 from construction_twin.errors import MotionRefused, PayloadError
 from construction_twin.limits import MotionCheck, outside_tolerance
@@ -16,29 +16,16 @@ from construction_twin.mqtt.messages import CommandProperties, Control, StatePro
 from construction_twin.rsi.codec import RobotTelegram
 from construction_twin.rsi.command_stream import CommandStream
 from construction_twin.rsi.config import GatewayConfig
-from construction_twin.rsi.follower import Follower
-from construction_twin.rsi.playout import Playout
+from construction_twin.rsi.controller_session import ControllerSession
+from construction_twin.rsi.mode import NOTES, Mode
+from construction_twin.rsi.ownership import Ownership
+from construction_twin.rsi.player import Player
+from construction_twin.rsi.state import State
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
-#: IPOC counts milliseconds (rsi.md, section 4).
-IPOC_NS = 1_000_000
-#: A controller that was heard this recently is alive, and its session its own [ns].
-ALIVE = NANOSECONDS // 10
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. A single missed telegram is less of a
 #: blow when the motion goes on at its speed than when it starts over [ns].
 STANDSTILL = 2 * CYCLE_NS
-
-
-class State(Enum):
-    """What the gateway is doing; the words are those of `status`."""
-
-    NO_CONTROLLER = "no_controller"  # no telegram for the timeout: nothing to answer
-    JOINED = "joined_running"  # telegrams whose correction we cannot know: not answered, so that the session times out
-    READY = "ready"  # origin captured, holding; waits for `arm`
-    ARMED = "armed"  # holding; the session's stream may begin
-    FOLLOWING = "following"  # the stream is played
-    BRAKING = "braking"  # on the way to rest
-    HOLDING = "holding"  # at rest after a fault or a stop; waits for `reset`
 
 
 class Gateway:
@@ -47,30 +34,34 @@ class Gateway:
     Parameters
     ----------
     config : GatewayConfig
+    commissioning : bool, optional
+        True: everything runs and is reported as usual, but every correction that leaves is zero.
     """
 
-    def __init__(self, config: GatewayConfig):
+    def __init__(self, config: GatewayConfig, commissioning: bool = False):
         self.config = config
+        self.mode = Mode.of(config, commissioning)
+        #: The last correction, as it would be without commissioning mode [rad], [m].
+        self.correction: tuple[float, ...] = ()
         self.codec = JointStringCodec(len(config.axes), config.decimals)
         self.counters: Counter[str] = Counter()
         self.state = State.NO_CONTROLLER
         self.reason = "no telegram yet"
-        self._stream = CommandStream(config, self.codec)
-        self._check = MotionCheck(config.limits, config.decimals)
-        self._playout = Playout(round(config.playout_delay * NANOSECONDS))
-        self._follower: Follower | None = None
-        self._origin: tuple[float, ...] = ()
-        self._measured: tuple[float, ...] = ()
-        self._source: object = None
-        self._ipoc = 0
-        self._last_telegram = 0
-        self._last_delay = 0
-        self._empty_telegrams = 0
-        self._target_stamp = 0
-        self._answered_stamp = 0
-        self._changed = True
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
         self.fault = False
+        #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), and
+        #: position [rad], which is origin plus correction. None costs nothing.
+        self.trace: Callable[[int, int, State, int, tuple[float, ...]], None] | None = None
+        self._controller = ControllerSession(config, self.counters)
+        self._owners = Ownership()
+        self._stream = CommandStream(config, self.codec)
+        self._check = MotionCheck(config.limits, config.decimals)
+        self._player = Player(config, self.counters)
+        self._silence = round(config.silence * NANOSECONDS)
+        self._answered_stamp = 0
+        self._ending = False
+        self._changed = True
+        self._last_refusal = ""
 
     @property
     def session(self) -> str:
@@ -84,8 +75,7 @@ class Gateway:
 
         Whatever else sends to the port must neither end the session nor push one of its telegrams aside.
         """
-        alive = self.state is not State.NO_CONTROLLER and now - self._last_telegram <= ALIVE
-        return source == self._source or not alive
+        return self._controller.accepts(source, now)
 
     def on_telegram(self, telegram: RobotTelegram, source: object, now: int) -> tuple[float, ...] | None:
         """Take a telegram and return the corrections to answer it with.
@@ -103,36 +93,40 @@ class Gateway:
         correction : tuple, shape (n,) or None
             Target minus origin [rad]; None when this telegram must not be answered.
         """
-        if self._is_repeated(telegram.ipoc, source):
+        controller = self._controller
+        if controller.is_repeated(telegram.ipoc, source):
             self.counters["telegrams_repeated"] += 1
             return None
-        elapsed = self._elapsed(telegram.ipoc, source, now)
-        self._ipoc, self._source, self._last_telegram = telegram.ipoc, source, now
+        elapsed = controller.hear(telegram.ipoc, source, now)
         if elapsed is None:
             self._begin_session(telegram)
             elapsed = CYCLE_NS
-        if self.state is State.JOINED:
-            self.counters["telegrams_unanswered"] += 1
-            return None
-        self._note_delay(telegram.delay)
-        if telegram.measured is None or telegram.setpoint is None:
-            self.counters["telegrams_without_pose"] += 1
-        if self._follower is None and not self._begin_at(telegram):
+        if self.state is State.JOINED or self.state is State.READ_ONLY:
+            return self._leave_unanswered(telegram)
+        player = self._player
+        if player.follower is None:
+            self._find_origin(telegram)
+        controller.note(telegram)
+        if player.follower is None:
             return None if self.state is State.JOINED else (0.0,) * len(self.config.axes)
-        if telegram.measured is not None:
-            self._note_pose(telegram)
-        self._answered_stamp = self._target_stamp
+        self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
         if elapsed > STANDSTILL:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
-            self._follower.rest()
+            player.follower.rest()
         position = self._move(elapsed)
-        return tuple([value - start for value, start in zip(position, self._origin)])
+        if self.trace is not None:
+            self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, player.stamp, position)
+        self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
+        return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
 
     def poll(self, now: int) -> None:
         """Notice that the controller has fallen silent; call this at least every 0.1 s."""
-        if self.state is not State.NO_CONTROLLER and now - self._last_telegram > self.config.timeout * NANOSECONDS:
-            self._end_session(f"no telegram for {self.config.timeout:g} s")
+        if self._controller.is_silent(now):
+            self._controller.end()
+            self._player.remove()
+            self._disarm()
+            self._enter(State.NO_CONTROLLER, f"no telegram for {self.config.timeout:g} s")
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
@@ -142,10 +136,10 @@ class Gateway:
         stamp : int
             The gateway's own time, for the receiver's freshness check [ns].
         """
-        if not self._measured or self.state is State.NO_CONTROLLER:
+        if not self._controller.measured:
             return None
         try:
-            payload = self.codec.encode(self._measured)
+            payload = self.codec.encode(self._controller.measured)
         except PayloadError as error:
             self.counters[f"state_refused_{error.reason}"] += 1
             return None
@@ -153,101 +147,45 @@ class Gateway:
         command_stamp = self._answered_stamp if self.config.properties else 0
         return payload, StateProperties(self.counters["states_sent"], stamp, command_stamp)
 
-    def _is_repeated(self, ipoc: int, source: object) -> bool:
-        """Tell whether the network brought a telegram twice, or behind a newer one: it was answered, or it is too late to."""
-        behind = (self._ipoc - ipoc) * IPOC_NS
-        alive = self.state is not State.NO_CONTROLLER and source == self._source
-        return alive and 0 <= behind <= self.config.timeout * NANOSECONDS
-
-    def _elapsed(self, ipoc: int, source: object, now: int) -> int | None:
-        """Return the controller time since the last telegram [ns], or None when this one begins another session."""
-        if self.state is State.NO_CONTROLLER:
-            return None
-        if source != self._source:
-            self.counters["sessions_by_source"] += 1
-            return None
-        elapsed = (ipoc - self._ipoc) * IPOC_NS
-        if not 0 < elapsed <= self.config.timeout * NANOSECONDS:
-            self.counters["sessions_by_ipoc_jump"] += 1
-            return None
-        if elapsed != CYCLE_NS:
-            self.counters["ipoc_steps_irregular"] += 1
-        return elapsed
-
     def _begin_session(self, telegram: RobotTelegram) -> None:
-        self._origin, self._follower = (), None
+        self._controller.begin(telegram)
+        self._player.remove()
         self._disarm()
-        # a Delay on the first packet belongs to the session's start, before anybody could answer
-        self._last_delay = telegram.delay or 0
-        self._empty_telegrams = 0
-        self.counters["rsi_sessions"] += 1
-        self._enter(State.READY, f"RSI session began at IPOC {telegram.ipoc}")
+        self._ending = False
+        self.correction = ()
+        state = State.READ_ONLY if self.mode is Mode.READ_ONLY else State.READY
+        began = f"RSI session began at IPOC {telegram.ipoc}: {self._controller.began}"
+        self._enter(state, began + NOTES[self.mode])
 
-    def _end_session(self, reason: str) -> None:
-        self._origin, self._follower, self._measured = (), None, ()
-        self._disarm()
-        self._enter(State.NO_CONTROLLER, reason)
+    def _leave_unanswered(self, telegram: RobotTelegram) -> None:
+        self.counters["telegrams_unanswered"] += 1
+        if self.state is State.READ_ONLY and telegram.measured is not None:
+            self._controller.measured = telegram.measured
 
-    def _begin_at(self, telegram: RobotTelegram) -> bool:
-        """Capture the origin; return False while there is none, or when this session must not be answered (JOINED)."""
-        if telegram.measured is None and telegram.setpoint is None and not self._empty_telegrams:
-            # RSI up to 2.3 opens a session with a telegram that holds only IPOC (rsi.md, section 2)
-            self._empty_telegrams += 1
-            return False
-        if telegram.measured is None or telegram.setpoint is None:
-            self._enter(
-                State.JOINED,
-                "telegrams lack AIPos or ASPos, so nobody can tell where the correction stands: not answering; declare DEF_AIPos "
-                "and DEF_ASPos in the Ethernet XML",
-            )
-            return False
-        self._capture_origin(telegram)
-        return self.state is not State.JOINED
-
-    def _capture_origin(self, telegram: RobotTelegram) -> None:
-        off = outside_tolerance(telegram.measured, telegram.setpoint, self.config.start_tolerance)
-        if off is not None:
-            self._enter(
-                State.JOINED,
-                f"{self.config.axes[off]} is already {telegram.measured[off] - telegram.setpoint[off]:.6f} rad off its programmed "
-                "position: joined a running session, not answering; it times out, then start the program again",
-            )
-            return
-        self._origin = telegram.setpoint if self.config.reference == "ASPos" else telegram.measured
-        self._follower = Follower(self.config.limits, self.config.decimals, self._origin)
-
-    def _note_pose(self, telegram: RobotTelegram) -> None:
-        self._measured = telegram.measured
-        if self.config.reference == "ASPos" and telegram.setpoint is not None and telegram.setpoint != self._origin:
-            self.counters["reference_drifts"] += 1
-
-    def _note_delay(self, delay: int | None) -> None:
-        if delay is not None:
-            self.counters["late_replies"] += max(0, delay - self._last_delay)
-            self._last_delay = delay
+    def _find_origin(self, telegram: RobotTelegram) -> None:
+        refusal = self._controller.find_origin(telegram)
+        if refusal:
+            self._enter(State.JOINED, refusal)
+        elif self._controller.origin:
+            self._player.place(self._controller.origin)
 
     # -- motion
 
     def _move(self, elapsed: int) -> tuple[float, ...]:
         if self.state is State.FOLLOWING:
-            return self._play(elapsed)
+            position = self._player.play(elapsed)
+            silence = self._player.silence
+            if silence > self._silence:
+                self._player.give_up(self.session, self._controller.heard_at)
+                self._brake("silence", f"no command for {silence / NANOSECONDS:.3f} s beyond the newest one")
+            return position
+        follower = self._player.follower
         if self.state is State.BRAKING:
-            position = self._follower.brake()
-            if self._follower.at_rest:
+            position = follower.brake()
+            if follower.at_rest:
                 self._enter(State.HOLDING, self.reason)
             return position
-        return self._follower.position
-
-    def _play(self, elapsed: int) -> tuple[float, ...]:
-        stamp, target = self._playout.advance(elapsed)
-        if self._playout.silence > self.config.silence * NANOSECONDS:
-            self._brake("silence", f"no command for {self._playout.silence / NANOSECONDS:.3f} s beyond the newest one")
-            return self._follower.brake()
-        self._target_stamp = stamp
-        position = self._follower.follow(target)
-        if self._follower.settling:
-            self.counters["settling"] += 1
-        return position
+        return follower.position
 
     def _brake(self, cause: str, reason: str) -> None:
         self.counters[f"stops_{cause}"] += 1
@@ -272,14 +210,26 @@ class Gateway:
         try:
             stamp, q = self._read_command(payload, properties, now)
         except PayloadError as error:
-            self.counters[f"refused_{error.reason}"] += 1
+            self._note_refusal(error.reason, error)
+            if error.reason in ("session", "not_armed"):
+                self._note_stranger(properties and properties.session, now)
             return
         try:
-            self._take(stamp, q)
+            self._take(stamp, q, now)
         except MotionRefused as refusal:
-            self.counters[f"refused_{refusal.reason}"] += 1
+            self._note_refusal(refusal.reason, refusal)
             if self.state is State.FOLLOWING:
                 self._brake("refused", str(refusal))
+
+    def _note_refusal(self, reason: str, error: Exception) -> None:
+        self.counters[f"refused_{reason}"] += 1
+        self._last_refusal = f"{reason}: {error}"
+
+    def _note_stranger(self, session: str | None, now: int) -> None:
+        if session is not None and self.session and not self._owners.knows(session):
+            self._owners.refuse(session)
+        else:
+            self._player.learn_from_stall(session, now)
 
     def _read_command(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
@@ -288,31 +238,41 @@ class Gateway:
             raise properties
         if self.config.properties and properties is None:
             raise PayloadError("properties", "command without session, seq and stamp")
-        if self.state not in (State.ARMED, State.FOLLOWING):
+        if self.state is not State.FOLLOWING and self.state is not State.ARMED:
             raise PayloadError("not_armed", f"gateway is {self.state.value}")
         stamp, q, lost = self._stream.read(payload, properties, now)
-        if self.state is State.FOLLOWING:
+        if lost and self.state is State.FOLLOWING:
             self.counters["commands_lost"] += lost
         return stamp, q
 
-    def _take(self, stamp: int, q: tuple[float, ...]) -> None:
+    def _take(self, stamp: int, q: tuple[float, ...], now: int) -> None:
         if self.state is State.ARMED:
-            self.config.limits.check_range(q)
-            off = outside_tolerance(q, self._follower.position, self.config.start_tolerance)
-            if off is not None:
-                distance = q[off] - self._follower.position[off]
-                raise MotionRefused("start", self.config.axes[off], distance, self.config.start_tolerance)
-            self._check.start(stamp, q)
-            self._enter(State.FOLLOWING, f"stream of session {self.session} began")
+            self._begin_stream(stamp, q)
+            self._player.learn_from_stall(self.session if self.config.properties else None, now)
         else:
-            lead = self._playout.lead(stamp) / NANOSECONDS
+            lead = self._player.lead(stamp)
             if lead > self.config.max_age:
                 # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
                 raise MotionRefused("lead", "", lead, self.config.max_age, "s")
+            hole = self._player.hole(stamp)
+            if hole:
+                # too long to guess what the motion was in between
+                self._brake("silence", f"{hole:.3f} s of the stream are missing")
+                return
             self._check.accept(stamp, q)
         self._stream.last_stamp = stamp
-        self._playout.push(stamp, q)
+        self._player.push(stamp, q, now - self._controller.heard_at)
         self.counters["commands_received"] += 1
+
+    def _begin_stream(self, stamp: int, q: tuple[float, ...]) -> None:
+        self.config.limits.check_range(q)
+        held = self._player.follower.position
+        off = outside_tolerance(q, held, self.config.start_tolerance)
+        if off is not None:
+            distance = q[off] - held[off]
+            raise MotionRefused("start", self.config.axes[off], distance, self.config.start_tolerance)
+        self._check.start(stamp, q)
+        self._enter(State.FOLLOWING, f"stream of session {self.session} began")
 
     # -- control
 
@@ -325,13 +285,17 @@ class Gateway:
         reason : str
             Why, in one sentence; goes into `control/ack`.
         """
-        verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset}
+        verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset, "end": self._end}
         if control.verb not in verbs:
             self.counters["refused_verb"] += 1
             return False, f"unknown verb {control.verb!r}"
+        if self._owners.is_repeated(control) and control.verb != "stop":
+            self.counters["refused_repeated"] += 1
+            return False, f"message {control.id!r} of session {control.session!r} was answered before"
         ok, reason = verbs[control.verb](control)
         if not ok:
             self.counters[f"refused_{control.verb}"] += 1
+            self._last_refusal = f"{control.verb}: {reason}"
         return ok, reason
 
     def _arm(self, control: Control) -> tuple[bool, str]:
@@ -340,14 +304,17 @@ class Gateway:
         if self.state in (State.ARMED, State.FOLLOWING):
             if control.session == self.session:
                 return True, "already armed for this session"
+            self._owners.refuse(control.session)
             return False, f"armed for session {self.session}; stop and reset first"
         if self.fault:
             return False, "stopped since the last reset; reset first"
-        if self.state is not State.READY or self._follower is None:
+        if self.state is not State.READY or self._player.follower is None:
             return False, f"gateway is {self.state.value}: {self.reason}"
+        if not self._owners.begin(control.session):
+            return False, f"session {control.session} has had its turn; begin another"
         self._stream.begin(control.session)
-        self._enter(State.ARMED, f"armed for session {control.session}")
-        return True, "armed"
+        self._enter(State.ARMED, f"armed for session {control.session}{NOTES[self.mode]}")
+        return True, f"armed{NOTES[self.mode]}"
 
     def _stop(self, control: Control) -> tuple[bool, str]:
         self.stop(f"asked for by {control.session or 'nobody by name'}")
@@ -355,26 +322,49 @@ class Gateway:
 
     def stop(self, reason: str) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
-        if self._follower is None:
+        if self._player.follower is None:
             self.fault = self._changed = True
             return
         self._brake("stop", reason)
 
-    def _reset(self, control: Control) -> tuple[bool, str]:
-        if self._follower is None:
+    def _end(self, control: Control) -> tuple[bool, str]:
+        if not self.config.layout.stop:
+            return False, "the Ethernet XML declares no Stop element: end the program on the pendant"
+        if self._player.follower is None:
             return False, f"gateway is {self.state.value}: {self.reason}"
-        if not self._follower.at_rest:
+        self.end(f"end asked for by {control.session or 'nobody by name'}")
+        return True, "RSI_MOVECORR ends as soon as the arm is at rest"
+
+    def end(self, reason: str) -> None:
+        """Brake as in `stop`, and once at rest end RSI_MOVECORR where the Ethernet XML declares `Stop`."""
+        self.stop(reason)
+        self._ending = self.config.layout.stop
+
+    @property
+    def ends(self) -> bool:
+        """True when replies must carry Stop 1: the end was asked for, and the arm is at rest."""
+        return self._ending and self.state is State.HOLDING
+
+    def _reset(self, control: Control) -> tuple[bool, str]:
+        if self._player.follower is None:
+            return False, f"gateway is {self.state.value}: {self.reason}"
+        if self.state is State.FOLLOWING and control.session != self.session:
+            # also the owner's own next session asks too early sometimes: no intruder yet
+            return False, f"session {self.session} commands; stop it, or wait until its stream has ended"
+        if not self._player.follower.at_rest:
             return False, "the arm is still moving; stop it first"
         self._disarm()
-        self.fault = False
-        self._enter(State.READY, "reset")
+        self.fault = self._ending = False
+        if self.mode is Mode.COMMISSIONING:
+            # the arm never left its origin: the next stream begins there
+            self._player.place(self._controller.origin)
+        self._enter(State.READY, f"reset{NOTES[self.mode]}")
         return True, "reset"
 
     def _disarm(self) -> None:
         self._stream.begin("")
-        self._target_stamp = 0
         self._answered_stamp = 0
-        self._playout.clear()
+        self._player.clear()
 
     # -- status
 
@@ -393,8 +383,14 @@ class Gateway:
             "reason": self.reason,
             "session": self.session,
             "fault": self.fault,
+            "mode": self.mode.value,
+            "correction": list(self.correction),
+            "last_ipoc_jump_ms": self._controller.jump_ms,
             "hash": self.config.hash,
             "decimals": self.config.decimals,
             "properties": self.config.properties,
+            "playout": self._player.report(),
+            "intruder": {"session": self._owners.intruder, "count": self._owners.intrusions},
+            "last_refusal": self._last_refusal,
             "counters": dict(self.counters),
         }

@@ -1,0 +1,362 @@
+"""How smooth the gateway's corrections are: RMS acceleration and jerk over those of the planned trajectory.
+
+Run it: ``python benchmarks/smoothness.py``. The gateway of `construction_twin.rsi.session` on a simulated clock, with simulated
+arrivals of commands, beside a naive gateway that forwards the newest command it has. Nothing here depends on the machine's speed.
+
+A profile is a link: when does a command that was sent at t arrive? MQTT runs over TCP, so a command never overtakes another. The
+links are undisturbed for nobody: each runs for `WARM_UP` at rest before the motion, as the executor does it, which repeats the
+twin's pose.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.messages import CommandProperties, Control
+from construction_twin.planning.timing import time_path
+from construction_twin.robot import RobotModel, read_robot_files
+from construction_twin.rsi.config import GatewayConfig
+from construction_twin.rsi.export import gateway_config
+from construction_twin.rsi.session import Gateway, State
+from construction_twin.rsi.telegram import RobotTelegram
+from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Time at rest before the motion: two of the long stalls [s].
+WARM_UP = 12.0
+#: Share of the limits that the trajectory uses.
+SHARE = 0.8
+#: Poses of the motion, after home and before it [deg].
+POSES = ((55.0, -50.0, 75.0, 40.0, 60.0, -70.0), (-40.0, -80.0, 100.0, -60.0, 110.0, 50.0))
+#: Offset of the controller's cycle against the sender's [ns].
+PHASE = 1_700_000
+#: The sender's clock when ours reads 0 [ns].
+SENDER_EPOCH = 1_790_000_000 * NANOSECONDS
+#: Ratios up to this are the target where the longest stall is below the delay's bound.
+TARGET = 1.1
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A link.
+
+    Attributes
+    ----------
+    travel : callable
+        From a random.Random to the travel time of the next command [ns].
+    stalls : tuple of (float, float)
+        Period and length of stalls in which nothing arrives [s].
+    cut : tuple of (float, float)
+        Begin, from the start of the motion, and length of one such stall [s]; () for none.
+    loss : float
+        Share of commands that never arrive.
+    """
+
+    travel: Callable[[random.Random], int] = lambda _: 300_000
+    stalls: tuple[float, float] = ()
+    cut: tuple[float, float] = ()
+    loss: float = 0.0
+
+    @property
+    def longest_stall(self) -> float:
+        """[s]"""
+        return max(self.stalls[1:] + self.cut[1:], default=0.0)
+
+    def arrivals(self, sent: np.ndarray, seed: int) -> list[int | None]:
+        """Return when each command of `sent` [ns from the start of the motion] arrives; None: never."""
+        chance = random.Random(seed)
+        times, last = [], -(1 << 62)
+        for moment in sent.tolist():
+            if chance.random() < self.loss:
+                times.append(None)
+                continue
+            last = max(last + 1, self._released(moment + self.travel(chance)))
+            times.append(last)
+        return times
+
+    def _released(self, arrival: int) -> int:
+        if self.stalls:
+            period, length = (round(value * NANOSECONDS) for value in self.stalls)
+            # the first stall of a period begins half a period in
+            into = (arrival - period // 2) % period
+            arrival += max(0, length - into)
+        if self.cut:
+            begin, length = (round(value * NANOSECONDS) for value in self.cut)
+            if begin <= arrival < begin + length:
+                arrival = begin + length
+        return arrival
+
+
+def _delay_20_10(chance: random.Random) -> int:
+    return chance.randrange(10_000_000, 30_000_001)
+
+
+PROFILES = {
+    "ideal": Profile(),
+    "delay_20_10": Profile(travel=_delay_20_10),
+    "stall_50ms_1s": Profile(stalls=(1.0, 0.05)),
+    "stall_200ms_5s": Profile(stalls=(5.0, 0.2)),
+    "cut_1s": Profile(cut=(2.5, 1.0)),
+    "loss_1": Profile(loss=0.01),
+    "loss_5": Profile(loss=0.05),
+}
+
+
+def read_robot() -> RobotModel:
+    """Return this package's robot."""
+    return read_robot_files(ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml")
+
+
+def make_config(robot: RobotModel, **changes) -> GatewayConfig:
+    """Return the shipped gateway configuration with 6 decimals and `changes`."""
+    settings = yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text())
+    return gateway_config(robot, settings | {"decimals": 6} | changes)
+
+
+def planned_motion(robot: RobotModel) -> np.ndarray:
+    """Return the motion on the 4 ms grid, at rest for `WARM_UP` before and for 2 s after; shape (m, n), rad."""
+    path = np.array([robot.home, *map(radians, POSES), robot.home])
+    motion = time_path(path, robot, speed_scale=SHARE)
+    times = np.arange(-WARM_UP, motion.duration + 2.0, CYCLE)
+    return motion.sample_many(np.clip(times, 0.0, motion.duration))[0]
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a gateway made of a motion.
+
+    Attributes
+    ----------
+    positions : array, shape (k, n)
+        What it sent, one row per controller cycle [rad].
+    status : dict
+        Its status at the end; {} of the naive one.
+    """
+
+    positions: np.ndarray
+    status: dict
+
+
+class Rig:
+    """A gateway, a controller that carries out every reply, and a sender that begins a new session where it may.
+
+    Parameters
+    ----------
+    config : GatewayConfig
+    start : tuple, shape (n,)
+        Pose of the arm [rad].
+    """
+
+    def __init__(self, config: GatewayConfig, start: tuple[float, ...]):
+        self.gateway = Gateway(config)
+        self.codec = JointStringCodec(len(config.axes), config.decimals)
+        self.positions: list[tuple[float, ...]] = []
+        self._config = config
+        self._origin = self._pose = start
+        self._cycles = 0
+        self._sessions = 0
+        self._controls = 0
+
+    @property
+    def session(self) -> str:
+        """Id of the sender's present session."""
+        return f"s{self._sessions}"
+
+    def cycle(self, now: int) -> None:
+        """Let the controller send a telegram and carry out the answer."""
+        self._cycles += 1
+        telegram = RobotTelegram(4 * self._cycles, self._pose, self._origin, 0)
+        correction = self.gateway.on_telegram(telegram, "controller", now)
+        self._pose = tuple([start + value for start, value in zip(self._origin, correction)])
+        self.positions.append(self._pose)
+
+    def rearm(self) -> None:
+        """Do what the bridge does when the arm rests near its twin (design, law 5)."""
+        if self.gateway.state is State.HOLDING and not self.gateway.fault:
+            self._control("reset")
+        if self.gateway.state is State.READY:
+            self._sessions += 1
+            self._control("arm", self._config.hash)
+
+    def _control(self, verb: str, value: object = None) -> None:
+        self._controls += 1
+        self.gateway.on_control(Control(str(self._controls), self.session, verb, value))
+
+
+def play(motion: np.ndarray, config: GatewayConfig, profile: Profile, seed: int = 1) -> Played:
+    """Send `motion` through the gateway over a link.
+
+    Parameters
+    ----------
+    motion : array, shape (m, n)
+        One setpoint per 4 ms [rad].
+    config : GatewayConfig
+    profile : Profile
+    seed : int, optional
+        Of the link's random numbers.
+
+    Returns
+    -------
+    played : Played
+    """
+    rig = Rig(config, tuple(motion[0].tolist()))
+    start = round(WARM_UP * NANOSECONDS)
+    sent = np.arange(len(motion), dtype=np.int64) * CYCLE_NS
+    arrivals = profile.arrivals(sent - start, seed)
+    poses = [rig.codec.encode(tuple(q)) for q in motion.tolist()]
+    sessions: list[str] = []
+    queue, waiting = [(at + start, k) for k, at in enumerate(arrivals) if at is not None], 0
+    for cycle in range(len(motion)):
+        now = cycle * CYCLE_NS + PHASE
+        sessions.append(rig.session)
+        while waiting < len(queue) and queue[waiting][0] <= now:
+            at, k = queue[waiting]
+            waiting += 1
+            properties = CommandProperties(sessions[k], k + 1, SENDER_EPOCH + int(sent[k]))
+            rig.gateway.on_command(poses[k], properties if config.properties else None, at)
+        rig.cycle(now)
+        if cycle < round(WARM_UP / CYCLE) - 250:
+            rig.rearm()
+    return Played(np.array(rig.positions), rig.gateway.status())
+
+
+def play_naively(motion: np.ndarray, decimals: int, profile: Profile, seed: int = 1) -> Played:
+    """Send `motion` over a link to a gateway that answers with the newest command; parameters as for `play`."""
+    codec = JointStringCodec(motion.shape[1], decimals)
+    sent = np.arange(len(motion), dtype=np.int64) * CYCLE_NS - round(WARM_UP * NANOSECONDS)
+    arrivals = profile.arrivals(sent, seed)
+    queue, waiting, newest = [(at, k) for k, at in enumerate(arrivals) if at is not None], 0, 0
+    positions = []
+    for now in (sent + PHASE).tolist():
+        while waiting < len(queue) and queue[waiting][0] <= now:
+            newest = queue[waiting][1]
+            waiting += 1
+        positions.append(codec.quantise(tuple(motion[newest].tolist())))
+    return Played(np.array(positions), {})
+
+
+def roughness(positions: np.ndarray, robot: RobotModel) -> tuple[float, float]:
+    """Return root sums of squares of acceleration and jerk, each joint's in shares of its own limit.
+
+    Parameters
+    ----------
+    positions : array, shape (k, n)
+        One row per 4 ms [rad].
+    """
+    acceleration = np.diff(positions, 2, axis=0) / CYCLE**2
+    jerk = np.diff(positions, 3, axis=0) / CYCLE**3
+    limits = np.array(robot.acceleration), np.array(robot.jerk)
+    return tuple(float(np.sqrt(np.sum((values / limit) ** 2))) for values, limit in zip((acceleration, jerk), limits))
+
+
+def ratios(played: Played, motion: np.ndarray, robot: RobotModel) -> dict:
+    """Return ``acc_ratio`` and ``jerk_ratio`` of what was played over what was planned."""
+    moved = played.positions[round((WARM_UP - 1.0) / CYCLE) :]
+    ours, planned = roughness(moved, robot), roughness(motion, robot)
+    return {name: ours[k] / planned[k] for k, name in enumerate(("acc_ratio", "jerk_ratio"))}
+
+
+def measure(decimals: int = 6, **changes) -> dict:
+    """Return the ratios of every profile, ours and the naive gateway's.
+
+    Parameters
+    ----------
+    decimals : int, optional
+        Of the joint string.
+    changes : optional
+        Other keys of `GatewayConfig`.
+
+    Returns
+    -------
+    ratios : dict
+        ``{profile: {"ours": {"acc_ratio", "jerk_ratio"}, "naive": {...}}}``
+    """
+    robot = read_robot()
+    motion, config = planned_motion(robot), make_config(robot, decimals=decimals, **changes)
+    return {
+        name: {
+            "ours": ratios(play(motion, config, profile), motion, robot),
+            "naive": ratios(play_naively(motion, decimals, profile), motion, robot),
+        }
+        for name, profile in PROFILES.items()
+    }
+
+
+def measure_ripple() -> list[dict]:
+    """Return what rounding and its smoothing do on the ideal link, per number of decimals and smoothing.
+
+    Returns
+    -------
+    rows : list of dict
+        ``decimals``, ``smoothing_cycles``, ``delay_ms`` of the smoothing, ``ripple_deg_s2``: RMS over all joints and cycles of the
+        motion of what is added to the planned acceleration, ``acc_ratio``, ``jerk_ratio``.
+    """
+    robot = read_robot()
+    motion = planned_motion(robot)
+    planned = np.diff(motion, 2, axis=0) / CYCLE**2
+    moving = np.flatnonzero(np.abs(planned).max(axis=1) > 0)
+    rows = []
+    for decimals in (3, 4, 6):
+        for cycles in (0, 2, 3, 4):
+            played = play(motion, make_config(robot, decimals=decimals, smoothing_cycles=cycles), PROFILES["ideal"])
+            acceleration = np.diff(played.positions, 2, axis=0) / CYCLE**2
+            lag = _lag(played.positions, motion)
+            ripple = acceleration[moving[0] + lag : moving[-1] + lag] - planned[moving[0] : moving[-1]]
+            rows.append(
+                {
+                    "decimals": decimals,
+                    "smoothing_cycles": cycles,
+                    "delay_ms": 4 * cycles,
+                    "ripple_deg_s2": math.degrees(float(np.sqrt(np.mean(ripple**2)))),
+                }
+                | ratios(played, motion, robot)
+            )
+    return rows
+
+
+def _lag(positions: np.ndarray, motion: np.ndarray) -> int:
+    """Return by how many cycles what was played is behind what was planned."""
+    ends = len(motion) - 250
+    return min(range(60), key=lambda lag: float(np.abs(positions[lag : ends + lag] - motion[:ends]).sum()))
+
+
+def _print(results: dict) -> None:
+    print(f"{'profile':16s}{'ours: acc':>12s}{'jerk':>10s}{'naive: acc':>14s}{'jerk':>10s}   (RMS over the plan's)")
+    for name, row in results.items():
+        ours, naive = row["ours"], row["naive"]
+        print(
+            f"{name:16s}{ours['acc_ratio']:12.3f}{ours['jerk_ratio']:10.3f}{naive['acc_ratio']:14.2f}{naive['jerk_ratio']:10.1f}"
+        )
+
+
+def main() -> None:
+    """Print the tables, or with ``--json`` the values."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print JSON in place of tables")
+    parser.add_argument("--decimals", type=int, default=6, help="decimals of the joint string [%(default)s]")
+    arguments = parser.parse_args()
+    results, ripple = measure(arguments.decimals), measure_ripple()
+    if arguments.json:
+        print(json.dumps({"smoothness": results, "ripple": ripple}, indent=2))
+        return
+    _print(results)
+    print(f"\n{'decimals':>8s}{'smoothing':>11s}{'delay':>8s}{'ripple':>14s}{'acc':>9s}{'jerk':>9s}")
+    for row in ripple:
+        print(
+            f"{row['decimals']:8d}{row['smoothing_cycles']:11d}{row['delay_ms']:5d} ms{row['ripple_deg_s2']:8.2f} deg/s2"
+            f"{row['acc_ratio']:9.3f}{row['jerk_ratio']:9.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""Why a connection to the broker failed, in one sentence that says what to do. Standard library and paho-mqtt only."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+import sys
+from collections.abc import Callable
+
+from paho.mqtt import client as paho
+from paho.mqtt.reasoncodes import ReasonCode
+
+from construction_twin.mqtt.client import Broker, watch_answer
+
+#: OpenSSL's numbers of what is wrong with a certificate (X509_V_ERR_...).
+_NOT_YET_VALID, _EXPIRED = 9, 10
+_UNKNOWN_CA = (2, 18, 19, 20, 21)
+_WRONG_NAME = (62, 64)
+#: Reason codes of MQTT 5 that mean the account; paho translates those of 3.1.1 into them.
+_BAD_CREDENTIALS, _NOT_AUTHORIZED = 134, 135
+
+
+def connection_failure(broker: Broker, error: OSError) -> str:
+    """Return the sentence for a connection that was not made.
+
+    Parameters
+    ----------
+    broker : Broker
+    error : OSError
+        What connecting raised; errors of TLS and of name resolution are OSErrors too.
+    """
+    where = f"broker {broker.host}:{broker.port}"
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"{where}: {_certificate_failure(broker, error)}"
+    if isinstance(error, ssl.SSLError):
+        return f"{where}: {_tls_failure(error)}"
+    if isinstance(error, socket.gaierror):
+        return f"{where}: no such host ({error.strerror}); check the name and the name server"
+    if isinstance(error, ConnectionRefusedError):
+        return f"{where}: nobody listens there; start the broker, or check host and port"
+    if isinstance(error, TimeoutError):
+        return f"{where}: no answer; check the cable, the address and the firewall"
+    if isinstance(error, ConnectionResetError):
+        return f"{where}: hung up while connecting; does this port speak {'TLS' if broker.encrypted else 'plain TCP'}?"
+    return f"{where}: {error.strerror or error}"
+
+
+def _certificate_failure(broker: Broker, error: ssl.SSLCertVerificationError) -> str:
+    ca_file = broker.account.ca_file if broker.account else ""
+    if error.verify_code == _EXPIRED:
+        return "its certificate has expired; renew it with make_site --renew, or check this machine's clock"
+    if error.verify_code == _NOT_YET_VALID:
+        return "its certificate is not valid yet; check the clocks of both machines"
+    if error.verify_code in _WRONG_NAME:
+        return (
+            f"its certificate is not for {broker.host!r} ({error.verify_message}); connect by a name it holds, or add this "
+            "one with make_site --host"
+        )
+    if error.verify_code in _UNKNOWN_CA:
+        return (
+            f"its certificate is not signed by the CA in {ca_file} ({error.verify_message}); take ca.crt from this broker's "
+            "site"
+        )
+    return f"its certificate is refused: {error.verify_message}"
+
+
+def _tls_failure(error: ssl.SSLError) -> str:
+    reason = getattr(error, "reason", None) or str(error)
+    if "WRONG_VERSION_NUMBER" in reason or "EOF" in reason:
+        return "the port does not speak TLS; give the broker's TLS port, or an account without ca_file"
+    if "CERTIFICATE" in reason or "UNKNOWN_CA" in reason:
+        return (
+            f"the broker refuses this client's certificate ({reason}); take the certificate from this broker's site, or "
+            "renew it"
+        )
+    return f"TLS failed ({reason})"
+
+
+def refused_connection(broker: Broker, reason_code: ReasonCode) -> str:
+    """Return the sentence for a connection that the broker refused in its answer (CONNACK)."""
+    where = f"broker {broker.host}:{broker.port}"
+    if reason_code.value not in (_BAD_CREDENTIALS, _NOT_AUTHORIZED):
+        return f"{where} refused the connection: {reason_code}"
+    if broker.account is None or not broker.account.user:
+        return f"{where} refused the connection: {reason_code}; it wants an account, give an account file"
+    return (
+        f"{where} refused user {broker.account.user!r}: {reason_code}; check the user, and the password in "
+        f"{broker.account.password_file}"
+    )
+
+
+def lost_connection(broker: Broker, reason_code: ReasonCode) -> str:
+    """Return the sentence for a connection that ended; a broker that refuses a client certificate shows itself only here."""
+    sentence = f"connection to broker {broker.host}:{broker.port} lost: {reason_code}; trying again"
+    if broker.account is not None and broker.account.cert_file:
+        sentence += " (if it never lasts: the broker may refuse the client certificate)"
+    return sentence
+
+
+def refused_publish(broker: Broker, topic: str, reason_code: ReasonCode) -> str:
+    """Return the sentence for a message that the broker's access rules did not let through."""
+    who = broker.account.user or broker.account.cert_file if broker.account else "somebody without an account"
+    return (
+        f"broker {broker.host}:{broker.port} does not let {who} publish on {topic}: {reason_code}; this program needs the account "
+        "of its role"
+    )
+
+
+class ConnectionReport:
+    """Says why there is no connection: each sentence once, until another one is due.
+
+    Parameters
+    ----------
+    broker : Broker
+    say : callable
+        Takes a sentence, e.g. a logger's `error`; called from the thread that connects or serves the client.
+
+    Attributes
+    ----------
+    sentence : str
+        Why there is no connection; empty while there is one, and before the first attempt has ended.
+    """
+
+    def __init__(self, broker: Broker, say: Callable[[str], None]):
+        self._broker = broker
+        self._say = say
+        self.sentence = ""
+
+    def watch(self, client: paho.Client) -> None:
+        """Report the failed attempts of a client that is served by paho's own thread."""
+
+        def failed(client, userdata) -> None:
+            error = sys.exc_info()[1]
+            if isinstance(error, OSError):
+                self.failed(error)
+
+        client.on_connect_fail = failed
+
+    def connected(self) -> None:
+        """Take note that the broker has said welcome."""
+        self.sentence = ""
+
+    def failed(self, error: OSError) -> None:
+        """Report an attempt to connect that raised `error`."""
+        self._report(connection_failure(self._broker, error))
+
+    def refused(self, reason_code: ReasonCode) -> None:
+        """Report a connection that the broker refused."""
+        self._report(refused_connection(self._broker, reason_code))
+
+    def lost(self, reason_code: ReasonCode) -> None:
+        """Report the end of a connection that nobody wanted to end; what the broker said when it refused one stays."""
+        if reason_code.is_failure and not self.sentence:
+            self._report(lost_connection(self._broker, reason_code))
+
+    def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
+        """Report when the broker's access rules refuse a message; see `watch_answer`."""
+        watch_answer(client, mid, lambda reason_code: self._say(refused_publish(self._broker, topic, reason_code)))
+
+    def _report(self, sentence: str) -> None:
+        if sentence != self.sentence:
+            self.sentence = sentence
+            self._say(sentence)

@@ -1,0 +1,49 @@
+"""What the gateway's status says beside its counters, as texts for `link` and `/diagnostics`. Standard library only."""
+
+from __future__ import annotations
+
+import math
+
+from construction_twin.errors import PayloadError
+
+#: Objects of the status whose values are shown, each under its own name and theirs.
+_GROUPS = ("playout", "intruder")
+_TEXTS = ("mode", "last_refusal")
+_LONGEST = 300
+
+
+def status_values(status: dict) -> dict[str, str]:
+    """Return delay, jitter, drift and rate of the playout, the last intruder and the last refusal.
+
+    Parameters
+    ----------
+    status : dict
+        As `parse_status` returned it; what is absent is left out.
+
+    Returns
+    -------
+    values : dict of str
+        E.g. ``{"playout_delay_ms": "20", "intruder_session": "", "last_refusal": "..."}``; "" for what is not known.
+
+    Raises
+    ------
+    PayloadError
+        ``status``, when a value is no number, short text or null.
+    """
+    values = {name: _text(name, status[name]) for name in _TEXTS if name in status}
+    for group in _GROUPS:
+        members = status.get(group, {})
+        if not isinstance(members, dict) or len(members) > 32:
+            raise PayloadError("status", f"status message whose {group} is not what the interface says")
+        values |= {f"{group}_{name}": _text(f"{group}.{name}", value) for name, value in members.items()}
+    return values
+
+
+def _text(name: str, value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return value[:_LONGEST]
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
+        return f"{value:.9g}"
+    raise PayloadError("status", f"status message whose {name} is {str(value)[:80]!r}: no number, text or null")

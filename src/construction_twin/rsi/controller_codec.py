@@ -1,0 +1,204 @@
+"""RSI telegrams as the controller writes and reads them: for the mock and the tests.
+
+Rad and m on this side, degrees and millimetres on the other, as in `codec`. Standard library only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from xml.etree import ElementTree
+
+from construction_twin.errors import ConfigurationError, TelegramError
+from construction_twin.rsi.channels import (
+    attribute_template,
+    axis_units,
+    check_axis_names,
+    check_values,
+    correction_channels,
+)
+from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit
+from construction_twin.rsi.telegram import SensorTelegram, find_children, read_document, read_ipoc, read_number
+
+#: Blocks of a packet that hold an axis each, with the axes in them.
+AXIS_BLOCKS = {"AIPos": ROBOT_AXES, "ASPos": ROBOT_AXES, "EIPos": EXTERNAL_AXES, "ESPos": EXTERNAL_AXES}
+#: Blocks of a packet that hold a Cartesian pose.
+POSE_BLOCKS = ("RIst", "RSol")
+
+
+class RobotEncoder:
+    """Writes controller packets.
+
+    Parameters
+    ----------
+    axes : tuple of str, length n
+        Axis names, in the order of the positions. The blocks always have six attributes; an axis that is not there reads 0.
+    precision : int
+        Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
+    send : tuple of str, optional
+        Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay.
+    units : tuple of AxisUnit, length n, optional
+        Default: every axis turns, and is in the controller's own units.
+
+    Raises
+    ------
+    ConfigurationError
+        If a name is no RSI axis, a block is not known here, or the precision is out of range.
+    """
+
+    def __init__(
+        self,
+        axes: tuple[str, ...],
+        precision: int,
+        send: tuple[str, ...] = (*POSE_BLOCKS, "AIPos", "ASPos", "Delay"),
+        units: tuple[AxisUnit, ...] = (),
+    ):
+        check_axis_names(axes)
+        if not 1 <= precision <= 32:
+            raise ConfigurationError("precision", precision, "1 to 32 decimals")
+        self._count = len(axes)
+        self._units = [(unit.feedback_factor, unit.zero) for unit in axis_units(axes, units)]
+        self._blocks = [
+            (name, [axes.index(a) if a in axes else None for a in AXIS_BLOCKS.get(name, ())]) for name in send
+        ]
+        elements = "".join(_block(name, precision) for name in send)
+        self._template = f'<Rob Type="KUKA">{elements}<IPOC>%d</IPOC></Rob>'.encode()
+        zero = f"{0:.{precision}f}".encode()
+        self._negative_zero, self._zero = b'"-' + zero + b'"', b'"' + zero + b'"'
+
+    def encode(
+        self,
+        ipoc: int,
+        measured: Sequence[float],
+        setpoint: Sequence[float],
+        measured_pose: Sequence[float],
+        setpoint_pose: Sequence[float],
+        delay: int,
+    ) -> bytes:
+        """Write one packet.
+
+        Parameters
+        ----------
+        ipoc : int
+            Controller time [ms].
+        measured, setpoint : sequence of float, length n
+            Axis positions for AIPos and EIPos, ASPos and ESPos [rad] ([m] for a linear axis).
+        measured_pose, setpoint_pose : sequence of float, length 6
+            X, Y, Z [m] and A, B, C [rad] of the tool in the base, for RIst and RSol.
+        delay : int
+            Cycles without a valid reply.
+
+        Returns
+        -------
+        data : bytes
+            The datagram.
+
+        Raises
+        ------
+        TelegramError
+            If a value is missing or not finite.
+        """
+        check_values("AIPos", measured, self._count)
+        check_values("ASPos", setpoint, self._count)
+        check_values("RIst", measured_pose, 6)
+        check_values("RSol", setpoint_pose, 6)
+        axes = {"I": self._positions(measured), "S": self._positions(setpoint)}
+        values: list[float] = []
+        for name, slots in self._blocks:
+            if name in POSE_BLOCKS:
+                values.extend(_pose_on_wire(measured_pose if name == "RIst" else setpoint_pose))
+            elif name == "Delay":
+                values.append(delay)
+            else:
+                values.extend(0.0 if slot is None else axes[name[1]][slot] for slot in slots)
+        return (self._template % (*values, ipoc)).replace(self._negative_zero, self._zero)
+
+    def _positions(self, q: Sequence[float]) -> list[float]:
+        return [(value + zero) * factor for value, (factor, zero) in zip(q, self._units)]
+
+
+class SensorDecoder:
+    """Reads replies, as a controller with this Ethernet configuration does.
+
+    Parameters
+    ----------
+    sentype : str
+        SENTYPE of the Ethernet configuration.
+    axes : tuple of str, length n
+        Axis names, in the order of the corrections.
+    receive : tuple of str, optional
+        Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
+    units : tuple of AxisUnit, length n, optional
+        Default: every axis turns, and is in the controller's own units.
+    """
+
+    def __init__(
+        self, sentype: str, axes: tuple[str, ...], receive: tuple[str, ...] = (), units: tuple[AxisUnit, ...] = ()
+    ):
+        self._stop_declared = STOP in receive
+        self._stop_ignored = bool(receive) and not self._stop_declared
+        receive = correction_channels(axes, receive)
+        element_of = {axis: element for element, _, axis in (channel.partition(".") for channel in receive)}
+        self._sentype = sentype
+        self._slots = [(element_of[axis], axis) for axis in axes]
+        self._factors = [unit.correction_reading_factor for unit in axis_units(axes, units)]
+        self._wanted = frozenset((*(element for element, _ in self._slots), STOP, "IPOC"))
+
+    def parse(self, data: bytes) -> SensorTelegram:
+        """Read a reply.
+
+        Parameters
+        ----------
+        data : bytes
+            One datagram.
+
+        Returns
+        -------
+        telegram : SensorTelegram
+            Corrections in rad and m; `stop` is None where the element is not declared.
+
+        Raises
+        ------
+        TelegramError
+            With the reason; ``sentype`` when the reply is meant for another configuration.
+        """
+        root = read_document(data, "Sen")
+        if root.get("Type") != self._sentype:
+            raise TelegramError(
+                "sentype", f"the reply's Type is {root.get('Type')!r}; expected the SENTYPE {self._sentype!r}"
+            )
+        found = find_children(root, self._wanted)
+        for element, _ in self._slots:
+            if element not in found:
+                raise TelegramError("element", f"the reply has no {element} element")
+        values = [read_number(found[element], axis) for element, axis in self._slots]
+        correction = tuple([value * factor for value, factor in zip(values, self._factors)])
+        return SensorTelegram(read_ipoc(found), correction, self._stop(found.get(STOP)))
+
+    def _stop(self, element: ElementTree.Element | None) -> bool | None:
+        if element is None and self._stop_declared:
+            raise TelegramError("element", "the reply has no Stop element")
+        if element is None or self._stop_ignored:
+            return None
+        if element.text not in ("0", "1"):
+            raise TelegramError("number", f"Stop is {element.text!r}; expected 0 or 1")
+        return element.text == "1"
+
+
+def parse_sensor(data: bytes, sentype: str, axes: tuple[str, ...]) -> SensorTelegram:
+    """Read one reply with the usual channels; `SensorDecoder` is for every cycle."""
+    return SensorDecoder(sentype, axes).parse(data)
+
+
+def _block(name: str, precision: int) -> str:
+    if name in POSE_BLOCKS:
+        return f"<{name} {attribute_template(('X', 'Y', 'Z', 'A', 'B', 'C'), precision)}/>"
+    if name in AXIS_BLOCKS:
+        return f"<{name} {attribute_template(AXIS_BLOCKS[name], precision)}/>"
+    if name == "Delay":
+        return '<Delay D="%d"/>'
+    raise ConfigurationError("SEND", name, f"one of {', '.join((*POSE_BLOCKS, *AXIS_BLOCKS, 'Delay'))}")
+
+
+def _pose_on_wire(pose: Sequence[float]) -> tuple[float, ...]:
+    return (*(1e3 * value for value in pose[:3]), *map(math.degrees, pose[3:]))

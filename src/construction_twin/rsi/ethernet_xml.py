@@ -1,0 +1,330 @@
+"""Reads KUKA's RSI Ethernet XML, the file that a user copies to the controller: the one source of what stands in the telegrams.
+
+`read_ethernet_xml` asks what the controller asks of the file; the mock is built from its answer. `check_gateway` asks what
+the gateway needs beyond that. Both say in one sentence which element does not fit and what was expected. Standard library only.
+
+    <ROOT>
+      <CONFIG> IP_NUMBER, PORT, SENTYPE, ONLYSEND </CONFIG>
+      <SEND> <ELEMENTS> <ELEMENT TAG TYPE INDX/> ... </ELEMENTS> </SEND>
+      <RECEIVE> <ELEMENTS> <ELEMENT TAG TYPE INDX HOLDON/> ... </ELEMENTS> </RECEIVE>
+    </ROOT>
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from xml.etree import ElementTree
+
+from construction_twin.errors import EthernetXmlError
+from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
+
+#: A file of this kind is a few kB [bytes].
+MAX_BYTES = 256 * 1024
+#: INTERNAL elements of SEND that gateway and mock know, with their TYPE (rsi.md, section 2).
+INTERNAL = {
+    "DEF_RIst": "DOUBLE", "DEF_RSol": "DOUBLE", "DEF_AIPos": "DOUBLE", "DEF_ASPos": "DOUBLE", "DEF_EIPos": "DOUBLE",
+    "DEF_ESPos": "DOUBLE", "DEF_Delay": "LONG",
+}  # fmt: skip
+TYPES = ("BOOL", "STRING", "LONG", "DOUBLE")
+
+_TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(?:\.[A-Za-z0-9_]{1,31})?").fullmatch
+_GENERATOR_1 = re.compile(r"DEF_Tech\.[CT]1").fullmatch
+
+
+@dataclass(frozen=True)
+class EthernetXml:
+    """What an Ethernet XML says.
+
+    Attributes
+    ----------
+    where : str
+        Name of the file, for messages.
+    address : str
+        IP_NUMBER: where the controller sends to.
+    layout : RsiLayout
+        Everything about the telegrams; `send` has the wire names, without ``DEF_``.
+    text : str
+        The file's text.
+    """
+
+    where: str
+    address: str
+    layout: RsiLayout
+    text: str
+
+
+@dataclass(frozen=True)
+class _Element:
+    tag: str
+    type: str
+    index: str
+    holdon: str
+
+
+def load_ethernet_xml(path: str | Path) -> EthernetXml:
+    """Read a file; EthernetXmlError when it is missing, too large or does not fit."""
+    try:
+        with open(path, "rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        text = data.decode("utf-8-sig")
+    except OSError as error:
+        raise EthernetXmlError(str(path), "file", error.strerror, "a readable RSI Ethernet XML") from error
+    except UnicodeDecodeError as error:
+        raise EthernetXmlError(str(path), "file", str(error), "text in UTF-8") from error
+    return read_ethernet_xml(text, str(path))
+
+
+def read_ethernet_xml(text: str, where: str) -> EthernetXml:
+    """Read the text of an Ethernet XML as the controller would.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Name of the file or parameter, for messages.
+
+    Returns
+    -------
+    ethernet : EthernetXml
+
+    Raises
+    ------
+    EthernetXmlError
+        Naming the element, what was found, and what was expected.
+    """
+    root = _document(text, where)
+    config = _section(root, "CONFIG", where)
+    protocol = config.findtext("PROTOCOL")
+    if protocol is not None and protocol.strip().upper() != "UDP":
+        raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, "UDP or no such element: a KR C4 talks UDP only")
+    onlysend = _text(config, "ONLYSEND", where).upper()
+    if onlysend not in ("TRUE", "FALSE"):
+        raise EthernetXmlError(where, "CONFIG/ONLYSEND", onlysend, "TRUE or FALSE")
+    sentype = _text(config, "SENTYPE", where)
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_.-]{0,63}", sentype):
+        raise EthernetXmlError(where, "CONFIG/SENTYPE", sentype, "a letter, then letters, digits, '_', '.' or '-'")
+    send = _elements(root, "SEND", where)
+    receive = _elements(root, "RECEIVE", where)
+    for element in send:
+        _check_internal(element, where)
+    for element in receive:
+        _check_channel(element, where)
+    layout = RsiLayout(
+        sentype=sentype,
+        port=_port(config, where),
+        onlysend=onlysend == "TRUE",
+        send=tuple(element.tag.removeprefix("DEF_") for element in send),
+        receive=tuple(element.tag for element in receive),
+        holdon=tuple(element.holdon == "1" for element in receive),
+    )
+    return EthernetXml(where, _address(config, where), layout, text)
+
+
+def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
+    """Check that the corrections of an Ethernet XML are those of a robot's axes, in one element per kind of axis.
+
+    Parameters
+    ----------
+    layout : RsiLayout
+    axes : sequence of str
+        RSI axes of the robot.
+    where : str
+
+    Raises
+    ------
+    EthernetXmlError
+        For a missing, a foreign or a repeated axis, and for a channel that nobody would fill.
+    """
+    if layout.onlysend:
+        return
+    elements: dict[str, str] = {}
+    for channel in layout.receive:
+        element, _, axis = channel.partition(".")
+        if channel == STOP:
+            continue
+        if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
+            expected = (
+                "axis corrections (e.g. AK.A1) and Stop only: nobody fills any other channel; remove it from the file"
+            )
+            raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
+        if axis in elements:
+            raise EthernetXmlError(where, f"RECEIVE {channel}", f"a second channel for {axis}", "one channel per axis")
+        if axis not in axes:
+            raise EthernetXmlError(where, f"RECEIVE {channel}", axis, f"the robot's axes {', '.join(axes)} only")
+        elements[axis] = element
+    for axis in axes:
+        if axis not in elements:
+            example = f"{'EK' if axis in EXTERNAL_AXES else 'AK'}.{axis}"
+            raise EthernetXmlError(where, f"RECEIVE {example}", None, f"a correction channel for {axis}, TYPE DOUBLE")
+    for group in (ROBOT_AXES, EXTERNAL_AXES):
+        names = sorted({element for axis, element in elements.items() if axis in group})
+        if len(names) > 1:
+            raise EthernetXmlError(
+                where, f"RECEIVE {names[1]}", names, f"one element for all of {group[0]} to {group[-1]}"
+            )
+
+
+def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
+    """Check that the gateway can serve a controller with this Ethernet XML.
+
+    Parameters
+    ----------
+    layout : RsiLayout
+    axes : sequence of str
+        RSI axes of the robot.
+    where : str
+
+    Raises
+    ------
+    EthernetXmlError
+        For a position block that is not sent, for HOLDON 0 on a correction, and as `check_axes`.
+    """
+    check_axes(layout, axes, where)
+    blocks = {"AIPos": "the measured axes", "ASPos": "the pose that corrections are relative to"}
+    if any(axis in EXTERNAL_AXES for axis in axes):
+        blocks |= {"EIPos": "the measured external axes", "ESPos": "the external axes' programmed position"}
+    for block, meaning in blocks.items():
+        if block not in layout.send:
+            raise EthernetXmlError(where, f"SEND DEF_{block}", None, f'TAG="DEF_{block}" INDX="INTERNAL": {meaning}')
+    for channel, holdon in zip(layout.receive, layout.holdon):
+        if channel != STOP and not holdon and not layout.onlysend:
+            expected = '"1": with "0" one missed reply commands a jump back to the start pose'
+            raise EthernetXmlError(where, f"RECEIVE {channel} HOLDON", "0", expected)
+
+
+def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
+    """Check the file that was copied to a controller against the layout that the gateway was configured with.
+
+    Parameters
+    ----------
+    path : str or Path
+    layout : RsiLayout
+
+    Returns
+    -------
+    address : str
+        IP_NUMBER of the file.
+
+    Raises
+    ------
+    EthernetXmlError
+        Naming the first difference.
+    """
+    ethernet = load_ethernet_xml(path)
+    for field in fields(RsiLayout):
+        found, ours = getattr(ethernet.layout, field.name), getattr(layout, field.name)
+        if found != ours:
+            expected = f"{ours} as in the configuration; export it again from this file"
+            raise EthernetXmlError(str(path), field.name, found, expected)
+    return ethernet.address
+
+
+def _document(text: str, where: str) -> ElementTree.Element:
+    if len(text) > MAX_BYTES:
+        raise EthernetXmlError(where, "file", f"more than {MAX_BYTES} characters", "an RSI Ethernet XML of a few kB")
+    # refused before the parser sees them, also in a comment: that rules out entity expansion
+    for markup in ("<!DOCTYPE", "<!ENTITY"):
+        if markup in text or "\0" in text:
+            raise EthernetXmlError(where, "file", markup, "a plain XML without document type, entities or NUL")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
+        raise EthernetXmlError(where, "file", str(error), "well-formed XML") from error
+    if root.tag != "ROOT":
+        raise EthernetXmlError(where, "file", root.tag[:64], "the root element ROOT")
+    return root
+
+
+def _section(root: ElementTree.Element, name: str, where: str) -> ElementTree.Element:
+    found = root.findall(name)
+    if len(found) != 1:
+        raise EthernetXmlError(where, name, f"{len(found)} of them", "one")
+    return found[0]
+
+
+def _text(config: ElementTree.Element, name: str, where: str) -> str:
+    found = config.findall(name)
+    if len(found) != 1 or not (found[0].text or "").strip():
+        raise EthernetXmlError(
+            where, f"CONFIG/{name}", [element.text for element in found] or None, "one, with a value"
+        )
+    return found[0].text.strip()
+
+
+def _port(config: ElementTree.Element, where: str) -> int:
+    text = _text(config, "PORT", where)
+    if not re.fullmatch(r"[0-9]{1,5}", text) or not 0 < int(text) < 65536:
+        raise EthernetXmlError(where, "CONFIG/PORT", text, "a UDP port from 1 to 65535")
+    return int(text)
+
+
+def _address(config: ElementTree.Element, where: str) -> str:
+    text = _text(config, "IP_NUMBER", where)
+    try:
+        return str(ipaddress.IPv4Address(text))
+    except ipaddress.AddressValueError as error:
+        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, "the IPv4 address of the PC") from error
+
+
+def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_Element]:
+    section = root.find(direction)
+    listed = () if section is None else section.findall("ELEMENTS/ELEMENT")
+    elements: list[_Element] = []
+    seen: set[str] = set()
+    for entry in listed:
+        element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "INDX", "HOLDON")))
+        place = f"{direction} {element.tag[:64]}"
+        if not _TAG(element.tag):
+            raise EthernetXmlError(
+                where, place, element.tag, 'a TAG of letters, digits and "_", at most one "." inside'
+            )
+        if element.type not in TYPES:
+            raise EthernetXmlError(where, f"{place} TYPE", element.type, f"one of {', '.join(TYPES)}")
+        if element.tag in (known.tag for known in elements):
+            raise EthernetXmlError(where, place, "it is there twice", "each TAG once")
+        _check_index(element, place, seen, where)
+        if direction == "RECEIVE" and element.holdon not in ("0", "1"):
+            raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, '"0" or "1"')
+        elements.append(element)
+    if direction == "SEND" and not elements:
+        raise EthernetXmlError(where, "SEND/ELEMENTS", None, "the elements that the controller sends")
+    return elements
+
+
+def _check_index(element: _Element, place: str, seen: set[str], where: str) -> None:
+    if element.index == "INTERNAL":
+        return
+    if not re.fullmatch(r"[1-9][0-9]?", element.index) or int(element.index) > 64:
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL or a channel from 1 to 64")
+    if element.index in seen:
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "a channel that no other element has")
+    seen.add(element.index)
+
+
+def _check_internal(element: _Element, where: str) -> None:
+    place = f"SEND {element.tag}"
+    internal = element.index == "INTERNAL"
+    if element.tag.startswith("DEF_") != internal:
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
+    expected = INTERNAL.get(element.tag)
+    if expected and element.type != expected:
+        raise EthernetXmlError(where, f"{place} TYPE", element.type, expected)
+
+
+def _check_channel(element: _Element, where: str) -> None:
+    place = f"RECEIVE {element.tag}"
+    if _GENERATOR_1(element.tag):
+        expected = "another function generator: RSI uses number 1 itself, and the ETHERNET object would report RSIBad"
+        raise EthernetXmlError(where, place, element.tag, expected)
+    if element.tag.startswith("DEF_") != (element.index == "INTERNAL"):
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
+    axis = element.tag.partition(".")[2]
+    expected = (
+        "DOUBLE" if axis in ROBOT_AXES or axis in EXTERNAL_AXES else "BOOL" if element.tag == STOP else element.type
+    )
+    if element.type != expected:
+        raise EthernetXmlError(where, f"{place} TYPE", element.type, expected)

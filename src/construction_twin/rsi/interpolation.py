@@ -1,0 +1,83 @@
+"""Cubic interpolation between stamped poses: the arithmetic that playout, monitor and evaluation share.
+
+A cubic Hermite segment per pair of neighbouring stamps. The velocity at a stamp is that of the parabola through it and
+its two neighbours, so velocity is continuous and a motion of constant acceleration is met exactly, also over stamps that
+are missing. At the end of what is known, where a neighbour is missing, it is the mean velocity of the segment. Standard
+library only; stamps in ns.
+"""
+
+from __future__ import annotations
+
+Pose = tuple[float, ...]
+
+
+def weights(stamp: int, stamp0: int, stamp1: int, before: int | None, after: int | None) -> tuple[float, float, float]:
+    """Return what the differences of neighbouring poses count in the pose at `stamp`.
+
+    The pose is ``q0 + (a * (q0 - q_before) + b * (q1 - q0) + c * (q_after - q1))``. Written in differences, poses that are equal
+    give exactly that pose. `construction_twin.evaluation.alignment.TwinPath` does the same on arrays, operation by operation.
+
+    Parameters
+    ----------
+    stamp, stamp0, stamp1 : int
+        [ns], ``stamp0 <= stamp <= stamp1``, ``stamp0 < stamp1``.
+    before, after : int or None
+        Stamp of the neighbour before `stamp0` and after `stamp1` [ns]; None when there is none.
+
+    Returns
+    -------
+    a, b, c : float
+    """
+    period = stamp1 - stamp0
+    share = (stamp - stamp0) / period
+    rest = 1.0 - share
+    begin = share * rest * rest
+    end = -share * share * rest
+    a, b, c = 0.0, share * share * (3.0 - 2.0 * share), 0.0
+    if before is None:
+        b += begin
+    else:
+        earlier = stamp0 - before
+        b += begin * (earlier / (earlier + period))
+        a = begin * (period / earlier * (period / (earlier + period)))
+    if after is None:
+        b += end
+    else:
+        later = after - stamp1
+        b += end * (later / (later + period))
+        c = end * (period / later * (period / (later + period)))
+    return a, b, c
+
+
+def interpolate(
+    stamp: int,
+    start: tuple[int, Pose],
+    end: tuple[int, Pose],
+    before: tuple[int, Pose] | None = None,
+    after: tuple[int, Pose] | None = None,
+) -> Pose:
+    """Interpolate between two stamped poses, with regard to their neighbours.
+
+    Parameters
+    ----------
+    stamp : int
+        [ns], from the stamp of `start` to that of `end`; at either the pose there is returned as it is.
+    start, end : tuple of (int, tuple)
+        Stamp [ns] and joint angles [rad], shape (n,).
+    before, after : tuple of (int, tuple) or None
+        The neighbours in time; None at the end of what is known.
+
+    Returns
+    -------
+    q : tuple, shape (n,)
+        Joint angles at `stamp` [rad].
+    """
+    stamp0, q0 = start
+    stamp1, q1 = end
+    if stamp <= stamp0:
+        return q0
+    if stamp >= stamp1:
+        return q1
+    qb, qa = (before or start)[1], (after or end)[1]
+    a, b, c = weights(stamp, stamp0, stamp1, before and before[0], after and after[0])
+    return tuple([v0 + (a * (v0 - vb) + b * (v1 - v0) + c * (va - v1)) for vb, v0, v1, va in zip(qb, q0, q1, qa)])

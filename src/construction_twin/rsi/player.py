@@ -1,0 +1,112 @@
+"""From buffered commands to positions: playout, smoothing and follower of one gateway. Standard library only; rad and ns."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from construction_twin.rsi.config import GatewayConfig
+from construction_twin.rsi.follower import Follower
+from construction_twin.rsi.playout import Playout, PlayoutBounds
+from construction_twin.rsi.smoothing import Smoother
+from construction_twin.units import CYCLE_NS, NANOSECONDS
+
+
+class Player:
+    """Plays a command stream, and brakes where it has run dry.
+
+    Parameters
+    ----------
+    config : GatewayConfig
+    counters : Counter
+        The gateway's; what happens to the stream is counted there.
+    """
+
+    def __init__(self, config: GatewayConfig, counters: Counter[str]):
+        self._config = config
+        self._counters = counters
+        self._playout = Playout(PlayoutBounds.of(config))
+        self._smoother = Smoother(config.smoothing_cycles) if config.smoothing_cycles else None
+        self._longest_hole = round(config.silence * NANOSECONDS)
+        self._stalled: tuple[str, int, int] | None = None
+        self._smoothing_ms = config.smoothing_cycles * CYCLE_NS / 1e6
+        #: Stands at the position last sent; None without an origin.
+        self.follower: Follower | None = None
+        #: Stamp of the target last played [ns]; 0 for none.
+        self.stamp = 0
+
+    @property
+    def silence(self) -> int:
+        """How far playout time has run past the newest command [ns]; 0 while commands are ahead of it."""
+        return self._playout.silence
+
+    def place(self, position: tuple[float, ...]) -> None:
+        """Stand at `position` [rad], at rest."""
+        self.follower = Follower(self._config.limits, self._config.decimals, position)
+
+    def remove(self) -> None:
+        """Stand nowhere: there is no origin."""
+        self.follower = None
+
+    def clear(self) -> None:
+        """Forget the stream; what was learned about the link stays."""
+        self._playout.clear()
+        self.stamp = 0
+        if self._smoother is not None:
+            self._smoother.clear()
+
+    def lead(self, stamp: int) -> float:
+        """Return how far `stamp` [ns] lies ahead of playout time [s]."""
+        return self._playout.lead(stamp) / NANOSECONDS
+
+    def hole(self, stamp: int) -> float:
+        """Return how much of the stream is missing before `stamp` [ns], if that is too much to bridge; else 0 [s].
+
+        Not when playout time has run past the newest command: then it is `silence` that says how much is too much.
+        """
+        hole = stamp - self._playout.newest
+        return hole / NANOSECONDS if hole > self._longest_hole and not self._playout.silence else 0.0
+
+    def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
+        """Take a command that passed every check: stamp [ns], pose [rad], time since the last telegram [ns]."""
+        if not self._playout.push(stamp, q, waited):
+            self._counters["commands_late"] += 1
+
+    def play(self, elapsed: int) -> tuple[float, ...]:
+        """Move on by `elapsed` [ns] and return the position to send [rad]."""
+        self.stamp, target = self._playout.advance(elapsed)
+        if self._playout.silence:
+            # where the motion would have gone on, nobody has said
+            self._counters["cycles_without_command"] += 1
+            return self.follower.brake()
+        if self._smoother is not None:
+            target = self._smoother.smooth(target)
+        position = self.follower.follow(target)
+        if self.follower.settling:
+            self._counters["settling"] += 1
+        return position
+
+    def give_up(self, session: str, now: int) -> None:
+        """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
+        self._stalled = session, self._playout.shortfall, now
+
+    def learn_from_stall(self, session: str | None, now: int) -> None:
+        """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
+
+        The next stream begins with a delay that absorbs this, as far as the bounds allow.
+
+        Parameters
+        ----------
+        session : str or None
+            The command's; None when commands carry none.
+        now : int
+            [ns]
+        """
+        if self._stalled is None or session not in (None, self._stalled[0]):
+            return
+        _, shortfall, since = self._stalled
+        self._playout.learn(shortfall + now - since)
+        self._stalled = None
+
+    def report(self) -> dict:
+        """Return what `status` says about the playout."""
+        return self._playout.report() | {"smoothing_ms": self._smoothing_ms}

@@ -1,0 +1,123 @@
+"""RSI telegrams as values, and the strict reading of XML that both directions share. Standard library only.
+
+A refused telegram raises `TelegramError` with one of these reasons: ``size``, ``encoding`` (not ASCII text), ``markup``
+(declaration, entity, comment, processing instruction), ``xml`` (not well-formed), ``root``, ``sentype``, ``ipoc``,
+``element`` (missing or twice), ``attribute`` (missing), ``number`` (not a finite plain decimal).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+from construction_twin.errors import TelegramError
+
+#: Largest UDP payload we receive; a telegram with every block declared exceeds 1 kB (rsi.md section 2).
+MAX_TELEGRAM = 65535
+
+#: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
+is_number = re.compile(r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?").fullmatch
+_COUNT = re.compile(r"[0-9]{1,20}").fullmatch
+_UINT64_MAX = 2**64 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTelegram:
+    """One controller packet.
+
+    Attributes
+    ----------
+    ipoc : int
+        Controller time [ms]; the reply must carry it unchanged.
+    measured : tuple of float, length n, or None
+        Actual axis positions, `AIPos` and `EIPos` [rad] ([m] for a linear axis); None when the packet has none (first packet of
+        old controllers).
+    setpoint : tuple of float, length n, or None
+        Programmed axis positions, `ASPos` and `ESPos`; constant during a correction.
+    delay : int or None
+        The controller's count of cycles without a valid reply.
+    """
+
+    ipoc: int
+    measured: tuple[float, ...] | None
+    setpoint: tuple[float, ...] | None
+    delay: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTelegram:
+    """One reply.
+
+    Attributes
+    ----------
+    ipoc : int
+        Echo of the packet it answers.
+    correction : tuple of float, length n
+        Axis corrections [rad] ([m] for a linear axis), relative to the session's start pose.
+    stop : bool or None
+        Content of the `Stop` element; None without one.
+    """
+
+    ipoc: int
+    correction: tuple[float, ...]
+    stop: bool | None
+
+
+def read_document(data: bytes, root_tag: str) -> ElementTree.Element:
+    """Return the root of a telegram; TelegramError when it is too large, not plain text, not XML, or another document."""
+    if not 0 < len(data) <= MAX_TELEGRAM:
+        raise TelegramError("size", f"telegram of {len(data)} B; expected 1 to {MAX_TELEGRAM} B")
+    # Without NUL, because "<" followed by NUL makes the parser read UTF-16, in which markup looks different from below.
+    if not data.isascii() or b"\0" in data:
+        raise TelegramError("encoding", "telegram holds bytes that are not ASCII text")
+    # No controller sends any; refusing them before the parser sees them rules out entity expansion.
+    if b"<!" in data or b"<?" in data:
+        raise TelegramError("markup", "telegram holds a declaration, comment or processing instruction")
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        raise TelegramError("xml", f"telegram is not well-formed: {error}") from error
+    if root.tag != root_tag:
+        raise TelegramError("root", f"the telegram's root is {root.tag[:64]!r}; expected {root_tag}")
+    return root
+
+
+def find_children(root: ElementTree.Element, wanted: frozenset[str]) -> dict[str, ElementTree.Element]:
+    """Return the wanted elements by name; every other one is ignored, one that is there twice is refused."""
+    found = {}
+    for child in root:
+        tag = child.tag
+        if tag in wanted:
+            if tag in found:
+                raise TelegramError("ipoc" if tag == "IPOC" else "element", f"the telegram has {tag} twice")
+            found[tag] = child
+    return found
+
+
+def read_ipoc(found: dict[str, ElementTree.Element]) -> int:
+    """Return the telegram's IPOC; TelegramError (``ipoc``) without one."""
+    element = found.get("IPOC")
+    if element is None:
+        raise TelegramError("ipoc", "the telegram has no IPOC")
+    if len(element):
+        raise TelegramError("ipoc", "IPOC holds elements; expected a number")
+    return read_count(element.text, "IPOC", "ipoc")
+
+
+def read_count(text: str | None, name: str, reason: str) -> int:
+    """Return a whole number of at most 64 bits."""
+    if text is None or not _COUNT(text) or int(text) > _UINT64_MAX:
+        shown = text if text is None else text[:32]
+        raise TelegramError(reason, f"{name} is {shown!r}; expected a whole number from 0 to {_UINT64_MAX}")
+    return int(text)
+
+
+def read_number(element: ElementTree.Element, attribute: str) -> float:
+    """Return an attribute that is a plain decimal number."""
+    text = element.get(attribute)
+    if text is None:
+        raise TelegramError("attribute", f"{element.tag} has no {attribute}")
+    if not is_number(text):
+        raise TelegramError("number", f"{element.tag} {attribute} is {text[:32]!r}; expected a plain decimal number")
+    return float(text)

@@ -1,0 +1,64 @@
+"""The gateway's UDP socket: bound loudly, read with each datagram's time of arrival. Standard library only, Windows included."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+import time
+
+from construction_twin.errors import TransportError
+from construction_twin.rsi.telegram import MAX_TELEGRAM
+
+#: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor.
+_SO_TIMESTAMPNS = 35
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """Return a UDP socket bound for RSI; TransportError when the port is taken or the address is not ours."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        sock.bind((host, port))
+    except OSError as error:
+        sock.close()
+        raise TransportError(
+            f"cannot listen for RSI on UDP {host}:{port}: {error.strerror}; another gateway (or KUKA's TestServer) may hold the "
+            "port, or the address is not this machine's"
+        ) from error
+    sock.setblocking(False)
+    if sys.platform == "linux":
+        sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    return sock
+
+
+def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
+    """Read one datagram.
+
+    Returns
+    -------
+    data : bytes
+    arrived : int
+        Time of arrival on the wall clock [ns]; the time of reading where the system does not tell.
+    source : tuple
+        Address and port of the sender.
+
+    Raises
+    ------
+    BlockingIOError
+        When there is none.
+    OSError
+        For what the system reports instead, e.g. "port unreachable" for an earlier reply.
+    """
+    if not hasattr(sock, "recvmsg"):  # Windows
+        data, source = sock.recvfrom(MAX_TELEGRAM)
+        return data, time.time_ns(), source
+    data, ancillary, _, source = sock.recvmsg(MAX_TELEGRAM, 64)
+    return data, _arrival(ancillary), source
+
+
+def _arrival(ancillary) -> int:
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS:
+            seconds, nanoseconds = struct.unpack("qq", data[:16])
+            return seconds * 1_000_000_000 + nanoseconds
+    return time.time_ns()

@@ -1,0 +1,200 @@
+"""The gateway as a program: its options, its last will, its end, and what it imports."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from paho.mqtt import client as paho
+from service_cell import (
+    CONFIG,
+    PATIENT,
+    cell,
+    client_of,
+    controller_of,
+    motion,
+    stream,
+)
+
+from construction_twin.rsi.ethernet_xml import load_ethernet_xml
+from construction_twin.rsi.gateway import bind, main
+from construction_twin.units import CYCLE, format_allowance
+
+
+@pytest.fixture
+def config_file(tmp_path):
+    path = tmp_path / "arm.json"
+    path.write_text(CONFIG.to_json())
+    return str(path)
+
+
+@contextmanager
+def program(config_file, port, topics, *options):
+    """The gateway as a process of its own; yields it and its UDP address."""
+    with bind("127.0.0.1", 0) as sock:
+        address = sock.getsockname()
+    command = [
+        sys.executable,
+        "-m",
+        "construction_twin.rsi.gateway",
+        "--config",
+        config_file,
+        "--prefix",
+        topics.prefix,
+    ]
+    command += ["--listen", f"{address[0]}:{address[1]}", "--broker", f"127.0.0.1:{port}", *options]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process, address
+    finally:
+        process.kill()
+        process.communicate(timeout=10.0)
+
+
+def test_a_killed_gateway_is_declared_offline_by_its_last_will(broker, topics, config_file):
+    with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, _):
+        client.wait_for_status(state="no_controller")
+        process.kill()
+        client.wait_for_status(state="offline", reason="connection lost")
+    with client_of(broker, topics) as late:
+        late.wait_for_status(state="offline")
+
+
+def test_an_ethernet_xml_that_sends_elsewhere_is_warned_of(broker, topics, config_file, tmp_path):
+    lines = (ROOT / "krl" / "ethernet" / "ctwin_ethernet.xml").read_text().splitlines()
+    file = tmp_path / "eth.xml"
+    file.write_text("\n".join(line for line in lines if not re.search('"AK.A[3-6]"', line)))
+    config = dataclasses.replace(CONFIG, layout=load_ethernet_xml(file).layout)
+    Path(config_file).write_text(config.to_json())
+    with (
+        client_of(broker, topics) as client,
+        program(config_file, broker, topics, "--ethernet-xml", str(file)) as (process, _),
+    ):
+        client.wait_for_status(state="no_controller")
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=10.0)
+    assert "tells the controller to send to address 192.168.1.10, not 127.0.0.1" in log
+    assert "tells the controller to send to port 49152, not" in log
+
+
+def test_sigterm_ends_the_program_cleanly(broker, topics, config_file):
+    with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, address):
+        client.wait_for_status(state="no_controller")
+        with controller_of(address) as controller:
+            controller.cycle()
+            assert controller.replies == [(0.0, 0.0)]
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=10.0)
+        assert process.returncode == 0
+        assert f"configuration {CONFIG.hash[:12]}" in log
+        assert "ready: RSI session began" in log
+        client.wait_for_status(state="offline", reason="gateway stopped")
+
+
+def test_ended_in_mid_motion_it_brakes_the_arm_before_it_goes(broker, topics):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.control("arm", PATIENT.hash)["ok"]
+        stream(client, controller, (motion(k) for k in range(200)))
+        count = len(controller.replies)
+        service.stop()
+        client.wait_for_status(state="offline", reason="gateway stopped")
+        replies = [reply for reply in controller.replies[count:] if reply is not None]
+    steps = [b[0] - a[0] for a, b in itertools.pairwise(replies)]
+    budget = PATIENT.acceleration[0] * CYCLE**2 + 2 * math.radians(2e-6)
+    assert abs(steps[0]) > 5 * budget
+    assert steps[-1] == 0.0
+    fastest = max(abs(b - a) for a, b in itertools.pairwise(steps[2:]))
+    assert fastest <= budget + format_allowance(PATIENT.decimals) * CYCLE**2
+
+
+def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
+    with program(config_file, broker, topics) as (process, address), client_of(broker, topics) as client:
+        client.wait_for_status(state="no_controller")
+        # every refused control is a log line; together they are far more than a pipe holds
+        for _ in range(1500):
+            client.paho.publish(topics.control, b"x" * 100, qos=1)
+        client.wait_for_counter("refused_control", 1500, timeout=30.0)
+        with controller_of(address) as controller:
+            for _ in range(20):
+                controller.cycle()
+            assert controller.replies == [(0.0, 0.0)] * 20
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--listen", "here"], ("--listen", "'here'", "HOST:PORT")),
+        (["--listen", "127.0.0.1:70000"], ("--listen", "'127.0.0.1:70000'", "HOST:PORT")),
+        (["--listen", "127.0.0.1:TAKEN"], ("cannot listen for RSI on UDP 127.0.0.1:TAKEN", "may hold the port")),
+        (["--broker", "1883"], ("--broker", "'1883'", "HOST:PORT")),
+        (["--prefix", "a/b"], ("prefix", "'a/b'", "letters, digits")),
+        (["--config", "/nowhere.json"], ("/nowhere.json", "No such file", "export_gateway_config")),
+    ],
+)
+def test_what_cannot_work_is_one_sentence_and_exit_code_2(config_file, arguments, said):
+    with bind("127.0.0.1", 0) as sock:
+        taken = str(sock.getsockname()[1])
+        arguments = [argument.replace("TAKEN", taken) for argument in arguments]
+        command = [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", config_file, *arguments]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert result.returncode == 2
+    for words in said:
+        assert words.replace("TAKEN", taken) in result.stderr
+    assert "Traceback" not in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_without_a_configuration_file_it_does_not_start(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([])
+    assert caught.value.code == 2
+    assert "--config" in capsys.readouterr().err
+
+
+#: Only the standard library, paho and this package can be imported: what a cell PC has.
+_CELL_PC = """
+import runpy, sys
+class CellPc:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top not in sys.stdlib_module_names and top not in ("paho", "construction_twin"):
+            raise ModuleNotFoundError(f"{name} is not on the cell PC")
+sys.meta_path.insert(0, CellPc())
+sys.path[:0] = sys.argv[1:3]
+module, sys.argv = sys.argv[3], sys.argv[3:]
+runpy.run_module(module, run_name="__main__", alter_sys=True)
+"""
+
+
+def on_the_cell_pc(module, *arguments):
+    site = str(Path(paho.__file__).parents[2])
+    command = [sys.executable, "-S", "-E", "-c", _CELL_PC, str(ROOT / "src"), site, module, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd="/")
+
+
+def test_the_gateway_needs_nothing_but_the_standard_library_and_paho(config_file):
+    result = on_the_cell_pc("construction_twin.rsi.gateway", "--help")
+    assert result.returncode == 0, result.stderr
+    assert "--config" in result.stdout
+    # beyond --help: it reads its configuration and gets as far as the socket
+    with bind("127.0.0.1", 0) as sock:
+        listen = f"127.0.0.1:{sock.getsockname()[1]}"
+        result = on_the_cell_pc("construction_twin.rsi.gateway", "--config", config_file, "--listen", listen)
+    assert result.returncode == 2
+    assert "cannot listen for RSI" in result.stderr
+
+
+@pytest.mark.parametrize("module", ["numpy", "yaml", "rospy", "construction_twin.robot"])
+def test_the_cell_pc_of_this_test_really_lacks_the_rest(module):
+    result = on_the_cell_pc(module)
+    assert result.returncode != 0
+    assert "is not on the cell PC" in result.stderr

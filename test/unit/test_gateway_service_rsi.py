@@ -1,0 +1,136 @@
+"""The gateway's UDP socket: real telegrams on loopback, with and without a broker, and no ROS."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+from conftest import wait_until
+from service_cell import (
+    CONFIG,
+    controller_of,
+    free_port,
+    serving,
+)
+
+from construction_twin.errors import TransportError
+from construction_twin.rsi.gateway import bind
+
+
+def test_every_telegram_is_answered_without_any_broker(topics):
+    with serving(free_port(), topics) as (service, address), controller_of(address) as controller:
+        for _ in range(300):
+            controller.cycle()
+        assert controller.replies == [(0.0, 0.0)] * 300
+    assert service.gateway.counters["telegrams"] == 300
+    # generous, for a busy machine: half of them far quicker than a cycle
+    assert service.reply_time.percentile(0.5) < 2000
+    assert sum(service.reply_time.counts) == 300
+
+
+def test_a_broker_that_accepts_and_then_says_nothing_delays_no_reply(topics):
+    with socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        deaf.listen()
+        with serving(deaf.getsockname()[1], topics) as (service, address), controller_of(address) as controller:
+            connection, _ = deaf.accept()
+            with connection:
+                for _ in range(200):
+                    controller.cycle()
+            assert controller.missed == 0
+        assert service.reply_time.percentile(0.5) < 2000
+
+
+GARBAGE = [
+    b"",
+    b"\x00",
+    b"\xff" * 1400,
+    b"<Rob",
+    b'<Sen Type="ImFree"><AK A1="1.0" A2="1.0"/><IPOC>1</IPOC></Sen>',
+    b'<Rob Type="KUKA"><AIPos A1="nan" A2="0.0"/><IPOC>1000008</IPOC></Rob>',
+    b'<Rob Type="KUKA"><AIPos A1="0.0" A2="0.0"/></Rob>',
+    b'<!DOCTYPE a [<!ENTITY b "c">]><Rob><IPOC>1000008</IPOC></Rob>',
+    b"+000.000,+000.000",
+]
+
+
+def test_garbage_datagrams_are_counted_unanswered_and_disturb_no_session(topics):
+    with serving(free_port(), topics) as (service, address), controller_of(address) as controller:
+        controller.cycle()
+        for data in GARBAGE:
+            controller.send(data)
+        for _ in range(10):
+            controller.cycle()
+        assert controller.replies == [(0.0, 0.0)] * 11
+        counters = service.gateway.counters
+        assert sum(count for name, count in counters.items() if name.startswith("telegram_refused_")) == len(GARBAGE)
+        assert counters["rsi_sessions"] == 1
+
+
+def queued(topics, datagrams, config=CONFIG, sock=None):
+    """Serve what had arrived before the gateway looked; return its replies' IPOCs and counters."""
+    sock = sock or bind("127.0.0.1", 0)
+    with controller_of(sock.getsockname()) as controller:
+        for data in datagrams(controller):
+            controller.send(data)
+        controller.ipoc = 1_000_008
+        with serving(free_port(), topics, config, sock) as (service, _):
+            assert controller.receive() == (0.0, 0.0)
+            controller.socket.settimeout(0.05)
+            assert controller.receive() is None
+    return service.gateway.counters
+
+
+def test_of_several_waiting_telegrams_only_the_newest_is_answered(topics):
+    counters = queued(
+        topics, lambda controller: [controller.telegram(ipoc) for ipoc in (1_000_000, 1_000_004, 1_000_008)]
+    )
+    assert (counters["telegrams"], counters["telegrams_skipped"]) == (1, 2)
+
+
+def test_garbage_behind_a_telegram_does_not_take_its_place(topics):
+    counters = queued(topics, lambda controller: [controller.telegram(1_000_008), *GARBAGE])
+    assert counters["telegrams"] == 1
+    assert counters["telegrams_skipped"] == 0
+
+
+class WindowsSocket:
+    """A UDP socket as Windows has it: without recvmsg."""
+
+    def __init__(self, sock):
+        self._sock = sock
+        self.fileno, self.recvfrom, self.sendto = sock.fileno, sock.recvfrom, sock.sendto
+        self.getsockname, self.close = sock.getsockname, sock.close
+
+
+def test_where_sockets_have_no_recvmsg_telegrams_are_answered_too(topics):
+    counters = queued(
+        topics, lambda controller: [controller.telegram(1_000_008)], sock=WindowsSocket(bind("127.0.0.1", 0))
+    )
+    assert counters["telegrams"] == 1
+
+
+def test_datagrams_from_another_address_than_the_controllers_are_counted_only(topics):
+    with (
+        serving(free_port(), topics, controller="127.0.0.9") as (service, address),
+        controller_of(address) as controller,
+    ):
+        controller.send()
+        wait_until(lambda: service.gateway.counters["telegram_refused_address"] == 1)
+        controller.socket.settimeout(0.05)
+        assert controller.receive() is None
+        assert service.gateway.counters["rsi_sessions"] == 0
+
+
+def test_a_taken_port_is_one_sentence():
+    with bind("127.0.0.1", 0) as sock:
+        port = sock.getsockname()[1]
+        with pytest.raises(
+            TransportError, match=rf"cannot listen for RSI on UDP 127\.0\.0\.1:{port}: .*may hold the port"
+        ):
+            bind("127.0.0.1", port)
+
+
+def test_an_address_that_is_not_ours_is_the_same_sentence():
+    with pytest.raises(TransportError, match="the address is not this machine's"):
+        bind("192.0.2.1", 49152)
