@@ -41,7 +41,7 @@ DEPLOYMENT = {
     "mock_rsi": {"gateway_host", "gateway_port"},
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "lower", "upper", "velocity", "acceleration"},
-    "planner": set(),
+    "planner": {"self_collision", "base_frame"},
 }
 #: Names of partner nodes: they follow from the launch files' own node names.
 PARTNERS = {"gate", "executor"}
@@ -191,7 +191,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
         (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3}),
-        (PlannerSettings, "planner", {}),
+        (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "base_frame": ""}),
     ],
 )
 def test_the_shipped_configuration_is_accepted(model, name, deployment):

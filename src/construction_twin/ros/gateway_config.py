@@ -12,7 +12,7 @@ import rosgraph
 import rospy
 
 from construction_twin.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.ros.params import robot_from_parameters
+from construction_twin.ros.params import robot_from_parameters, ros_home
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.export import gateway_config
 
@@ -61,7 +61,7 @@ def run_gateway() -> None:
         sys.exit(f"rsi_gateway cannot run: {error}")
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
-    path = Path(os.environ.get("ROS_HOME", Path.home() / ".ros")) / f"{name}.json"
+    path = ros_home() / f"{name}.json"
     write_whole(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
     arguments = rospy.myargv(sys.argv)[1:]
