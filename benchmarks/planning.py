@@ -24,9 +24,9 @@ import numpy as np
 import planning_problems
 import yaml
 
-from construction_twin.errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.motion_errors import NoPathError
 from construction_twin.plan import Plan
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.timing import minimum_duration

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from construction_twin.errors import NoPathError
 from construction_twin.kinematics.chain import Chain
+from construction_twin.motion_errors import NoPathError
 from construction_twin.planning.edges import EdgeCheck, levers
 from construction_twin.planning.planner import Planner, PlanRequest
 from construction_twin.scene.world import CollisionWorld

@@ -37,7 +37,9 @@ def main(arguments: list[str]) -> int:
     wanted = missing(REQUIREMENTS.read_text())
     if wanted:
         print(f"[bench] installing {', '.join(wanted)}", flush=True)
-        subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted], check=True)
+        subprocess.run(
+            [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted], check=True
+        )
     for name in selected:
         command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *options]
         code = subprocess.run([*command, "--output", str(ROOT / "results" / "bench" / f"{name}.json")]).returncode

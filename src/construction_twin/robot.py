@@ -24,7 +24,8 @@ import yaml
 from urdf_parser_py.urdf import URDF, Joint
 from urdf_parser_py.xml_reflection.core import ParseError
 
-from construction_twin.errors import ConfigurationError, JointRangeError
+from construction_twin.errors import ConfigurationError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.units import radians
 
 _LOG = logging.getLogger(__name__)

@@ -30,7 +30,7 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.units import radians
 
 #: A wall between RIGHT and LEFT: too long to pass in front of, too high to pass without lifting the arm [m].
-WALL = {"centre": (1.5, 0.0, 0.85), "size": (1.6, 0.1, 1.7)}
+WALL = {"centre": (1.8, 0.0, 0.85), "size": (1.2, 0.1, 1.7)}
 #: Distance that the shipped scene keeps from everything [m].
 PADDING = 0.02
 
@@ -104,7 +104,9 @@ class MotionTest(unittest.TestCase):
             report = self.client.plans[-1]
             self.assertGreaterEqual(report.clearance, PADDING)
             self.assertEqual(len(report.clearance_between), 2)
-            self.assertTrue(all(0.0 < share <= 1.0 for share in report.velocity_use + report.acceleration_use + report.jerk_use))
+            self.assertTrue(
+                all(0.0 < share <= 1.0 for share in report.velocity_use + report.acceleration_use + report.jerk_use)
+            )
             self.assertFalse(self.client.review(rejected.plan_id, rejected.plan_hash).success)
             answer = self.client.review(plan.plan_id, plan.plan_hash)
             self.assertTrue(answer.success, answer.message)
@@ -183,7 +185,9 @@ class MotionTest(unittest.TestCase):
         self.assertEqual(tool.link, "")
         tool0 = self.chain.forward(radians(HOME))
         expected = tool0.position + tool0.rotation @ (0.0, 0.0, 0.2)
-        np.testing.assert_allclose((tool.pose.position.x, tool.pose.position.y, tool.pose.position.z), expected, atol=1e-4)
+        np.testing.assert_allclose(
+            (tool.pose.position.x, tool.pose.position.y, tool.pose.position.z), expected, atol=1e-4
+        )
 
     # -- along lines, and paths from elsewhere
 

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from construction_twin.errors import CartesianPathError, PlanningError
 from construction_twin.frames import rotation_angle
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.kinematics.solution import IkSettings
+from construction_twin.motion_errors import CartesianPathError, PlanningError
 from construction_twin.planning.cartesian import DEVIATION_M, DEVIATION_RAD, plan_cartesian
 from construction_twin.planning.limit_shares import limit_use
 from construction_twin.planning.timing import LIMIT_SHARE

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from construction_twin.errors import CartesianPathError, CollisionError, JointRangeError, UnreachableError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.dexterity import singularity_distance
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.kinematics.solution import IkSettings
+from construction_twin.motion_errors import CartesianPathError, CollisionError, JointRangeError, UnreachableError
 from construction_twin.planning.branch import SINGULAR
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.rows import RowKinematics

@@ -11,7 +11,7 @@ from construction_twin.msg import Plan as PlanMsg
 from geometry_msgs.msg import Point, Quaternion, Transform, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 
-from construction_twin.errors import KinematicsError, TrajectoryError
+from construction_twin.motion_errors import KinematicsError, TrajectoryError
 from construction_twin.plan import Clearance, LimitShares, Plan, PlanReport
 from construction_twin.ros import convert
 from construction_twin.trajectory import Trajectory

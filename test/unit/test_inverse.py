@@ -12,7 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from inverse_cases import KR120, assert_solves, joints, make_inverse
 
-from construction_twin.errors import (
+from construction_twin.frames import abc_to_rotation
+from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
+from construction_twin.kinematics.inverse import Configuration
+from construction_twin.motion_errors import (
     BranchError,
     JointRangeError,
     KinematicsError,
@@ -20,10 +24,6 @@ from construction_twin.errors import (
     PositionRangeError,
     UnreachableError,
 )
-from construction_twin.frames import abc_to_rotation
-from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
-from construction_twin.kinematics.inverse import Configuration
 
 INVERSE = make_inverse(KR120)
 CHAIN = INVERSE.chain

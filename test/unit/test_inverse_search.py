@@ -12,7 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_cases import KR120, TRACK, UR_LIKE, assert_solves, joints, make_inverse
 
-from construction_twin.errors import (
+from construction_twin.frames import abc_to_rotation
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.closed_form import SLOTS
+from construction_twin.kinematics.inverse import Configuration, IkSettings
+from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.motion_errors import (
     BranchError,
     JointRangeError,
     KinematicsError,
@@ -21,11 +26,6 @@ from construction_twin.errors import (
     PositionRangeError,
     UnreachableError,
 )
-from construction_twin.frames import abc_to_rotation
-from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.closed_form import SLOTS
-from construction_twin.kinematics.inverse import Configuration, IkSettings
-from construction_twin.kinematics.numeric import NumericInverse
 
 UR = make_inverse(UR_LIKE)
 RAIL = make_inverse(TRACK)

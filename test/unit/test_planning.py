@@ -8,7 +8,8 @@ import pytest
 import yaml
 from planning_cell import CHAIN, HOME, QUICK, REQUEST, ROBOT, ROOT, planner, world
 
-from construction_twin.errors import (
+from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import (
     BranchError,
     DurationError,
     JointRangeError,
@@ -16,7 +17,6 @@ from construction_twin.errors import (
     TrajectoryError,
     UnreachableError,
 )
-from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.timing import limit_use
 

@@ -13,7 +13,8 @@ from geometry_msgs.msg import Pose as PoseMsg
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.errors import (
+from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import (
     CartesianPathError,
     CollisionError,
     NoSceneError,
@@ -22,7 +23,6 @@ from construction_twin.errors import (
     SceneError,
     WaypointsError,
 )
-from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.desk import PlanningDesk
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.tool_path import ToolWaypoint

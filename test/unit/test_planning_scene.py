@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning_cell import CHAIN, HOME, LEFT, REQUEST, RIGHT, ROBOT, ROOT, WALL, bench_world, planner, solver, world
 
-from construction_twin.errors import CollisionError, NoPathError, PlanningError
+from construction_twin.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.search import planner_kinds
 from construction_twin.planning.timing import limit_use

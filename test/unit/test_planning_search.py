@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, world
 
-from construction_twin.errors import ConfigurationError, NoPathError
+from construction_twin.errors import ConfigurationError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.motion_errors import NoPathError
 from construction_twin.planning.curves import rounded
 from construction_twin.planning.edges import CornerRounding, EdgeCheck, levers
 from construction_twin.planning.planner import Planner, PlannerSettings

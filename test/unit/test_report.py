@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from construction_twin.errors import CollisionError, LimitError
+from construction_twin.motion_errors import CollisionError, LimitError
 from construction_twin.plan import Clearance
 from construction_twin.planning.report import check_limits, report
 from construction_twin.planning.timing import LIMIT_SHARE, time_path

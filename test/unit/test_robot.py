@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from construction_twin.errors import ConfigurationError, JointRangeError
+from construction_twin.errors import ConfigurationError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.robot import AxisMapping, expand_xacro, load_robot, parse_urdf, read_robot_files
 
 ROOT = Path(__file__).parents[2]

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scene_samples import FLOOR, ROOT, box_triangles, clutter, write_stl
 
-from construction_twin.errors import SceneError
 from construction_twin.frames import abc_to_rotation
 from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject, load_scene
 
 BALL = SceneObject("ball", "sphere", (0.1,), (1.0, 0.0, 1.0))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from construction_twin.errors import DurationError, JointRangeError, PlanningError, TrajectoryError
+from construction_twin.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.limit_shares import limit_shares, limit_use
 from construction_twin.planning.progress import RestToRest

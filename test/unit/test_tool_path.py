@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from construction_twin.errors import PlanningError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import PlanningError
 from construction_twin.planning.tool_path import TURN_LENGTH, ToolPath, ToolWaypoint
 
 ORIGIN = np.zeros(3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from plan_samples import make_plan
 
-from construction_twin.errors import TrajectoryError
+from construction_twin.motion_errors import TrajectoryError
 from construction_twin.plan import Plan
 from construction_twin.trajectory import Trajectory, whole_nanoseconds
 

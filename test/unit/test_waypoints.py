@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.errors import WaypointsError
+from construction_twin.motion_errors import WaypointsError
 from construction_twin.planning.limit_shares import limit_use
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints

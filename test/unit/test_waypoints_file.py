@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from construction_twin.errors import WaypointsError
+from construction_twin.motion_errors import WaypointsError
 from construction_twin.planning.waypoint_file import parse_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot import read_robot_files

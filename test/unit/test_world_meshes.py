@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scene_samples import box_triangles, bracket_triangles, kr120, kr120_pairs, random_poses, write_obj, write_stl
 
-from construction_twin.errors import SceneError
 from construction_twin.kinematics.chain import Chain
+from construction_twin.motion_errors import SceneError
 from construction_twin.scene.bodies import is_convex, mesh_triangles, scene_geometry
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.world import CollisionWorld

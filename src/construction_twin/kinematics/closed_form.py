@@ -12,13 +12,6 @@ from itertools import product
 
 import numpy as np
 
-from construction_twin.errors import (
-    BranchError,
-    NoSolutionError,
-    OrientationError,
-    PositionRangeError,
-    UnreachableError,
-)
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
 from construction_twin.kinematics.singular_wrist import SingularWrist
@@ -31,6 +24,13 @@ from construction_twin.kinematics.solution import (
     check_pose,
     refine,
     residual,
+)
+from construction_twin.motion_errors import (
+    BranchError,
+    NoSolutionError,
+    OrientationError,
+    PositionRangeError,
+    UnreachableError,
 )
 
 #: The package's branch slots: 4 * (wrist turned over) + 2 * (shoulder back) + (elbow angle negative). Facing back, a

@@ -14,7 +14,6 @@ from itertools import product
 
 import numpy as np
 
-from construction_twin.errors import BranchError, KinematicsError, UnreachableError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
@@ -27,6 +26,7 @@ from construction_twin.kinematics.solution import (
     check_pose,
     residual,
 )
+from construction_twin.motion_errors import BranchError, KinematicsError, UnreachableError
 from construction_twin.robot import chain_joints, parse_urdf
 
 #: Places along the axis.

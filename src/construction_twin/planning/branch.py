@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from construction_twin.errors import (
+from construction_twin.errors import ConstructionTwinError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.solution import InverseKinematics
+from construction_twin.motion_errors import (
     CartesianPathError,
-    ConstructionTwinError,
     JointRangeError,
     KinematicsError,
     NoSolutionError,
     PoseRangeError,
     UnreachableError,
 )
-from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.rows import RowKinematics
 from construction_twin.planning.tool_path import ToolPath
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from construction_twin.errors import CollisionError, JointRangeError, PlanningError
 from construction_twin.kinematics.solution import InverseKinematics
+from construction_twin.motion_errors import CollisionError, JointRangeError, PlanningError
 from construction_twin.planning.branch import Branch
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.limit_shares import cycle_times

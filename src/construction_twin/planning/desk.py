@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from construction_twin.errors import NoSceneError, SceneChangedError, SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.inverse import InverseKinematics
+from construction_twin.motion_errors import NoSceneError, SceneChangedError, SceneError
 from construction_twin.plan import Plan
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.planner import Clock, Planner, PlannerSettings, PlanRequest

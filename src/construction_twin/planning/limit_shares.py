@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.errors import JointRangeError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.plan import LimitShares
 from construction_twin.robot import RobotModel
 from construction_twin.trajectory import Trajectory

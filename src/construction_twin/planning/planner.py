@@ -13,9 +13,9 @@ from typing import Annotated
 import numpy as np
 import pydantic
 
-from construction_twin.errors import CollisionError, NoPathError, PlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
+from construction_twin.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.plan import Plan, PlanReport
 from construction_twin.planning.edges import CornerRounding, EdgeCheck, levers
 from construction_twin.planning.report import report

@@ -16,7 +16,7 @@ from scipy.interpolate import PPoly
 from toppra.constraint.linear_constraint import LinearConstraint, canlinear_colloc_to_interpolate
 from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
-from construction_twin.errors import PlanningError
+from construction_twin.motion_errors import PlanningError
 from construction_twin.planning.curves import JointCurve
 from construction_twin.robot import RobotModel
 

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from construction_twin.errors import CollisionError, JointRangeError, LimitError
+from construction_twin.motion_errors import CollisionError, JointRangeError, LimitError
 from construction_twin.plan import Clearance, LimitShares, PlanReport
 from construction_twin.planning.limit_shares import cycle_times, shares_over_time
 from construction_twin.robot import RobotModel

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.errors import DurationError, JointRangeError, PlanningError, TrajectoryError
+from construction_twin.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
 from construction_twin.planning.limit_shares import SAME_POINT, check_range, limit_use, shares_over_time
 from construction_twin.planning.progress import (

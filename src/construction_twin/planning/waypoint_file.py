@@ -16,7 +16,7 @@ import re
 
 import numpy as np
 
-from construction_twin.errors import WaypointsError
+from construction_twin.motion_errors import WaypointsError
 from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
 from construction_twin.robot import RobotModel
 

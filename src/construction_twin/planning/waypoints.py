@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from construction_twin.errors import TrajectoryError, WaypointsError
+from construction_twin.motion_errors import TrajectoryError, WaypointsError
 from construction_twin.planning.limit_shares import cycle_times, measured_shares, range_excess
 from construction_twin.planning.timing import time_path
 from construction_twin.robot import RobotModel

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
-from construction_twin.errors import PlanningError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import PlanningError
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoint_file import parse_waypoints

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
@@ -14,12 +13,12 @@ import pydantic
 import rospy
 import tf2_ros
 from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from construction_twin.errors import CartesianPathError, ConstructionTwinError, PlanningError, SceneError
+from construction_twin.errors import ConstructionTwinError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.motion_errors import CartesianPathError, PlanningError, SceneError
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import PlanOutcome
 from construction_twin.msg import Scene as SceneMsg
@@ -28,7 +27,8 @@ from construction_twin.planning.desk import PlanningDesk
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.ros.convert import plan_to_msg, pose_from_msg, pose_from_transform_msg
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
-from construction_twin.ros.joint_stream import joint_values, now_ns
+from construction_twin.ros.joint_stream import now_ns
+from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.ros.plan_requests import plan_request, read_waypoints, tool_waypoints, trajectory_waypoints
@@ -82,8 +82,6 @@ class PlannerNode:
         self._chain = Chain(self._robot)
         self._desk = self._open_desk()
         self._base_frame = self._settings.base_frame or self._robot.base_link
-        self._twin: tuple[float, JointState] | None = None
-        self._twin_news = threading.Condition()
         # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
         self._plans = 0
@@ -93,7 +91,7 @@ class PlannerNode:
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._publisher = rospy.Publisher("plan", PlanMsg, queue_size=1, latch=True)
         self._outcome_publisher = rospy.Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
-        rospy.Subscriber("twin/joint_states", JointState, self._on_twin, queue_size=1, tcp_nodelay=True)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
         rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
         rospy.Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, queue_size=10)
         rospy.Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
@@ -116,11 +114,6 @@ class PlannerNode:
         )
 
     # -- what the node listens to
-
-    def _on_twin(self, msg: JointState) -> None:
-        with self._twin_news:
-            self._twin = (time.monotonic(), msg)
-            self._twin_news.notify_all()
 
     def _on_scene(self, msg: SceneMsg) -> None:
         try:
@@ -203,21 +196,9 @@ class PlannerNode:
 
     # -- what requests need to know
 
-    def _pose_age(self) -> float:
-        return math.inf if self._twin is None else time.monotonic() - self._twin[0]
-
-    def _present_pose(self) -> Sequence[float]:
-        """Return the twin's pose; right after start-up the first one may still be on its way, and is waited for."""
+    def _present_pose(self) -> tuple[float, ...]:
         oldest = self._settings.max_pose_age
-        with self._twin_news:
-            if not self._twin_news.wait_for(lambda: self._pose_age() <= oldest, oldest):
-                topic, age = rospy.resolve_name("twin/joint_states"), self._pose_age()
-                found = f"{age:.3f} s old" if math.isfinite(age) else "unknown, nothing was received"
-                raise PlanningError(
-                    f"the twin's pose on {topic} is {found}; expected one at most {oldest:g} s old, check that the twin runs"
-                )
-            _, msg = self._twin
-        return joint_values(msg, self._robot.joint_names)
+        return self._twin.pose(oldest, oldest)
 
     def _goal_in_base(self, goal: PoseStamped) -> Pose:
         """Return ``base_T_tool`` for a goal in any frame tf knows, at the goal's stamp (0: the latest)."""

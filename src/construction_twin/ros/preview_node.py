@@ -8,17 +8,17 @@ import time
 import pydantic
 import rospy
 from geometry_msgs.msg import Point
-from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.errors import ConstructionTwinError
+from construction_twin.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Execution, Plan, Review
 from construction_twin.preview import PlanPicture, Preview, picture
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.diagnostics import OK, NodeDiagnostics
-from construction_twin.ros.joint_stream import JointPublisher, joint_values, now_ns
+from construction_twin.ros.joint_stream import JointPublisher, now_ns
+from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
@@ -27,6 +27,8 @@ from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanRe
 PERIOD = 0.02
 #: How long a preview waits for the plan that was made just before [s].
 PLAN_TIMEOUT = 1.0
+#: The twin's pose counts as known this long after its last message [s].
+TWIN_TIMEOUT = 0.5
 PINK = ColorRGBA(1.0, 0.25, 0.65, 1.0)
 ORANGE = ColorRGBA(1.0, 0.45, 0.0, 0.9)
 DARK = ColorRGBA(0.1, 0.1, 0.15, 1.0)
@@ -49,13 +51,12 @@ class PreviewNode:
         self._chain = Chain(self._robot)
         self._preview = Preview()
         self._news = threading.Condition()
-        self._twin: JointState | None = None
         self._frame = ""
         self._drawn: str | None = None
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._ghost = JointPublisher("preview/joint_states", self._robot.joint_names)
         self._markers = rospy.Publisher("plan_markers", MarkerArray, queue_size=2, latch=True)
-        rospy.Subscriber("twin/joint_states", JointState, self._on_twin, queue_size=1, tcp_nodelay=True)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
         rospy.Subscriber("review", Review, self._on_review, queue_size=5)
         rospy.Subscriber("execution", Execution, self._on_execution, queue_size=10)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=2)
@@ -63,9 +64,6 @@ class PreviewNode:
         self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
 
     # -- subscriptions
-
-    def _on_twin(self, message: JointState) -> None:
-        self._twin = message
 
     def _on_plan(self, message: Plan) -> None:
         try:
@@ -107,11 +105,12 @@ class PreviewNode:
         return PreviewPlanResponse(True, sentence)
 
     def _on_timer(self, _event) -> None:
-        message = self._twin
         try:
-            twin = None if message is None else joint_values(message, self._robot.joint_names)
-        except ConstructionTwinError as error:
-            self._diagnostics.refuse("twin", str(error))
+            twin = self._twin.pose(TWIN_TIMEOUT)
+        except PoseUnknownError:
+            twin = None  # before the first pose there is nothing to hide in; afterwards the ghost stays where it is
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
             twin = None
         with self._news:
             if twin is not None:

@@ -13,7 +13,7 @@ from geometry_msgs.msg import Pose as PoseMsg
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.errors import SceneError
+from construction_twin.motion_errors import SceneError
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SceneObject as ObjectMsg
 from construction_twin.scene.objects import Scene, SceneObject

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import math
 import threading
-import time
 from collections.abc import Callable
 from typing import Annotated
 
 import pydantic
 import rospy
 import tf2_ros
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
-from construction_twin.errors import ConstructionTwinError, PayloadError, SceneError
+from construction_twin.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import SceneError
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.ros.convert import pose_from_msg, pose_from_transform_msg
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
-from construction_twin.ros.joint_stream import joint_values
+from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.ros.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
@@ -80,8 +78,6 @@ class SceneNode:
         self._world = CollisionWorld(self._robot, scene, read_self_collision(settings.self_collision, self._robot))
         # one edit or check at a time: the world works in buffers of its own
         self._busy = threading.Lock()
-        self._twin: tuple[float, JointState] | None = None
-        self._twin_news = threading.Condition()
         self._touching: dict[tuple[str, str], None] = {}
         self._shown: set[str] = set()
         self._state = (WARN, "the twin's present pose is not known yet", {})
@@ -91,7 +87,7 @@ class SceneNode:
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._scene_publisher = rospy.Publisher("scene", SceneMsg, queue_size=1, latch=True)
         self._marker_publisher = rospy.Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
-        rospy.Subscriber("twin/joint_states", JointState, self._on_twin, queue_size=1, tcp_nodelay=True)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
         with self._busy:
             self._publish_scene()
         rospy.Service("add_object", AddObject, self._on_add)
@@ -100,11 +96,6 @@ class SceneNode:
         rospy.Service("detach_object", DetachObject, self._on_detach)
         rospy.Service("clear_scene", Trigger, self._on_clear)
         self._timer = rospy.Timer(rospy.Duration(1.0 / settings.check_rate), lambda _: self._check())
-
-    def _on_twin(self, msg: JointState) -> None:
-        with self._twin_news:
-            self._twin = (time.monotonic(), msg)
-            self._twin_news.notify_all()
 
     def _on_add(self, request):
         return self._edit(lambda: self._add(request), AddObjectResponse)
@@ -145,7 +136,7 @@ class SceneNode:
         if request.use_pose:
             pose = pose_from_msg(request.pose)
         else:
-            q = self._present_pose()
+            q = self._twin.pose(_PATIENCE, _PATIENCE)
             pose = relative(self._world.link_pose(q, link), self._world.object_pose(q, request.name))
         return self._world.scene.attach(request.name, link, pose, request.touch), f"{link} carries {request.name!r}"
 
@@ -153,7 +144,7 @@ class SceneNode:
         item: SceneObject = self._world.scene.get(name)
         if not item.link:  # refused with its own sentence, whether or not the twin's pose is known
             return self._world.scene.detach(name, item.pose), ""
-        pose = self._world.object_pose(self._present_pose(), name)
+        pose = self._world.object_pose(self._twin.pose(_PATIENCE, _PATIENCE), name)
         return self._world.scene.detach(name, pose), f"put down {name!r}"
 
     def _edit(self, change: Callable[[], tuple[Scene, str]], response: Callable):
@@ -182,20 +173,6 @@ class SceneNode:
             raise SceneError("frame_id", frame, expected) from error
         return pose_from_transform_msg(transform.transform)
 
-    def _present_pose(self) -> tuple[float, ...]:
-        """Return the twin's pose [rad]; right after start-up the first one is waited for."""
-        with self._twin_news:
-            if not self._twin_news.wait_for(lambda: self._twin_age() <= _PATIENCE, _PATIENCE):
-                where = f"the twin's pose on {rospy.resolve_name('twin/joint_states')}"
-                age = self._twin_age()
-                found = f"{age:.3f} s old" if math.isfinite(age) else "nothing received"
-                raise SceneError(where, found, f"one at most {_PATIENCE:g} s old; check that the twin runs")
-            _, msg = self._twin
-        return joint_values(msg, self._robot.joint_names)
-
-    def _twin_age(self) -> float:
-        return math.inf if self._twin is None else time.monotonic() - self._twin[0]
-
     def _check(self) -> None:
         """Look at the present pose; show it where a contact begins or ends."""
         with self._busy:
@@ -207,16 +184,11 @@ class SceneNode:
     def _look(self) -> None:
         """Find what touches at the present pose, and what to say about it."""
         values = {"scene": self._world.scene.hash, "objects": len(self._world.scene.objects), "edits": self._edits}
-        twin = self._twin
         self._touching = {}
-        if twin is None or self._twin_age() > _PATIENCE:
-            self._state = (WARN, "the twin's present pose is not known", values)
-            return
         try:
-            q = joint_values(twin[1], self._robot.joint_names)
-        except PayloadError as error:
-            self._diagnostics.refuse(error.reason, str(error))
-            self._state = (WARN, "the twin's present pose is not known", values)
+            q = self._twin.pose(_PATIENCE)
+        except (PoseUnknownError, PayloadError) as error:
+            self._state = (WARN, str(error), values)
             return
         self._touching = {contact.between: None for contact in self._world.contacts(q)}
         clearance = self._world.clearance(q)

@@ -32,7 +32,9 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         For an unknown key or a value that does not fit, or a robot with linear joints.
     """
     if any(robot.linear):
-        raise ConfigurationError("robot/joints", robot.joint_names, "turning joints only; the link cannot carry a linear one yet")
+        raise ConfigurationError(
+            "robot/joints", robot.joint_names, "turning joints only; the link cannot carry a linear one yet"
+        )
     ends = [
         sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
         for axis, low, high in zip(robot.axes, robot.lower, robot.upper)

@@ -21,7 +21,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from construction_twin.errors import ConfigurationError, JointRangeError, TelegramError
+from construction_twin.errors import ConfigurationError, TelegramError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.rsi.codec import RobotEncoder, parse_sensor
 from construction_twin.rsi.servo import Servo
 from construction_twin.units import CYCLE

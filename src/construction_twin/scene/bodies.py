@@ -12,8 +12,9 @@ import coal
 import numpy as np
 import pinocchio
 
-from construction_twin.errors import ConfigurationError, SceneError
+from construction_twin.errors import ConfigurationError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import SceneError
 from construction_twin.robot import RobotModel
 from construction_twin.scene.objects import SceneObject, mesh_digest
 
