@@ -1,11 +1,12 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo test clean
+.PHONY: help setup demo test bench clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
 	@echo "make test             build and run every test"
+	@echo "make bench            measure inverse kinematics and planning; writes results/bench/*.json"
 	@echo "make setup            only install and build"
 	@echo "make clean            remove the workspace and the venv (.ws)"
 
@@ -17,6 +18,9 @@ demo: setup
 
 test: setup
 	@bash -c 'source .ws/env.bash && python scripts/run_tests.py $(ARGS)'
+
+bench: setup
+	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'
 
 clean:
 	rm -rf .ws

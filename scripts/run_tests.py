@@ -6,6 +6,7 @@ result counts as one failure.
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import subprocess
@@ -47,12 +48,15 @@ def run_rostest(test: Path) -> tuple[int, int]:
     """Run one rostest and show its output when it fails."""
     results = RESULTS / test.stem
     started = time.monotonic()
+    # the tests' verdicts, logs and configurations do not belong among the user's
+    environment = os.environ | {"ROS_HOME": str(results / "ros_home")}
     run = subprocess.Popen(
         ["rostest", f"--results-base-dir={results}", "construction_twin", test.name],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
+        env=environment,
     )
     try:
         output, _ = run.communicate(timeout=TIME_LIMIT)

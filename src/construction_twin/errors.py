@@ -1,4 +1,5 @@
-"""The package's exceptions: one tree, each carrying the data a caller needs to act on it.
+"""The package's exceptions: one tree, each carrying the data a caller needs to act on it. Those of kinematics, scene and planning
+are in `motion_errors`.
 
 Messages say what happened, the value, what was expected and what to do. Library code raises; only ``ros/`` and the
 command-line entry points catch, and turn an error into a service answer, a counter or one sentence for the operator.
@@ -26,9 +27,7 @@ class ConfigurationError(ConstructionTwinError):
     """
 
     def __init__(self, where: str, value: object, expected: str):
-        self.where = where
-        self.value = value
-        self.expected = expected
+        self.where, self.value, self.expected = where, value, expected
         super().__init__(f"{where}: found {value!r}, expected {expected}")
 
 
@@ -46,112 +45,26 @@ class EthernetXmlError(ConfigurationError):
         super().__init__(f"{where}: {element}", value, expected)
 
 
-class KinematicsError(ConstructionTwinError):
-    """A pose has no usable joint solution, or joints have no usable pose."""
-
-
-class UnreachableError(KinematicsError):
-    """The target is further from the shoulder than the arm is long.
-
-    Attributes
-    ----------
-    distance : float
-        Distance of the target from the first joint axis' base point [m].
-    reach : float
-        Upper bound of the arm's reach from there [m].
-    """
-
-    def __init__(self, distance: float, reach: float):
-        self.distance = distance
-        self.reach = reach
-        super().__init__(
-            f"target is {distance:.3f} m from the arm's base, {distance - reach:.3f} m beyond its reach of {reach:.3f} m; "
-            "move the target closer"
-        )
-
-
-class JointRangeError(KinematicsError):
-    """A joint position lies outside its range.
-
-    Attributes
-    ----------
-    joint : str
-    value, lower, upper : float
-        [rad] ([m] for a linear joint).
-    """
-
-    def __init__(self, joint: str, value: float, lower: float, upper: float):
-        self.joint = joint
-        self.value = value
-        self.lower = lower
-        self.upper = upper
-        super().__init__(f"{joint} is {value:.6f}, outside its range {lower:.6f} to {upper:.6f}")
-
-
-class NoSolutionError(KinematicsError):
-    """No joint solution within the ranges was found.
-
-    Attributes
-    ----------
-    seeds : int
-        Number of starting points tried.
-    residual_m, residual_rad : float
-        Position and orientation error of the best attempt.
-    """
-
-    def __init__(self, seeds: int, residual_m: float, residual_rad: float):
-        self.seeds = seeds
-        self.residual_m = residual_m
-        self.residual_rad = residual_rad
-        super().__init__(
-            f"no joint solution within the ranges after {seeds} seeds; the best attempt was {residual_m * 1e3:.3f} mm and "
-            f"{residual_rad:.6f} rad away; try another orientation or a longer time budget"
-        )
-
-
-class PlanningError(ConstructionTwinError):
-    """A motion could not be planned or timed."""
-
-
-class NoPathError(PlanningError):
-    """The planner found no path in its time budget.
-
-    Attributes
-    ----------
-    planner : str
-    budget : float
-        [s]
-    """
-
-    def __init__(self, planner: str, budget: float):
-        self.planner = planner
-        self.budget = budget
-        super().__init__(f"{planner} found no path within {budget:g} s; allow more time or choose another goal")
-
-
-class DurationError(PlanningError):
-    """The requested duration is shorter than the limits allow.
-
-    Attributes
-    ----------
-    requested, minimum : float
-        [s]
-    """
-
-    def __init__(self, requested: float, minimum: float):
-        self.requested = requested
-        self.minimum = minimum
-        super().__init__(
-            f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
-        )
-
-
-class TrajectoryError(PlanningError):
-    """A list of waypoints is not a trajectory that may be executed."""
-
-
 class ReviewError(ConstructionTwinError):
     """A verdict cannot be applied: wrong plan, wrong hash, no reviewer, or not the moment."""
+
+
+class RecordError(ReviewError):
+    """A verdict cannot be recorded, and what is not recorded is not carried out.
+
+    Attributes
+    ----------
+    path : str
+        The review file.
+    """
+
+    def __init__(self, path: str, problem: str):
+        self.path = path
+        super().__init__(f"{path}: {problem}; nothing is approved without a record, mend it and restart the executor")
+
+
+class ExecutionError(ConstructionTwinError):
+    """An execution cannot be paused or resumed at this moment."""
 
 
 class MotionRefused(ConstructionTwinError):
@@ -214,6 +127,25 @@ class TransportError(ConstructionTwinError):
 
 class SiteError(ConstructionTwinError):
     """The certificates and accounts of a broker's site could not be made."""
+
+
+class PoseUnknownError(ConstructionTwinError):
+    """Nobody tells where the robot is, or not any more.
+
+    Attributes
+    ----------
+    topic : str
+        Resolved name of the topic that should.
+    age, oldest : float
+        Age of its last message [s], inf without one; greatest that was asked for.
+    """
+
+    def __init__(self, topic: str, age: float, oldest: float):
+        self.topic, self.age, self.oldest = topic, age, oldest
+        found = "nothing was received" if age == float("inf") else f"the last one is {age:.3f} s old"
+        super().__init__(
+            f"the pose on {topic} is not known: {found}; expected one at most {oldest:g} s old, check that the twin runs"
+        )
 
 
 class EvaluationError(ConstructionTwinError):

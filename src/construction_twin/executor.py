@@ -7,20 +7,19 @@ from __future__ import annotations
 
 from enum import Enum
 
-from construction_twin.errors import ReviewError
+from construction_twin.errors import ExecutionError, ReviewError
 from construction_twin.gate import SyncState
 from construction_twin.limits import outside_tolerance
-from construction_twin.review import ReviewDesk, Verdict
-from construction_twin.robot import RobotModel
 from construction_twin.plan import Plan
-from construction_twin.units import CYCLE, NANOSECONDS
+from construction_twin.progress import Progress
+from construction_twin.review import APPROVED, EXECUTOR, REJECTED, WITHDRAWN, Ending, ReviewDesk, Verdict
+from construction_twin.robot import RobotModel
+from construction_twin.units import NANOSECONDS
 
 #: A plan may start this far from the present pose [rad]; rounding, not motion.
 START_TOLERANCE = 1e-6
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
-#: Halvings with which a stop looks for the shortest next step on the path that every joint can brake to.
-STOP_HALVINGS = 10
 
 
 class ExecutorState(Enum):
@@ -30,6 +29,13 @@ class ExecutorState(Enum):
     IDLE = 1
     PLAYING = 2
     STOPPING = 3
+    PAUSING = 4
+    PAUSED = 5
+
+
+_MOVING = (ExecutorState.PLAYING, ExecutorState.STOPPING, ExecutorState.PAUSING)
+#: States in which an approved plan is not at its end.
+_ACTIVE = (*_MOVING, ExecutorState.PAUSED)
 
 
 class Executor:
@@ -38,29 +44,25 @@ class Executor:
     Parameters
     ----------
     robot : RobotModel
-    auto_approve : bool
-        Approve every plan by itself as soon as it may start.
     """
 
-    def __init__(self, robot: RobotModel, auto_approve: bool = False):
+    def __init__(self, robot: RobotModel):
         self._robot = robot
-        self._auto_approve = auto_approve
         self.desk = ReviewDesk()
         self.state = ExecutorState.WAITING
         self.reason = "started; waits for twin and physical arm to agree"
         self.outcome = ""
         self.plan: Plan | None = None
         self.plan_start = 0
-        self._verdicts: list[Verdict] = []
+        self._progress: Progress | None = None
+        self._rate_limit = 1.0
+        self._events: list[Verdict | Ending] = []
         self._sync = SyncState.WAITING
         self._agreed = False
         self._unarmed = ""
         self._twin: tuple[int, tuple[float, ...], int] | None = None
         self._setpoint: tuple[float, ...] | None = None
         self._setpoint_stamp = 0
-        self._before: tuple[float, ...] = ()
-        self._elapsed = 0.0
-        self._progress = CYCLE
 
     # -- inputs
 
@@ -71,24 +73,68 @@ class Executor:
     def on_sync(self, state: SyncState, agreed: bool) -> None:
         """Take the monitor's state; on anything but IN_SYNC the rest of the plan is dropped."""
         self._sync, self._agreed = state, agreed
-        if self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING) and state is not SyncState.IN_SYNC:
+        if self.state in _ACTIVE and state is not SyncState.IN_SYNC:
             self._finish("held", f"the gate holds ({state.name})")
 
     def on_link(self, armed: bool, reason: str) -> None:
         """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played."""
         self._unarmed = "" if armed else reason
-        if not armed and self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING):
+        if not armed and self.state in _ACTIVE:
             self._finish("dropped", f"the arm is no longer armed: {reason}")
+
+    def on_scene(self, scene: str) -> None:
+        """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
+        before = self.desk.scene
+        reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
+        self._withdraw(self.desk.on_scene(scene), f"{reason}; plan again")
+        if self.state in _ACTIVE and scene != self.plan.scene:
+            self._halt(reason)
+
+    def limit_rate(self, factor: float) -> None:
+        """Play at this share of the planned speed, 0 to 1, from now on; 0 stands still. The path stays the same.
+
+        Raises
+        ------
+        ExecutionError
+        """
+        if not 0.0 <= factor <= 1.0:
+            raise ExecutionError(f"a rate of {factor} was asked for; expected a share of the planned speed, 0 to 1")
+        self._rate_limit = factor
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
-        self.desk.void(now)
-        if self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING):
+        self._withdraw(self.desk.void(now), reason)
+        if self.state in _ACTIVE:
             self._finish("dropped", reason)
         self._wait(reason)
 
-    def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> str:
-        """Apply a verdict to the plan on the desk; an approval starts it with the next cycle.
+    def stall(self, reason: str) -> None:
+        """Drop a moving plan because setpoints could not be produced in time; the arm is left to the gateway's braking."""
+        if self.state in _MOVING:
+            self._finish("dropped", reason)
+
+    # -- review
+
+    def offer(self, plan: Plan) -> None:
+        """Put a plan on the desk in place of the one before; ReviewError when it cannot be reviewed."""
+        self._withdraw(self.desk.offer(plan), f"replaced by plan {plan.id}")
+
+    def examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
+        """Return the verdict that could be carried out now; nothing is changed.
+
+        Raises
+        ------
+        ReviewError
+            When it cannot be taken; an approval that came at the wrong moment leaves the plan on the desk.
+        """
+        self.desk.check(plan_id, plan_hash, reviewer)
+        plan = self.desk.plan
+        if approve:
+            self._check_start(plan)
+        return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
+
+    def carry_out(self, verdict: Verdict) -> str:
+        """Apply a verdict that was recorded; an approval starts the plan with the next cycle.
 
         Returns
         -------
@@ -97,41 +143,82 @@ class Executor:
         Raises
         ------
         ReviewError
-            When it cannot be applied; an approval that came at the wrong moment leaves the plan on the desk.
+            When it cannot be taken any more.
         """
-        self.desk.check(plan_id, plan_hash, reviewer)
-        if approve:
-            self._check_start(self.desk.plan)
-        plan = self.desk.decide(plan_id, plan_hash, reviewer)
-        self._verdicts.append(Verdict(plan.id, plan.hash, approve, reviewer, reason))
-        if not approve:
-            return f"plan {plan_id} rejected by {reviewer}"
-        self._play(plan, f"approved by {reviewer}")
-        return f"plan {plan_id} approved by {reviewer}; it takes {plan.trajectory.duration:.3f} s"
+        self.examine(verdict.plan_id, verdict.plan_hash, verdict.approved, verdict.reviewer)
+        plan = self.desk.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
+        if not verdict.approved:
+            return f"plan {plan.id} rejected by {verdict.reviewer}"
+        robot = self._robot
+        self.plan, self.plan_start, self.outcome = plan, 0, ""
+        self._progress = Progress(plan.trajectory, robot.acceleration, robot.jerk)
+        self._enter(ExecutorState.PLAYING, f"approved by {verdict.reviewer}")
+        return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
+
+    def ready_to_approve(self) -> bool:
+        """Return whether a plan is on the desk and neither state nor missing scene stands against approving it."""
+        ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
+        return ready and self.desk.plan is not None and bool(self.desk.scene)
+
+    def withdraw(self, plan_id: str, reason: str) -> None:
+        """Take a plan off the desk, if it still lies there."""
+        if self.desk.plan is not None and self.desk.plan.id == plan_id:
+            self._withdraw(self.desk.clear(), reason)
+
+    def take_events(self) -> list[Verdict | Ending]:
+        """Return what happened by itself since the last call: plans withdrawn, executions ended."""
+        events, self._events = self._events, []
+        return events
+
+    # -- while a plan is played
 
     def stop(self, now: int) -> str:
-        """Brake along the path within the acceleration limits; return one sentence.
+        """Brake along the path as hard as the acceleration limits allow; return one sentence.
 
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
-        self.desk.void(now)
-        if self.state is not ExecutorState.PLAYING:
+        self._withdraw(self.desk.void(now), "stop requested")
+        if self.state not in _ACTIVE:
             return f"nothing is playing ({self.state.name})"
+        if self.state is ExecutorState.STOPPING:
+            return f"plan {self.plan.id} is braking already"
         if self.plan_start == 0:
             self._finish("stopped", "stopped before it began")
             return f"plan {self.plan.id} had not begun"
-        self._enter(ExecutorState.STOPPING, "stop requested")
-        return f"braking plan {self.plan.id}"
+        return self._halt("stop requested")
 
-    def take_verdicts(self) -> list[Verdict]:
-        """Return the verdicts since the last call, those of `auto_approve` included."""
-        verdicts, self._verdicts = self._verdicts, []
-        return verdicts
+    def pause(self) -> str:
+        """Brake along the path smoothly and rest on it; return one sentence.
 
-    def stall(self, reason: str) -> None:
-        """Drop the plan because setpoints could not be produced in time; the arm is left to the gateway's braking."""
-        if self.state in (ExecutorState.PLAYING, ExecutorState.STOPPING):
-            self._finish("dropped", reason)
+        Raises
+        ------
+        ExecutionError
+            When nothing is playing.
+        """
+        if self.state in (ExecutorState.PAUSING, ExecutorState.PAUSED):
+            return f"plan {self.plan.id} is {self.state.name} already"
+        if self.state is not ExecutorState.PLAYING:
+            raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
+        self._enter(ExecutorState.PAUSING, "pause requested")
+        return f"plan {self.plan.id} comes to rest on its path; resume goes on"
+
+    def resume(self) -> str:
+        """Go on along the same path; return one sentence. The approval that started the plan covers it.
+
+        Raises
+        ------
+        ExecutionError
+            When nothing is paused, or twin and arm are not in sync and armed.
+        """
+        if self.state not in (ExecutorState.PAUSING, ExecutorState.PAUSED):
+            raise ExecutionError(f"nothing to resume: the executor is {self.state.name} ({self.reason})")
+        if self._sync is not SyncState.IN_SYNC:
+            raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
+        if self._unarmed:
+            raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
+        self._enter(ExecutorState.PLAYING, "resumed")
+        rest = self.plan.trajectory.duration - self._progress.elapsed
+        return f"plan {self.plan.id} goes on; {rest:.3f} s of it are left"
 
     # -- output
 
@@ -139,8 +226,6 @@ class Executor:
         """Return the setpoint for the cycle with nominal stamp `stamp` [ns], or None when nothing may be sent."""
         if self.state is ExecutorState.WAITING:
             self._try_to_begin(now)
-        if self.state is ExecutorState.IDLE and self._auto_approve and self.desk.plan is not None:
-            self._approve_by_itself()
         if self.state is ExecutorState.WAITING:
             return None
         if self.state is ExecutorState.IDLE:
@@ -166,43 +251,23 @@ class Executor:
         return self._setpoint
 
     def _advance(self, stamp: int) -> tuple[float, ...]:
-        trajectory = self.plan.trajectory
+        progress = self._progress
+        rate = self._rate_limit if self.state is ExecutorState.PLAYING else 0.0
         if self.plan_start == 0:
             self.plan_start = stamp
-        elif self.state is ExecutorState.PLAYING:
-            self._elapsed = (stamp - self.plan_start) / NANOSECONDS
+            self._setpoint = progress.begin(rate)
+        elif self.state is ExecutorState.STOPPING:
+            self._setpoint = progress.brake()
         else:
-            self._slow_down()
-        q, _, _ = trajectory.sample(self._elapsed)
-        self._before = self._setpoint
-        self._setpoint, self._setpoint_stamp = tuple(q.tolist()), stamp
-        if self._elapsed >= trajectory.duration:
+            self._setpoint = progress.advance(rate)
+        self._setpoint_stamp = stamp
+        if progress.finished:
             self._finish("finished", "goal reached")
-        elif self.state is ExecutorState.STOPPING and self._progress == 0.0:
-            self._finish("stopped", "stopped on request")
+        elif progress.at_rest and self.state is ExecutorState.STOPPING:
+            self._finish("stopped", self.reason)
+        elif progress.at_rest and self.state is ExecutorState.PAUSING:
+            self._enter(ExecutorState.PAUSED, f"at rest {progress.elapsed:.3f} s into the plan; resume goes on")
         return self._setpoint
-
-    def _slow_down(self) -> None:
-        """Advance on the path as little as every joint's acceleration limit allows: the arm brakes on its path."""
-        self._progress = self._least_progress()
-        self._elapsed = min(self._elapsed + self._progress, self.plan.trajectory.duration)
-
-    def _least_progress(self) -> float:
-        if self._can_brake_to(0.0):
-            return 0.0
-        least, most = 0.0, self._progress
-        for _ in range(STOP_HALVINGS):
-            middle = (least + most) / 2
-            least, most = (least, middle) if self._can_brake_to(middle) else (middle, most)
-        return most
-
-    def _can_brake_to(self, progress: float) -> bool:
-        """Tell whether every joint may go there in one cycle: the same second difference that gate and gateway measure."""
-        q, _, _ = self.plan.trajectory.sample(self._elapsed + progress)
-        return all(
-            abs(value - 2 * last + before) <= limit * CYCLE * CYCLE
-            for value, last, before, limit in zip(q.tolist(), self._setpoint, self._before, self._robot.acceleration)
-        )
 
     # -- plans
 
@@ -213,29 +278,27 @@ class Executor:
             raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
         if self._unarmed:
             raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
+        self.desk.check_content()
         off = outside_tolerance(tuple(plan.trajectory.positions[0]), self._setpoint, START_TOLERANCE)
         if off is not None:
             distance = plan.trajectory.positions[0][off] - self._setpoint[off]
             joint = self._robot.joint_names[off]
             raise ReviewError(f"plan {plan.id} starts {distance:.6f} rad from the present pose at {joint}; plan again")
 
-    def _approve_by_itself(self) -> None:
-        if self._sync is not SyncState.IN_SYNC or self._unarmed:
-            return
-        plan = self.desk.plan
-        try:
-            self.review(plan.id, plan.hash, True, "auto_approve", "the launch argument auto_approve is on")
-        except ReviewError as error:
-            self.desk.clear()
-            self._verdicts.append(Verdict(plan.id, plan.hash, False, "auto_approve", str(error)))
+    def _halt(self, reason: str) -> str:
+        if self.state is ExecutorState.PAUSED or self.plan_start == 0:
+            self._finish("stopped", reason)
+            return f"plan {self.plan.id} ended at rest"
+        self._enter(ExecutorState.STOPPING, reason)
+        return f"braking plan {self.plan.id}"
 
-    def _play(self, plan: Plan, reason: str) -> None:
-        self.plan, self.plan_start, self._elapsed, self._progress = plan, 0, 0.0, CYCLE
-        self.outcome = ""
-        self._enter(ExecutorState.PLAYING, reason)
+    def _withdraw(self, plan: Plan | None, reason: str) -> None:
+        if plan is not None:
+            self._events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
     def _finish(self, outcome: str, reason: str) -> None:
         self.outcome = outcome
+        self._events.append(Ending(self.plan, outcome, reason))
         self._enter(ExecutorState.IDLE, reason)
 
     def _wait(self, reason: str) -> None:

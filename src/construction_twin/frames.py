@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from construction_twin.errors import KinematicsError
+from construction_twin.motion_errors import KinematicsError
 
 #: Below this |cos B| the angles A and C turn about the same axis and only their sum or difference is defined.
 _GIMBAL = 1e-12

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from construction_twin.errors import TrajectoryError
+from construction_twin.motion_errors import TrajectoryError
 from construction_twin.trajectory import Trajectory
 
 

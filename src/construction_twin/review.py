@@ -1,4 +1,4 @@
-"""Review: which plan lies on the desk, and what was decided about it. Pure."""
+"""Review: which plan lies on the desk, what was decided about it, and what became of it. Pure."""
 
 from __future__ import annotations
 
@@ -7,28 +7,70 @@ from dataclasses import dataclass
 from construction_twin.errors import ReviewError
 from construction_twin.plan import Plan
 
+APPROVED, REJECTED, REFUSED, WITHDRAWN = "approved", "rejected", "refused", "withdrawn"
+#: Who decides where no person does: a plan is withdrawn because something that it depends on has changed.
+EXECUTOR = "executor"
+
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was decided about a plan, by whom and why."""
+    """What was decided about a plan, by whom and why.
 
+    Attributes
+    ----------
+    verdict : str
+        ``approved``, ``rejected``, ``refused`` (an approval that could not be taken) or ``withdrawn`` (by the executor).
+    plan_id, plan_hash : str
+        As the reviewer named them; the hash may be empty in a refusal.
+    reviewer, reason : str
+        The reviewer's words; of a refusal, why it was refused.
+    plan : Plan or None
+        The plan, where it was known.
+    """
+
+    verdict: str
     plan_id: str
     plan_hash: str
-    approved: bool
     reviewer: str
+    reason: str
+    plan: Plan | None = None
+
+    @property
+    def approved(self) -> bool:
+        """True when it starts an execution."""
+        return self.verdict == APPROVED
+
+
+@dataclass(frozen=True)
+class Ending:
+    """What became of an execution: ``finished``, ``stopped``, ``held`` or ``dropped``, and why."""
+
+    plan: Plan
+    outcome: str
     reason: str
 
 
 class ReviewDesk:
-    """Holds the newest plan until it is approved, rejected or replaced. An approval covers one execution of one plan."""
+    """Holds the newest plan until it is approved, rejected, replaced or void.
+
+    An approval covers one execution of one plan, in the scene it was checked against.
+
+    Attributes
+    ----------
+    plan : Plan or None
+        On the desk.
+    scene : str
+        Hash of the present scene; empty while none is known.
+    """
 
     def __init__(self):
         self.plan: Plan | None = None
+        self.scene = ""
         self._decided: set[str] = set()
         self._void_before = 0
 
-    def offer(self, plan: Plan) -> None:
-        """Put a plan on the desk in place of the one before, unless it was decided already.
+    def offer(self, plan: Plan) -> Plan | None:
+        """Put a plan on the desk, unless it was decided already; return the plan that it replaces.
 
         Raises
         ------
@@ -41,19 +83,28 @@ class ReviewDesk:
             raise ReviewError(f"plan {plan.id} does not start and end at rest; plan again")
         if plan.created_ns < self._void_before:
             raise ReviewError(f"plan {plan.id} was asked for before the last stop or reset and is void; plan again")
-        if plan.id not in self._decided:
-            self.plan = plan
+        if plan.id in self._decided or (self.plan is not None and self.plan.id == plan.id):
+            return None
+        replaced = self.clear()
+        self.plan = plan
+        return replaced
 
-    def void(self, now: int) -> None:
-        """Clear the desk, and refuse every plan that was asked for until `now` [ns] but is not here yet."""
-        self.clear()
+    def void(self, now: int) -> Plan | None:
+        """Clear the desk and refuse plans asked for until `now` [ns] that are not here yet; return what lay there."""
         self._void_before = now
+        return self.clear()
 
-    def clear(self) -> None:
-        """Take the plan off the desk: it can no longer be approved."""
-        if self.plan is not None:
-            self._decided.add(self.plan.id)
-        self.plan = None
+    def on_scene(self, scene: str) -> Plan | None:
+        """Take the present scene's hash; return the plan taken off the desk because it was made for another."""
+        changed, self.scene = scene != self.scene, scene
+        return self.clear() if changed and self.plan is not None and self.plan.scene != scene else None
+
+    def clear(self) -> Plan | None:
+        """Take the plan off the desk and return it: it can no longer be approved."""
+        plan, self.plan = self.plan, None
+        if plan is not None:
+            self._decided.add(plan.id)
+        return plan
 
     def decide(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
         """Take the named plan off the desk to carry out a verdict on it.
@@ -75,18 +126,32 @@ class ReviewDesk:
         ReviewError
         """
         self.check(plan_id, plan_hash, reviewer)
-        plan = self.plan
-        self.clear()
-        return plan
+        return self.clear()
 
     def check(self, plan_id: str, plan_hash: str, reviewer: str) -> None:
         """Raise ReviewError when a verdict on this plan by this reviewer cannot be taken."""
         if not reviewer.strip():
             raise ReviewError("a verdict needs the reviewer's name")
         if plan_id in self._decided:
-            raise ReviewError(f"plan {plan_id} was decided already; an approval covers one execution, plan again")
+            raise ReviewError(
+                f"plan {plan_id} was decided already or withdrawn; an approval covers one execution, plan again"
+            )
         if self.plan is None or self.plan.id != plan_id:
             waiting = f"plan {self.plan.id} is" if self.plan else "no plan is"
             raise ReviewError(f"plan {plan_id} is not under review; {waiting}")
         if plan_hash and plan_hash != self.plan.hash:
             raise ReviewError(f"plan {plan_id} has hash {self.plan.hash}, not {plan_hash}; look at it again")
+
+    def check_content(self) -> None:
+        """Raise ReviewError when the plan on the desk must not be executed: for another scene, or not what its hash says."""
+        plan = self.plan
+        if not self.scene:
+            raise ReviewError(
+                f"plan {plan.id} cannot be approved: no scene is known yet; check that the scene node runs"
+            )
+        if plan.scene != self.scene:
+            raise ReviewError(
+                f"plan {plan.id} was made for scene {plan.scene[:12]}, the present one is {self.scene[:12]}; plan again"
+            )
+        if plan.trajectory.content_hash() != plan.hash:
+            raise ReviewError(f"plan {plan.id} is no longer what its hash {plan.hash} says; plan again")

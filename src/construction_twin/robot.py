@@ -1,7 +1,8 @@
 """One robot: joints, limits, home pose and how its joints appear on the wire and in RSI.
 
 Geometry, ranges and speeds come from the URDF; what a URDF cannot carry (acceleration and jerk limits, home pose, axis
-mapping) from one YAML file, whose keys carry their unit (deg). Inside, everything is SI. Kinematics is in `kinematics`.
+mapping) from one YAML file, whose keys carry their unit: deg for joints that turn, mm for linear ones. Inside,
+everything is SI: rad or m, by `RobotModel.linear`. Kinematics is in `kinematics`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ import yaml
 from urdf_parser_py.urdf import URDF, Joint
 from urdf_parser_py.xml_reflection.core import ParseError
 
-from construction_twin.errors import ConfigurationError, JointRangeError
+from construction_twin.errors import ConfigurationError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.units import radians
 
 _LOG = logging.getLogger(__name__)
@@ -34,16 +36,16 @@ _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 
 @dataclass(frozen=True)
 class AxisMapping:
-    """How a joint appears on the wire and in RSI: ``rsi_angle = sign * q + offset``.
+    """How a joint appears on the wire and in RSI: ``rsi_value = sign * q + offset``.
 
     Attributes
     ----------
     rsi : str
-        Attribute name in RSI telegrams, e.g. ``A1``.
+        Attribute name in RSI telegrams, e.g. ``A1``, or ``E1`` for an external axis.
     sign : int
         +1 or -1.
     offset : float
-        [rad]
+        [rad] ([m] for a linear joint).
     """
 
     rsi: str
@@ -54,6 +56,8 @@ class AxisMapping:
 @dataclass(frozen=True)
 class RobotModel:
     """A robot's description. All joint tuples are in the order of `joint_names`, from base to tip.
+
+    Units are those of a joint that turns; where `linear` is True, read m for rad.
 
     Attributes
     ----------
@@ -74,6 +78,8 @@ class RobotModel:
     home : tuple of float, length n
         [rad], within the range.
     axes : tuple of AxisMapping, length n
+    linear : tuple of bool, length n
+        True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
     """
 
     name: str
@@ -88,6 +94,7 @@ class RobotModel:
     jerk: tuple[float, ...]
     home: tuple[float, ...]
     axes: tuple[AxisMapping, ...]
+    linear: tuple[bool, ...]
 
     def check_range(self, q: Sequence[float]) -> None:
         """Check that every joint lies within its range, limits included.
@@ -95,7 +102,7 @@ class RobotModel:
         Parameters
         ----------
         q : sequence of float, length n
-            Joint angles [rad], order of `joint_names`.
+            Joint values [rad] or [m], order of `joint_names`.
 
         Raises
         ------
@@ -111,32 +118,51 @@ class RobotModel:
                 raise JointRangeError(joint, float(value), lower, upper)
 
 
-class _AxisDescription(pydantic.BaseModel):
+class _JointDescription(pydantic.BaseModel):
+    """What both kinds of joint have; see the comments in config/kr120.yaml for every key's meaning."""
+
     model_config = pydantic.ConfigDict(extra="forbid")
 
     rsi: Annotated[str, pydantic.Field(pattern=r"^[AE][1-6]$")]
     sign: Literal[1, -1]
+
+
+class _TurningJoint(_JointDescription):
+    home_deg: _Finite
+    acceleration_deg_s2: _Positive
+    jerk_deg_s3: _Positive
     offset_deg: _Finite
+
+    def si(self) -> tuple[float, float, float, float]:
+        """Return home, acceleration, jerk and offset in rad."""
+        return radians((self.home_deg, self.acceleration_deg_s2, self.jerk_deg_s3, self.offset_deg))
+
+
+class _LinearJoint(_JointDescription):
+    home_mm: _Finite
+    acceleration_mm_s2: _Positive
+    jerk_mm_s3: _Positive
+    offset_mm: _Finite
+
+    def si(self) -> tuple[float, float, float, float]:
+        """Return home, acceleration, jerk and offset in m."""
+        values = (self.home_mm, self.acceleration_mm_s2, self.jerk_mm_s3, self.offset_mm)
+        return tuple(value / 1e3 for value in values)
 
 
 class _RobotDescription(pydantic.BaseModel):
-    """The robot YAML: see the comments in config/kr120.yaml for every key's meaning."""
-
     model_config = pydantic.ConfigDict(extra="forbid")
 
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$")]
     base_link: str
     tip_link: str
-    home_deg: list[_Finite]
-    acceleration_deg_s2: list[_Positive]
-    jerk_deg_s3: list[_Positive]
-    axes: dict[str, _AxisDescription]
+    joints: dict[str, dict]
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
     """Build a robot from its URDF text and the mapping of its robot YAML.
 
-    The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`, which must all be revolute.
+    The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`. They must be revolute or prismatic.
 
     Parameters
     ----------
@@ -154,26 +180,27 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
     ConfigurationError
         Naming the key (``robot/...``) or the URDF element, its value and what was expected.
     """
-    parsed = _parse_description(description)
+    parsed = _validate(_RobotDescription, dict(description), "robot")
     model = parse_urdf(urdf)
     joints = [joint for joint in chain_joints(model, parsed.base_link, parsed.tip_link) if joint.joint_type != "fixed"]
     for joint in joints:
         _check_joint(joint)
-    names = tuple(joint.name for joint in joints)
-    _check_joint_lists(parsed, names)
+    described = _describe_joints(parsed, joints)
+    home, acceleration, jerk, offset = zip(*(joint.si() for joint in described))
     robot = RobotModel(
         name=parsed.name,
         urdf=urdf,
         base_link=parsed.base_link,
         tip_link=parsed.tip_link,
-        joint_names=names,
+        joint_names=tuple(joint.name for joint in joints),
         lower=tuple(float(joint.limit.lower) for joint in joints),
         upper=tuple(float(joint.limit.upper) for joint in joints),
         velocity=tuple(float(joint.limit.velocity) for joint in joints),
-        acceleration=radians(parsed.acceleration_deg_s2),
-        jerk=radians(parsed.jerk_deg_s3),
-        home=radians(parsed.home_deg),
-        axes=tuple(_axis(parsed.axes[name]) for name in names),
+        acceleration=acceleration,
+        jerk=jerk,
+        home=home,
+        axes=tuple(AxisMapping(joint.rsi, joint.sign, zero) for joint, zero in zip(described, offset)),
+        linear=tuple(joint.joint_type == "prismatic" for joint in joints),
     )
     _check_home(robot)
     return robot
@@ -284,55 +311,60 @@ def _read_text(path: str | Path) -> str:
         raise ConfigurationError(str(path), str(error), "a readable text file") from error
 
 
-def _parse_description(description: Mapping) -> _RobotDescription:
+def _validate(model: type[pydantic.BaseModel], values: Mapping, where: str):
     try:
-        return _RobotDescription.model_validate(dict(description))
+        return model.model_validate(values)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
-        where = "/".join(["robot", *map(str, first["loc"])])
+        where = "/".join([where, *map(str, first["loc"])])
         value = None if first["type"] == "missing" else first["input"]
         raise ConfigurationError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
 
 
 def _check_joint(joint: Joint) -> None:
     where = f"robot_description joint {joint.name}"
-    if joint.joint_type != "revolute" or joint.mimic is not None:
+    if joint.joint_type not in ("revolute", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
-        raise ConfigurationError(where, found, "an independent revolute joint with limits")
+        raise ConfigurationError(where, found, "an independent revolute or prismatic joint with limits")
+    unit = "m" if joint.joint_type == "prismatic" else "rad"
     limit = joint.limit
     if limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
-        raise ConfigurationError(f"{where} limit", _limit_text(limit), "lower < upper [rad]")
+        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"lower < upper [{unit}]")
     if not (math.isfinite(limit.lower) and math.isfinite(limit.upper)):
-        raise ConfigurationError(f"{where} limit", _limit_text(limit), "finite lower and upper [rad]")
+        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"finite lower and upper [{unit}]")
     if not 0 < limit.velocity < math.inf:
-        raise ConfigurationError(f"{where} limit velocity", limit.velocity, "a positive number [rad/s]")
+        raise ConfigurationError(f"{where} limit velocity", limit.velocity, f"a positive number [{unit}/s]")
 
 
 def _limit_text(limit) -> str | None:
     return None if limit is None else f"lower {limit.lower}, upper {limit.upper}"
 
 
-def _check_joint_lists(parsed: _RobotDescription, names: tuple[str, ...]) -> None:
+def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list[_TurningJoint | _LinearJoint]:
+    """Return the YAML's entry for each joint, in their order, with the keys that fit its type."""
+    names = [joint.name for joint in joints]
     if not names:
         expected = f"a link that joints move against {parsed.base_link}"
         raise ConfigurationError("robot/tip_link", parsed.tip_link, expected)
-    for key in ("home_deg", "acceleration_deg_s2", "jerk_deg_s3"):
-        values = getattr(parsed, key)
-        if len(values) != len(names):
-            raise ConfigurationError(f"robot/{key}", values, f"{len(names)} numbers, one for each of {list(names)}")
-    if set(parsed.axes) != set(names):
-        raise ConfigurationError("robot/axes", sorted(parsed.axes), f"one entry for each of {list(names)}")
-    rsi_axes = [parsed.axes[name].rsi for name in names]
-    if len(set(rsi_axes)) != len(rsi_axes):
-        raise ConfigurationError("robot/axes", rsi_axes, "a different RSI axis for each joint")
+    if set(parsed.joints) != set(names):
+        raise ConfigurationError("robot/joints", sorted(parsed.joints), f"one entry for each of {names}")
+    described = []
+    for joint in joints:
+        kind = _LinearJoint if joint.joint_type == "prismatic" else _TurningJoint
+        described.append(_validate(kind, parsed.joints[joint.name], f"robot/joints/{joint.name}"))
+    rsi_axes = [joint.rsi for joint in described]
+    for number, axis in enumerate(rsi_axes):
+        if axis in rsi_axes[:number]:
+            expected = f"a different RSI axis for each joint; {names[rsi_axes.index(axis)]} has this one"
+            raise ConfigurationError(f"robot/joints/{names[number]}/rsi", axis, expected)
+    return described
 
 
 def _check_home(robot: RobotModel) -> None:
     try:
         robot.check_range(robot.home)
     except JointRangeError as error:
-        raise ConfigurationError("robot/home_deg", math.degrees(error.value), f"a pose in range: {error}") from error
-
-
-def _axis(description: _AxisDescription) -> AxisMapping:
-    return AxisMapping(description.rsi, description.sign, math.radians(description.offset_deg))
+        linear = robot.linear[robot.joint_names.index(error.joint)]
+        key = f"robot/joints/{error.joint}/{'home_mm' if linear else 'home_deg'}"
+        found = error.value * 1e3 if linear else math.degrees(error.value)
+        raise ConfigurationError(key, found, f"a pose in range: {error}") from error

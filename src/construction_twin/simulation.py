@@ -10,10 +10,12 @@ import heapq
 import itertools
 from collections import Counter
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.approval import Approval
 from construction_twin.errors import PayloadError
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.executor import Executor, ExecutorState
@@ -23,12 +25,13 @@ from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
+from construction_twin.plan import Plan
+from construction_twin.review import Verdict
 from construction_twin.robot import RobotModel
 from construction_twin.rsi.codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.mock_controller import MockController
 from construction_twin.rsi.session import Gateway
-from construction_twin.plan import Plan
 from construction_twin.twin import VirtualRobot
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
@@ -85,6 +88,7 @@ class SimulatedChain:
         self.controller = controller
         self.gateway = Gateway(config)
         self.executor = Executor(robot)
+        self.verdicts: list[Verdict] = []
         self.codec = JointStringCodec.of(robot, config.decimals)
         self.gate = Gate(MotionLimits.of(robot), self.codec, gate)
         self.twin = VirtualRobot(None)
@@ -132,9 +136,11 @@ class SimulatedChain:
         return self.supervisor.state is LinkState.ARMED and self.executor.state is ExecutorState.IDLE
 
     def play(self, plan: Plan) -> None:
-        """Put a plan on the desk and approve it."""
-        self.executor.desk.offer(plan)
-        self.executor.review(plan.id, plan.hash, True, "simulation")
+        """Put a plan on the desk and approve it, in the scene it was made for."""
+        self.executor.on_scene(plan.scene)
+        self.executor.offer(plan)
+        approval = Approval(self.executor, self.verdicts.append, nullcontext())
+        approval.review(plan.id, plan.hash, True, "simulation")
 
     def recording(self) -> Recording:
         """Return what a bag of this run would hold."""

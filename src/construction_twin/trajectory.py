@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from construction_twin.errors import TrajectoryError
+from construction_twin.motion_errors import TrajectoryError
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,13 @@ from twin_client import HOME, Stream, TwinClient, wait
 
 from construction_twin.units import NANOSECONDS, radians
 
-STREAMS = ("next/joint_states", "command/joint_states", "twin/joint_states", "physical/joint_states", "physical/feedback")
+STREAMS = (
+    "next/joint_states",
+    "command/joint_states",
+    "twin/joint_states",
+    "physical/joint_states",
+    "physical/feedback",
+)
 NODES = ("planner", "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mock_rsi")
 #: Length over which a rate is counted [s].
 WINDOW = 5
@@ -32,7 +38,11 @@ class Rate:
 
     def value(self, seconds: float) -> float:
         """Wait for messages over that time; return their rate [Hz]."""
-        wait(lambda: len(self.times) > 1 and self.times[-1] - self.times[0] > seconds * NANOSECONDS, "messages to count", 40.0)
+        wait(
+            lambda: len(self.times) > 1 and self.times[-1] - self.times[0] > seconds * NANOSECONDS,
+            "messages to count",
+            40.0,
+        )
         self._subscriber.unregister()
         times = list(self.times)
         return (len(times) - 1) * NANOSECONDS / (times[-1] - times[0])

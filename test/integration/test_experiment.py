@@ -27,7 +27,9 @@ class ExperimentTest(unittest.TestCase):
         cls.results = tempfile.TemporaryDirectory()
         arguments = ["quick:=true", f"results_dir:={cls.results.name}", "broker_port:=18837", "rsi_port:=49207"]
         command = ["roslaunch", "construction_twin", "experiment.launch", *arguments]
-        launch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
+        launch = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        )
         try:
             cls.output, _ = launch.communicate(timeout=TIME_LIMIT)
         except subprocess.TimeoutExpired:

@@ -122,7 +122,11 @@ class GarbageTest(unittest.TestCase):
         """Publish on `control`; return what the gateway must count."""
         known = {"id": "1", "session": "another", "value": "0" * 64}
         garbage = [b"", b"{", b"[]", b"\xff\xfe", b"[" * 2000, b'"stop"', json.dumps(known).encode(), b" " * 5000]
-        for payload in (*garbage, json.dumps(known | {"verb": 1}).encode(), json.dumps(known | {"verb": "stop", "x": 1}).encode()):
+        for payload in (
+            *garbage,
+            json.dumps(known | {"verb": 1}).encode(),
+            json.dumps(known | {"verb": "stop", "x": 1}).encode(),
+        ):
             self.publish(self.topics.control, payload)
         for verb in ("fly", "STOP", "arm"):
             self.publish(self.topics.control, json.dumps(known | {"verb": verb}).encode())
@@ -151,13 +155,23 @@ class GarbageTest(unittest.TestCase):
             self.publish(self.topics.state, payload, properties)
         self.publish(self.topics.state, FAR, old, retain=True)
         self.publish(self.topics.state, b"", None, retain=True)
-        statuses = [b"", b"{", b"[]", b"\xff", b'{"state": 5}', b'{"state": "armed", "counters": [1]}', b'{"reply_us": {"bins": [NaN]}}']
+        statuses = [
+            b"",
+            b"{",
+            b"[]",
+            b"\xff",
+            b'{"state": 5}',
+            b'{"state": "armed", "counters": [1]}',
+            b'{"reply_us": {"bins": [NaN]}}',
+        ]
         for payload in statuses:
             self.publish(self.topics.status, payload)
         for payload in statuses[:4]:
             self.publish(self.topics.control_ack, payload)
         self.publish(self.topics.control_ack, b'{"id": "1", "ok": true}')
-        return Counter(name for name, _, _ in states) + Counter({"refused state_retained": 2, "refused status": len(statuses) + 4})
+        return Counter(name for name, _, _ in states) + Counter(
+            {"refused state_retained": 2, "refused status": len(statuses) + 4}
+        )
 
     def send_datagrams(self) -> Counter:
         """Send to the RSI port from another socket, well-formed telegrams too; return what the gateway must count."""
@@ -171,7 +185,9 @@ class GarbageTest(unittest.TestCase):
 
     # -- how it is judged
 
-    def publish(self, topic: str, payload: bytes, properties: list[tuple[str, str]] | None = None, retain: bool = False):
+    def publish(
+        self, topic: str, payload: bytes, properties: list[tuple[str, str]] | None = None, retain: bool = False
+    ):
         """Publish one message."""
         beside = user_properties(properties) if properties else None
         self.mqtt.publish(topic, payload, qos=1, retain=retain, properties=beside)

@@ -57,7 +57,11 @@ class ReviewTest(unittest.TestCase):
 
     def test_approved_plan_is_executed_once(self):
         missed = self.client.mock_counter("missed")
-        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin, Stream("physical/joint_states") as physical:
+        with (
+            Stream("mock_rsi/joint_states") as arm,
+            Stream("twin/joint_states") as twin,
+            Stream("physical/joint_states") as physical,
+        ):
             plan = self.client.start(LEFT)
             self.client.wait_for_outcome(plan.plan_id, "finished")
             self.client.assert_at(LEFT, twin, physical, arm)
@@ -82,7 +86,9 @@ class ReviewTest(unittest.TestCase):
             self.assertTrue(self.client.call("stop").success)
             self.client.wait_for_outcome(plan.plan_id, "stopped")
             wait(arm.at_rest, "the arm to rest")
-            self.assertGreater(np.abs(arm.positions(-1)[0] - radians(LEFT)).max(), np.deg2rad(5.0), "it was not stopped early")
+            self.assertGreater(
+                np.abs(arm.positions(-1)[0] - radians(LEFT)).max(), np.deg2rad(5.0), "it was not stopped early"
+            )
             self.client.assert_within_limits(arm, missed)
             np.testing.assert_allclose(arm.positions(-1), twin.positions(-1), atol=1e-5)
         self.client.wait_until_ready()

@@ -30,8 +30,14 @@ class StallTest(unittest.TestCase):
         self.client.wait_until_ready()
 
     def test_stalled_joint_holds_replans_and_finishes(self):
-        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin, Stream("physical/joint_states") as physical:
-            plan = self.client.plan_to(LEFT, duration=3.0) if self.auto_approve else self.client.start(LEFT, duration=3.0)
+        with (
+            Stream("mock_rsi/joint_states") as arm,
+            Stream("twin/joint_states") as twin,
+            Stream("physical/joint_states") as physical,
+        ):
+            plan = (
+                self.client.plan_to(LEFT, duration=3.0) if self.auto_approve else self.client.start(LEFT, duration=3.0)
+            )
             wait(lambda: arm.moved(5.0), "the arm to move")
             self.client.stall(JOINT, True)
             # from here on: the blow with which a blocked joint stops is the fault itself

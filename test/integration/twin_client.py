@@ -62,7 +62,9 @@ class Stream:
     def wait_for_more(self, count: int, timeout: float = 20.0) -> None:
         """Wait for `count` further messages."""
         wanted = len(self.messages) + count
-        wait(lambda: len(self.messages) >= wanted, f"{count} more messages on {self._subscriber.resolved_name}", timeout)
+        wait(
+            lambda: len(self.messages) >= wanted, f"{count} more messages on {self._subscriber.resolved_name}", timeout
+        )
 
     def at_rest(self, count: int = 50) -> bool:
         """Return whether the last `count` positions are identical."""
@@ -124,7 +126,9 @@ class TwinClient:
 
     def wait_until_ready(self, timeout: float = 40.0) -> None:
         """Wait until a plan could be approved: armed, in sync, idle."""
-        self.wait(lambda: self.armed() and self.in_sync() and self.idle(), "link ARMED, sync IN_SYNC, execution IDLE", timeout)
+        self.wait(
+            lambda: self.armed() and self.in_sync() and self.idle(), "link ARMED, sync IN_SYNC, execution IDLE", timeout
+        )
 
     def armed(self) -> bool:
         """Return whether commands flow to the arm."""
@@ -163,7 +167,9 @@ class TwinClient:
 
     # -- actions
 
-    def plan_to(self, goal_deg: Sequence[float], duration: float = 2.5, start_deg: Sequence[float] = ()) -> PlanToJointsResponse:
+    def plan_to(
+        self, goal_deg: Sequence[float], duration: float = 2.5, start_deg: Sequence[float] = ()
+    ) -> PlanToJointsResponse:
         """Have a motion planned, from the twin's present pose if no other is given; AssertionError when there is no plan."""
         rospy.wait_for_service("plan_to_joints", 20.0)
         service = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
@@ -172,7 +178,9 @@ class TwinClient:
         self.wait(lambda: self.plans and self.plans[-1].id == answer.plan_id, f"plan {answer.plan_id} on the topic")
         return answer
 
-    def review(self, plan_id: str, plan_hash: str, approve: bool = True, reviewer: str = "tester") -> ReviewPlanResponse:
+    def review(
+        self, plan_id: str, plan_hash: str, approve: bool = True, reviewer: str = "tester"
+    ) -> ReviewPlanResponse:
         """Give a verdict; repeated while the plan, which travels on a topic of its own, has not reached the executor."""
         service = rospy.ServiceProxy("review_plan", ReviewPlan)
         answers = []

@@ -11,9 +11,9 @@ from construction_twin.msg import Plan as PlanMsg
 from geometry_msgs.msg import Point, Quaternion, Transform, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 
-from construction_twin.errors import KinematicsError, TrajectoryError
+from construction_twin.motion_errors import KinematicsError, TrajectoryError
+from construction_twin.plan import Clearance, LimitShares, Plan, PlanReport
 from construction_twin.ros import convert
-from construction_twin.plan import Plan
 from construction_twin.trajectory import Trajectory
 
 NAMES = ("joint_a1", "joint_a2")
@@ -24,9 +24,20 @@ def trajectory(waypoints: int = 50) -> Trajectory:
     return Trajectory(NAMES, np.linspace(0.0, 75.2 / 3, waypoints), *rng.normal(size=(3, waypoints, 2)))
 
 
-def plan() -> Plan:
+def plan(clearance: Clearance = Clearance(0.0123, ("link_3", "wall"), (1.0, -2.0, 1 / 3), 4.004)) -> Plan:
     motion = trajectory()
-    return Plan("p1", motion.content_hash(), "request", "RRTConnect", 1_700_000_000_123_456_789, 0.1, motion)
+    shares = LimitShares((0.1, 1 / 3), (0.3, 0.4), (0.5, 0.6))
+    return Plan(
+        id="p1",
+        hash=motion.content_hash(),
+        source="request",
+        planner="RRTConnect",
+        scene="5c",
+        created_ns=1_700_000_000_123_456_789,
+        planning_time=0.1,
+        trajectory=motion,
+        report=PlanReport(clearance, shares, 0.017),
+    )
 
 
 def over_the_wire(msg):
@@ -46,10 +57,16 @@ def test_a_plan_survives_with_everything_it_carries():
     sent = plan()
     msg = over_the_wire(convert.plan_to_msg(sent, "base_link", np.arange(150.0).reshape(50, 3)))
     received = convert.plan_from_msg(msg)
-    for name in ("id", "hash", "source", "planner", "created_ns", "planning_time"):
+    for name in ("id", "hash", "source", "planner", "scene", "created_ns", "planning_time", "report"):
         assert getattr(received, name) == getattr(sent, name)
     assert msg.header.frame_id == "base_link" and msg.duration == sent.trajectory.duration
     assert (len(msg.tool_path), msg.tool_path[1].x, msg.tool_path[1].z) == (50, 3.0, 5.0)
+
+
+def test_a_plan_with_nothing_to_touch_survives():
+    sent = plan(Clearance(math.inf))
+    received = convert.plan_from_msg(over_the_wire(convert.plan_to_msg(sent, "base_link", np.zeros((50, 3)))))
+    assert received.report == sent.report and received.report.clearance.between == ()
 
 
 def test_a_plan_changed_on_its_way_is_refused():

@@ -23,6 +23,7 @@ ROS = ROOT / "src/construction_twin/ros"
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 INTERFACE = (ROOT / "docs/interface.md").read_text()
 README = (ROOT / "README.md").read_text()
+TROUBLESHOOTING = (ROOT / "docs/troubleshooting.md").read_text()
 #: Names in code spans, also where several stand in one.
 CODE_WORDS = {word for span in re.findall(r"`([^`\n]+)`", INTERFACE) for word in re.split(r"[\s,:\[\]]+", span)}
 NODES = sorted(ROS.glob("*_node.py"))
@@ -123,7 +124,7 @@ def test_messages_in_the_troubleshooting_are_the_programs_own():
     code = "".join(file.read_text() for file in files if file.is_file())
     code = re.sub(r"\"\s*f?\"", "", code)  # a sentence may be written in several pieces
     code = re.sub(r"\{[^{}\n]*\}", "*", code)
-    quotes = re.findall(r"`([^`]+)`", "\n".join(re.findall(r"^#### (.*)$", README, re.MULTILINE)))
+    quotes = re.findall(r"`([^`]+)`", "\n".join(re.findall(r"^## (.*)$", TROUBLESHOOTING, re.MULTILINE)))
     assert len(quotes) > 20
     for quote in quotes:
         if not any(part in quote for part in foreign):

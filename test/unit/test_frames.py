@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from construction_twin.errors import KinematicsError
 from construction_twin.frames import (
     abc_to_rotation,
     quaternion_to_rotation,
@@ -18,6 +17,7 @@ from construction_twin.frames import (
     rotation_to_abc,
     rotation_to_quaternion,
 )
+from construction_twin.motion_errors import KinematicsError
 
 ANGLE = st.floats(-math.pi, math.pi)
 GIMBAL = st.sampled_from([math.pi / 2, -math.pi / 2])

@@ -212,9 +212,8 @@ def test_an_ethernet_xml_that_does_not_fit_the_robot_is_refused_when_it_is_expor
 
 
 def test_a_linear_joint_is_refused_with_a_sentence(robot, settings):
-    head, tail = robot.urdf.split('name="joint_a1"', 1)
-    linear = dataclasses.replace(robot, urdf=head + 'name="joint_a1"' + tail.replace("revolute", "prismatic", 1))
-    with pytest.raises(ConfigurationError, match="joint joint_a1: found 'prismatic', expected .* no metres yet"):
+    linear = dataclasses.replace(robot, linear=(True, *robot.linear[1:]))
+    with pytest.raises(ConfigurationError, match="joint joint_a1: found 'a linear joint', expected .* no metres yet"):
         gateway_config(linear, settings)
 
 

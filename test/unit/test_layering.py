@@ -43,7 +43,7 @@ DEPLOYMENT = {
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
-    "planner": set(),
+    "planner": {"self_collision", "base_frame"},
 }
 #: Names of partner nodes: they follow from the launch files' own node names.
 PARTNERS = {"gate", "executor"}
@@ -195,7 +195,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
         (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
         (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3}),
-        (PlannerSettings, "planner", {}),
+        (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "base_frame": ""}),
     ],
 )
 def test_the_shipped_configuration_is_accepted(model, name, deployment):

@@ -7,7 +7,8 @@ import math
 
 import pytest
 
-from construction_twin.errors import ConfigurationError, JointRangeError
+from construction_twin.errors import ConfigurationError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.rsi.codec import SensorEncoder, parse_robot
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.mock_controller import MockConfig, MockController

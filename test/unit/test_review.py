@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import plan_samples
 import pytest
 
 from construction_twin.errors import ReviewError
-from construction_twin.review import ReviewDesk
 from construction_twin.plan import Plan
+from construction_twin.review import ReviewDesk
 from construction_twin.trajectory import Trajectory
 
 
-def make_plan(name: str, goal: float = 1.0) -> Plan:
+def make_plan(name: str, goal: float = 1.0, scene: str = "s") -> Plan:
     motion = Trajectory(("joint_a1",), [0.0, 1.0], [[0.0], [goal]], [[0.0]] * 2, [[0.0]] * 2)
-    return Plan(name, motion.content_hash(), "test", "none", 0, 0.0, motion)
+    return plan_samples.make_plan(motion, name, scene)
 
 
 @pytest.fixture
@@ -65,7 +66,7 @@ def test_an_empty_desk_says_so():
 def test_a_newer_plan_replaces_the_one_before(desk):
     desk.offer(make_plan("b", 2.0))
     assert desk.plan.id == "b"
-    with pytest.raises(ReviewError, match="plan b is"):
+    with pytest.raises(ReviewError, match="a was decided already or withdrawn"):
         desk.decide("a", "", "Ada")
 
 
@@ -87,4 +88,43 @@ def test_clearing_an_empty_desk_decides_nothing():
 def test_a_plan_that_does_not_end_at_rest_is_refused():
     motion = Trajectory(("a",), [0.0, 1.0], [[0.0], [1.0]], [[0.0], [0.1]], [[0.0], [0.0]])
     with pytest.raises(ReviewError, match="at rest"):
-        ReviewDesk().offer(Plan("p", motion.content_hash(), "test", "none", 0, 0.0, motion))
+        ReviewDesk().offer(plan_samples.make_plan(motion))
+
+
+def test_offering_tells_which_plan_was_replaced(desk):
+    first = desk.plan
+    assert desk.offer(make_plan("a")) is None and desk.plan is first
+    assert desk.offer(make_plan("b")) is first
+
+
+def test_voiding_tells_what_lay_there_and_refuses_what_is_on_its_way(desk):
+    first = desk.plan
+    assert desk.void(5) is first and desk.void(6) is None
+    with pytest.raises(ReviewError, match="last stop or reset"):
+        desk.offer(make_plan("b"))
+
+
+class TestScene:
+    def test_another_scene_takes_the_plan_off_the_desk(self, desk):
+        plan = desk.plan
+        assert desk.on_scene("s") is None and desk.plan is plan
+        assert desk.on_scene("t") is plan and desk.plan is None
+        with pytest.raises(ReviewError, match="decided already"):
+            desk.check("a", "", "Ada")
+
+    def test_a_plan_for_the_scene_that_comes_stays(self, desk):
+        desk.on_scene("s")
+        desk.offer(make_plan("b", scene="t"))
+        assert desk.on_scene("t") is None and desk.plan.id == "b"
+        desk.check_content()
+
+    def test_content_is_checked_against_scene_and_hash(self, desk):
+        with pytest.raises(ReviewError, match="no scene is known"):
+            desk.check_content()
+        desk.on_scene("s")
+        desk.check_content()
+        positions = desk.plan.trajectory.positions.copy()
+        positions[1] += 1e-15
+        object.__setattr__(desk.plan.trajectory, "positions", positions)
+        with pytest.raises(ReviewError, match="no longer what its hash"):
+            desk.check_content()

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from construction_twin.errors import ConfigurationError, JointRangeError
+from construction_twin.errors import ConfigurationError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.robot import AxisMapping, expand_xacro, load_robot, parse_urdf, read_robot_files
 
 ROOT = Path(__file__).parents[2]
@@ -57,10 +58,11 @@ def test_axes_map_to_rsi_unturned(robot):
     assert robot.axes == tuple(AxisMapping(f"A{number}", 1, 0.0) for number in range(1, 7))
 
 
-def test_axis_order_follows_the_joints_not_the_file(description):
-    description["axes"] = dict(reversed(description["axes"].items()))
-    description["axes"]["joint_a2"] = {"rsi": "A2", "sign": -1, "offset_deg": 90}
+def test_order_follows_the_joints_not_the_file(description):
+    description["joints"] = dict(reversed(description["joints"].items()))
+    description["joints"]["joint_a2"] |= {"sign": -1, "offset_deg": 90}
     robot = load_robot(URDF_TEXT, description)
+    assert robot.home == (0.0, -math.pi / 2, math.pi / 2, 0.0, math.pi / 2, 0.0)
     assert [axis.rsi for axis in robot.axes] == ["A1", "A2", "A3", "A4", "A5", "A6"]
     assert robot.axes[1] == AxisMapping("A2", -1, math.pi / 2)
 
@@ -92,18 +94,14 @@ def test_range_of_another_number_of_joints_is_a_programming_error(robot):
 @pytest.mark.parametrize(
     "key, value, where",
     [
-        ("home_deg", [0, -90, 90, 0, 90], "robot/home_deg"),
-        ("home_deg", [0, -90, 90, 0, 130, 0], "robot/home_deg"),
-        ("home_deg", [0, math.nan, 90, 0, 90, 0], "robot/home_deg/1"),
-        ("acceleration_deg_s2", [155.8, 134.2, 368.7, 998.8, 518.0, 0.0], "robot/acceleration_deg_s2/5"),
-        ("acceleration_deg_s2", [155.8] * 7, "robot/acceleration_deg_s2"),
-        ("jerk_deg_s3", [-1.0] * 6, "robot/jerk_deg_s3/0"),
-        ("jerk_deg_s3", "fast", "robot/jerk_deg_s3"),
         ("name", "KR 120", "robot/name"),
         ("base_link", "pedestal", "robot/base_link"),
         ("tip_link", "gripper", "robot/tip_link"),
         ("tip_link", "base", "robot/tip_link"),
-        ("axes", {"joint_a1": {"rsi": "A1", "sign": 1, "offset_deg": 0}}, "robot/axes"),
+        ("joints", {"joint_a1": DESCRIPTION["joints"]["joint_a1"]}, "robot/joints"),
+        ("joints", DESCRIPTION["joints"] | {"joint_a7": DESCRIPTION["joints"]["joint_a6"]}, "robot/joints"),
+        ("joints", [0, 1], "robot/joints"),
+        ("joints", DESCRIPTION["joints"] | {"joint_a2": 3}, "robot/joints/joint_a2"),
         ("speed", 3, "robot/speed"),
     ],
 )
@@ -123,16 +121,37 @@ def test_missing_key_is_named(description, key):
 
 @pytest.mark.parametrize(
     "field, value",
-    [("sign", 2), ("sign", 0), ("rsi", "A7"), ("rsi", "joint_a1"), ("offset_deg", math.inf), ("scale", 1)],
+    [
+        ("sign", 2),
+        ("sign", 0),
+        ("rsi", "A7"),
+        ("rsi", "joint_a1"),
+        ("offset_deg", math.inf),
+        ("home_deg", math.nan),
+        ("home_deg", 160.0),
+        ("acceleration_deg_s2", 0.0),
+        ("jerk_deg_s3", -1.0),
+        ("jerk_deg_s3", "fast"),
+        ("scale", 1),
+        ("home_mm", 0.0),
+    ],
 )
-def test_wrong_axis_field_is_named(description, field, value):
-    description["axes"]["joint_a3"][field] = value
-    assert refused(URDF_TEXT, description).where == f"robot/axes/joint_a3/{field}"
+def test_wrong_field_of_a_joint_is_named(description, field, value):
+    description["joints"]["joint_a3"][field] = value
+    assert refused(URDF_TEXT, description).where == f"robot/joints/joint_a3/{field}"
+
+
+@pytest.mark.parametrize("field", list(DESCRIPTION["joints"]["joint_a1"]))
+def test_missing_field_of_a_joint_is_named(description, field):
+    del description["joints"]["joint_a4"][field]
+    assert refused(URDF_TEXT, description).where == f"robot/joints/joint_a4/{field}"
 
 
 def test_two_joints_on_one_rsi_axis_are_refused(description):
-    description["axes"]["joint_a3"]["rsi"] = "A2"
-    assert refused(URDF_TEXT, description).where == "robot/axes"
+    description["joints"]["joint_a3"]["rsi"] = "A2"
+    error = refused(URDF_TEXT, description)
+    assert error.where == "robot/joints/joint_a3/rsi"
+    assert "joint_a2" in error.expected
 
 
 def test_chain_without_joints_is_refused(description):
@@ -154,7 +173,9 @@ ONE_JOINT = """<robot name="x"><link name="base_link"/><link name="tool0"/>
     "type, limit",
     [
         ("continuous", ""),
-        ("prismatic", '<limit lower="0" upper="1" effort="1" velocity="1"/>'),
+        ("floating", ""),
+        ("prismatic", ""),
+        ("prismatic", '<limit lower="1" upper="0" effort="1" velocity="1"/>'),
         ("revolute", ""),
         ("revolute", '<limit effort="1" velocity="1"/>'),
         ("revolute", '<limit lower="1" upper="-1" effort="1" velocity="1"/>'),
@@ -166,6 +187,49 @@ ONE_JOINT = """<robot name="x"><link name="base_link"/><link name="tool0"/>
 )
 def test_joint_the_twin_cannot_drive_is_named(description, type, limit):
     assert "joint j" in refused(ONE_JOINT.format(type=type, limit=limit), description).where
+
+
+TRACK_XACRO = ROOT / "urdf" / "kr120_track.urdf.xacro"
+TRACK_YAML = ROOT / "config" / "kr120_track.yaml"
+
+
+def test_linear_joint_is_in_metres():
+    robot = read_robot_files(TRACK_XACRO, TRACK_YAML)
+    assert robot.joint_names == ("track", *JOINTS)
+    assert robot.linear == (True,) + (False,) * 6
+    assert (robot.lower[0], robot.upper[0], robot.velocity[0]) == (-1.0, 1.0, 2.5)
+    assert (robot.home[0], robot.acceleration[0], robot.jerk[0]) == (0.0, 6.81, 68.1)
+    assert robot.axes[0] == AxisMapping("E1", 1, 0.0)
+
+
+def test_offset_and_home_of_a_linear_joint_are_millimetres_in_the_file():
+    description = yaml.safe_load(TRACK_YAML.read_text())
+    description["joints"]["track"] |= {"offset_mm": -2500, "home_mm": 125.5, "sign": -1}
+    robot = load_robot(expand_xacro(TRACK_XACRO), description)
+    assert robot.axes[0] == AxisMapping("E1", -1, -2.5)
+    assert robot.home[0] == 0.1255
+
+
+@pytest.mark.parametrize("key", ["home", "acceleration", "jerk", "offset"])
+def test_unit_that_does_not_fit_the_joint_is_refused(key):
+    description = yaml.safe_load(TRACK_YAML.read_text())
+    suffix = {"acceleration": "_s2", "jerk": "_s3"}.get(key, "")
+    track = description["joints"]["track"]
+    track[f"{key}_deg{suffix}"] = track.pop(f"{key}_mm{suffix}")
+    assert refused(expand_xacro(TRACK_XACRO), description).where == f"robot/joints/track/{key}_mm{suffix}"
+
+
+def test_home_of_a_linear_joint_out_of_range_is_named():
+    description = yaml.safe_load(TRACK_YAML.read_text())
+    description["joints"]["track"]["home_mm"] = 1200
+    error = refused(expand_xacro(TRACK_XACRO), description)
+    assert (error.where, error.value) == ("robot/joints/track/home_mm", 1200)
+
+
+def test_arm_on_the_track_has_the_arm_s_own_limits(robot):
+    track = read_robot_files(TRACK_XACRO, TRACK_YAML)
+    for name in ("lower", "upper", "velocity", "acceleration", "jerk", "home", "axes"):
+        assert getattr(track, name)[1:] == getattr(robot, name)
 
 
 @pytest.mark.parametrize("text", ["", "<robot", "<robot/>", '<robot name="x"><joint name="j" type="bogus"/></robot>'])

@@ -8,6 +8,7 @@ import random
 from pathlib import Path
 
 import numpy as np
+import plan_samples
 import pytest
 import yaml
 
@@ -17,7 +18,7 @@ from construction_twin.evaluation.tables import error_table
 from construction_twin.executor import ExecutorState
 from construction_twin.gate import SyncState
 from construction_twin.mqtt.supervisor import LinkState
-from construction_twin.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.plan import Plan
 from construction_twin.planning.timing import time_path
 from construction_twin.robot import read_robot_files
 from construction_twin.rsi.export import gateway_config
@@ -29,7 +30,6 @@ from construction_twin.units import CYCLE, CYCLE_NS, format_allowance, radians
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = read_robot_files(ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml")
 SETTINGS = yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text())
-NOT_MEASURED = PlanReport(Clearance(math.inf), LimitShares((), (), ()), 0.0)
 REACH = radians((55.0, -50.0, 75.0, 40.0, 60.0, -70.0))
 
 
@@ -49,17 +49,7 @@ def make_chain(
 
 def make_plan(chain: SimulatedChain, goal, **timing) -> Plan:
     trajectory = time_path(np.array([chain.twin.pose, goal]), ROBOT, **timing)
-    return Plan(
-        f"plan-{chain.now}",
-        trajectory.content_hash(),
-        "test",
-        "direct",
-        "none",
-        chain.now,
-        0.0,
-        trajectory,
-        NOT_MEASURED,
-    )
+    return plan_samples.make_plan(trajectory, f"plan-{chain.now}", created_ns=chain.now)
 
 
 def play_to_the_end(chain: SimulatedChain, plan: Plan) -> None:
@@ -287,3 +277,26 @@ def test_a_controller_restart_at_another_pose_captures_a_new_origin_and_waits_fo
     assert chain.run_until(lambda: chain.ready, 5.0), chain.supervisor.reason
     assert np.abs(np.array(chain.twin.pose) - pose).max() <= math.radians(0.5e-3) + 1e-12
     assert set(chain.corrections[-1][1]) <= {0.0} or max(map(abs, chain.corrections[-1][1])) <= math.radians(0.5e-3)
+
+
+@pytest.mark.parametrize("speed_scale", [0.3, 1.0])
+def test_a_paused_plan_rests_on_both_robots_and_goes_on_inside_the_limits(speed_scale):
+    chain = make_chain(3)
+    plan = make_plan(chain, REACH, speed_scale=speed_scale)
+    chain.play(plan)
+    chain.run_for(plan.trajectory.duration / 2)
+    chain.executor.pause()
+    assert chain.run_until(lambda: chain.executor.state is ExecutorState.PAUSED, 3.0)
+    chain.run_for(0.5)
+    resting = chain.twin.pose
+    chain.run_for(2.0)
+    assert chain.twin.pose == resting and chain.gate.state is SyncState.IN_SYNC
+    assert np.abs(np.array(chain.controller.measured) - resting).max() <= 1e-5
+    assert np.abs(np.array(resting) - REACH).max() > 0.05
+    chain.executor.resume()
+    assert chain.run_until(lambda: chain.executor.outcome == "finished", 10.0), chain.executor.reason
+    chain.run_for(0.5)
+    assert np.abs(np.array(chain.controller.measured) - REACH).max() <= 1e-5
+    assert [verdict.verdict for verdict in chain.verdicts] == ["approved"]
+    assert chain.gateway.counters["settling"] == 0
+    assert_corrections_inside_limits(chain)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from plan_samples import make_plan
 
-from construction_twin.errors import TrajectoryError
+from construction_twin.motion_errors import TrajectoryError
 from construction_twin.plan import Plan
 from construction_twin.trajectory import Trajectory, whole_nanoseconds
 
@@ -34,9 +36,7 @@ def polynomial_trajectory(coefficients: np.ndarray, times: np.ndarray) -> Trajec
 
 
 def plan(**changes) -> Plan:
-    values = dict(id="p1", source="request", planner="RRTConnect", created_ns=5, planning_time=0.1)
-    values |= dict(trajectory=trajectory()) | changes
-    return Plan(**({"hash": values["trajectory"].content_hash()} | values))
+    return replace(make_plan(trajectory(), "p1"), **changes)
 
 
 class TestSample:
@@ -183,3 +183,9 @@ class TestPlan:
     def test_refuses_an_empty_id(self):
         with pytest.raises(TrajectoryError, match="empty id"):
             plan(id="")
+
+    def test_takes_another_trajectory_only_with_its_hash(self):
+        other = trajectory(times=[0.0, 0.6, 2.0])
+        with pytest.raises(TrajectoryError, match="plan it again"):
+            plan(trajectory=other)
+        assert plan(trajectory=other, hash=other.content_hash()).trajectory is other

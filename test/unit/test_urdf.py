@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from construction_twin.robot import expand_xacro
 
@@ -134,16 +135,78 @@ def half_size(shape) -> np.ndarray:
     return np.where(np.arange(3) == along, length / 2, radius)
 
 
-def test_every_moving_link_has_equal_visual_and_collision_shapes(robot):
-    for number in range(7):
-        link = robot.find(f"link[@name='link_{number}']")
-        seen, collided = shapes(link, "visual"), shapes(link, "collision")
-        assert seen and seen == collided
+@pytest.mark.parametrize("link", [f"link_{number}" for number in range(7)])
+def test_the_collision_shapes_enclose_what_is_seen(robot, link):
+    """Also where a reader ignores the capsule tag and sees the cylinder."""
+    element = robot.find(f"link[@name='{link}']")
+    hulls = [placed(shape) for shape in element.iter("collision")]
+    assert 1 <= len(hulls) <= 3
+    for visual in element.iter("visual"):
+        points = surface(visual)
+        inside = np.zeros(len(points), dtype=bool)
+        for rotation, centre, kind, size in hulls:
+            inside |= contains(kind, size, (points - centre) @ rotation)
+        assert inside.all(), (visual.find("geometry")[0].attrib, points[~inside][0])
 
 
-def shapes(link, kind) -> list[tuple]:
-    placed = [(child.find("origin"), child.find("geometry")[0]) for child in link.iter(kind)]
-    return [(origin.attrib, geometry.tag, geometry.attrib) for origin, geometry in placed]
+def test_the_flange_s_face_stays_free_for_tools(robot):
+    """Nothing of the wrist's collision shapes reaches beyond the flange, capsule ends included."""
+    for link in ("link_5", "link_6"):
+        element = robot.find(f"link[@name='{link}']")
+        assert element.find("collision_checking") is None
+        _, high = extent(element)
+        assert high[0] <= 0.215 + 1e-12
+
+
+def test_every_capsule_tag_names_a_cylinder(robot):
+    tagged = 0
+    for link in robot.iter("link"):
+        cylinders = [c.get("name") for c in link.iter("collision") if c.find("geometry/cylinder") is not None]
+        for capsule in link.iter("capsule"):
+            assert capsule.get("name") in cylinders
+            tagged += 1
+    assert tagged
+    names = [collision.get("name") for collision in robot.iter("collision")]
+    assert None not in names and len(set(names)) == len(names)
+
+
+def placed(shape) -> tuple:
+    """Return a shape's rotation (3, 3) and centre in the link, its kind and its size [m]."""
+    origin = shape.find("origin")
+    rotation = Rotation.from_euler("xyz", numbers(origin, "rpy")).as_matrix()
+    geometry = shape.find("geometry")[0]
+    size = (
+        numbers(geometry, "size")
+        if geometry.tag == "box"
+        else [float(geometry.get(key)) for key in ("radius", "length")]
+    )
+    return rotation, np.array(numbers(origin, "xyz")), geometry.tag, np.array(size)
+
+
+def surface(shape) -> np.ndarray:
+    """Return points all over a shape's surface, in the link's frame, shape (k, 3) [m]."""
+    rotation, centre, kind, size = placed(shape)
+    grid = np.linspace(-0.5, 0.5, 41)
+    if kind == "box":
+        u, v = (axis.ravel() for axis in np.meshgrid(grid, grid))
+        faces = [np.insert(np.stack([u, v], 1), axis, side, axis=1) for axis in range(3) for side in (-0.5, 0.5)]
+        points = np.concatenate(faces) * size
+    else:
+        radius, length = size
+        angle, along = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 2 * np.pi, 73), grid))
+        mantle = np.stack([radius * np.cos(angle), radius * np.sin(angle), length * along], 1)
+        share = np.abs(along) * 2
+        lids = [mantle * [1, 1, 0] * np.stack([share, share, share], 1) + [0, 0, end * length / 2] for end in (-1, 1)]
+        points = np.concatenate([mantle, *lids])
+    return points @ rotation.T + centre
+
+
+def contains(kind: str, size: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return which points, in the shape's frame, lie in it or on its surface."""
+    if kind == "box":
+        return (np.abs(points) <= size / 2 + 1e-9).all(axis=1)
+    radius, length = size
+    return (np.hypot(points[:, 0], points[:, 1]) <= radius + 1e-9) & (np.abs(points[:, 2]) <= length / 2 + 1e-9)
 
 
 def test_upright_pedestal_stands_on_the_floor(robot):

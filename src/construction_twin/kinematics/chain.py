@@ -1,24 +1,20 @@
-"""Forward and inverse kinematics of any URDF's serial chain, by KDL.
+"""Forward kinematics and Jacobian of any URDF's serial chain, by KDL.
 
-Poses are ``base_T_tip``: the tip link's pose in the robot's base link [m], joint angles [rad] in the order of
-``robot.joint_names``. Knows no tool or workpiece frame beyond the chain, and checks no collisions.
+Poses are ``base_T_tip``: the tip link's pose in the robot's base link [m]; joint values [rad], or [m] for a linear joint,
+in the order of ``robot.joint_names``. Knows no tool or workpiece frame beyond the chain, and checks no collisions.
+The way back, from a pose to joint values, is in `inverse`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import PyKDL
 from urdf_parser_py.urdf import Joint
 
-from construction_twin.errors import KinematicsError, NoSolutionError, UnreachableError
-from construction_twin.frames import rotation_angle
 from construction_twin.robot import RobotModel, chain_joints, parse_urdf
-
-_TURN = 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,76 +32,40 @@ class Pose:
     rotation: np.ndarray
 
 
-@dataclass(frozen=True)
-class IkSettings:
-    """How `Chain.inverse` searches.
-
-    Attributes
-    ----------
-    seeds : int
-        Most starting points tried: the given seed, home, then random ones.
-    solutions : int
-        Enough solutions to choose the nearest from; the search ends there.
-    iterations : int
-        Most steps of the solver from one starting point.
-    tolerance_m, tolerance_rad : float
-        What a solution's own forward kinematics may miss the target by.
-    """
-
-    seeds: int = 60
-    solutions: int = 4
-    iterations: int = 200
-    tolerance_m: float = 1e-6
-    tolerance_rad: float = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class IkSolution:
-    """A verified solution within the ranges.
-
-    Attributes
-    ----------
-    q : array, shape (n,)
-        [rad]
-    residual_m, residual_rad : float
-        Distance of its forward kinematics from the target.
-    seeds : int
-        Number of starting points tried.
-    """
-
-    q: np.ndarray
-    residual_m: float
-    residual_rad: float
-    seeds: int
-
-
 class Chain:
-    """The serial chain from ``robot.base_link`` to ``robot.tip_link``. Not for use from several threads at once.
+    """The serial chain from ``robot.base_link`` to ``robot.tip_link``.
+
+    Not for use from several threads at once: the solvers work in buffers of their own.
 
     Parameters
     ----------
     robot : RobotModel
-    settings : IkSettings, optional
 
     Attributes
     ----------
+    robot : RobotModel
+    kdl : PyKDL.Chain
+        For solvers of KDL.
     reach : float
-        Upper bound of the tip's distance from `shoulder` [m]: all link lengths in one line.
+        Upper bound of the tip's distance from `shoulder` [m]: all link lengths and strokes in one line.
+    arm_length : float
+        The same without strokes [m].
     shoulder : array, shape (3,)
-        The first joint's origin in the base [m].
+        The first turning joint's origin in the base, linear joints at zero [m].
     """
 
-    def __init__(self, robot: RobotModel, settings: IkSettings = IkSettings()):
+    def __init__(self, robot: RobotModel):
         self.robot = robot
-        self._settings = settings
         joints = chain_joints(parse_urdf(robot.urdf), robot.base_link, robot.tip_link)
-        self._kdl = to_kdl(joints)
-        self._lower = np.array(robot.lower)
-        self._upper = np.array(robot.upper)
-        self._fk = PyKDL.ChainFkSolverPos_recursive(self._kdl)
-        # The solver's own precision is far below the tolerance, so that what it calls solved also passes the check.
-        self._ik = PyKDL.ChainIkSolverPos_LMA(self._kdl, 1e-10, settings.iterations, 1e-14)
-        self.shoulder, self.reach = _reach(joints)
+        self.kdl = to_kdl(joints)
+        self.shoulder, self.arm_length = _reach(joints)
+        self.reach = self.arm_length + _strokes(robot)
+        self._count = len(robot.joint_names)
+        self._fk = PyKDL.ChainFkSolverPos_recursive(self.kdl)
+        self._jacobian = PyKDL.ChainJntToJacSolver(self.kdl)
+        self._q = PyKDL.JntArray(self._count)
+        self._frame = PyKDL.Frame()
+        self._columns = PyKDL.Jacobian(self._count)
 
     def forward(self, q: Sequence[float]) -> Pose:
         """Return the tip's pose.
@@ -113,7 +73,7 @@ class Chain:
         Parameters
         ----------
         q : sequence of float, length n
-            Joint angles [rad]; not checked against the ranges.
+            Joint values [rad] or [m]; not checked against the ranges.
 
         Returns
         -------
@@ -124,7 +84,53 @@ class Chain:
         ValueError
             If `q` has another length.
         """
-        return _pose(self._frame(q, -1))
+        return to_pose(self.frame(q))
+
+    def frame(self, q: Sequence[float]) -> PyKDL.Frame:
+        """Return the tip's pose as KDL's frame, for code that looks at every microsecond.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            As in `forward`.
+
+        Returns
+        -------
+        base_T_tip : PyKDL.Frame
+            A buffer: the next call changes it.
+
+        Raises
+        ------
+        ValueError
+            If `q` has another length.
+        """
+        self._fill(q)
+        self._fk.JntToCart(self._q, self._frame)
+        return self._frame
+
+    def jacobian(self, q: Sequence[float]) -> np.ndarray:
+        """Return how the tip moves with each joint.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            As in `forward`.
+
+        Returns
+        -------
+        jacobian : array, shape (6, n)
+            Column i: velocity of the tip's origin [m] (three rows), then angular velocity [rad] (three rows), in the
+            base's directions, per rad or m of joint i.
+
+        Raises
+        ------
+        ValueError
+            If `q` has another length.
+        """
+        self._fill(q)
+        self._jacobian.JntToJac(self._q, self._columns)
+        columns = self._columns
+        return np.array([[columns[row, column] for column in range(self._count)] for row in range(6)])
 
     def skeleton(self, q: Sequence[float]) -> np.ndarray:
         """Return the line from the base through all link origins to the tip, for drawing the arm.
@@ -132,138 +138,32 @@ class Chain:
         Parameters
         ----------
         q : sequence of float, length n
-            [rad]
+            As in `forward`.
 
         Returns
         -------
         points : array, shape (m, 3)
             In the base [m], the base's origin first.
-        """
-        frames = (self._frame(q, number) for number in range(self._kdl.getNrOfSegments() + 1))
-        return np.array([list(frame.p) for frame in frames])
-
-    def inverse(
-        self, pose: Pose, seed: Sequence[float], rng: np.random.Generator, budget_s: float, clock: Callable[[], float]
-    ) -> IkSolution:
-        """Find joint angles for a pose, near a seed.
-
-        Starts the solver from the seed, the home pose and random poses until enough solutions are found or the
-        budget is spent, and returns the one nearest to the seed (by its largest joint difference). The seed itself is
-        always tried.
-
-        Parameters
-        ----------
-        pose : Pose
-            Target ``base_T_tip``.
-        seed : sequence of float, length n
-            [rad], within the ranges.
-        rng : numpy Generator
-            Source of the random starting points.
-        budget_s : float
-            Time budget [s] on `clock`.
-        clock : callable
-            Returns the present time [s], e.g. ``time.monotonic``.
-
-        Returns
-        -------
-        solution : IkSolution
 
         Raises
         ------
-        JointRangeError
-            If the seed is out of range, or the pose was solved but only by joint angles out of range.
-        UnreachableError
-            If the pose is further from the shoulder than the arm is long.
-        NoSolutionError
-            If no starting point led to a solution.
-        KinematicsError
-            If the pose is not finite.
+        ValueError
+            If `q` has another length.
         """
-        self.robot.check_range(seed)
-        self._check_reach(pose)
-        return _Search(self, pose, np.array(seed, dtype=float)).run(self._seeds(seed, rng), clock() + budget_s, clock)
-
-    def _check_reach(self, pose: Pose) -> None:
-        if not (np.isfinite(pose.position).all() and np.isfinite(pose.rotation).all()):
-            found = np.asarray(pose.position).tolist(), np.asarray(pose.rotation).tolist()
-            raise KinematicsError(f"pose is position {found[0]}, rotation {found[1]}; expected finite numbers")
-        distance = float(np.linalg.norm(pose.position - self.shoulder))
-        if distance > self.reach:
-            raise UnreachableError(distance, self.reach)
-
-    def _seeds(self, seed: Sequence[float], rng: np.random.Generator) -> Iterator[np.ndarray]:
-        yield np.array(seed, dtype=float)
-        yield np.array(self.robot.home)
-        for _ in range(self._settings.seeds - 2):
-            yield rng.uniform(self._lower, self._upper)
-
-    def _frame(self, q: Sequence[float], segments: int) -> PyKDL.Frame:
-        if len(q) != len(self._lower):
-            raise ValueError(f"{len(q)} joint values for {len(self._lower)} joints of {self.robot.name}")
+        self._fill(q)
         frame = PyKDL.Frame()
-        self._fk.JntToCart(_to_array(q), frame, segments)
-        return frame
+        points = []
+        for number in range(self.kdl.getNrOfSegments() + 1):
+            self._fk.JntToCart(self._q, frame, number)
+            points.append((frame[0, 3], frame[1, 3], frame[2, 3]))
+        return np.array(points)
 
-
-class _Search:
-    """One `Chain.inverse`: what has been found so far for one target."""
-
-    def __init__(self, chain: Chain, pose: Pose, near: np.ndarray):
-        self._chain = chain
-        self._settings = chain._settings
-        self._pose = pose
-        self._near = near
-        self._target = _to_frame(pose)
-        self._solved: list[IkSolution] = []
-        self._outside: list[np.ndarray] = []
-        self._residual = (math.inf, math.inf)
-
-    def run(self, seeds: Iterator[np.ndarray], deadline: float, clock: Callable[[], float]) -> IkSolution:
-        tried = 0
-        for seed in seeds:
-            if tried and clock() >= deadline:
-                break
-            tried += 1
-            self._try(seed, tried)
-            if len(self._solved) >= self._settings.solutions:
-                break
-        if self._solved:
-            best = min(self._solved, key=lambda solution: np.abs(solution.q - self._near).max())
-            return IkSolution(best.q, best.residual_m, best.residual_rad, tried)
-        if self._outside:
-            self._chain.robot.check_range(min(self._outside, key=self._excess))
-        raise NoSolutionError(tried, *self._residual)
-
-    def _try(self, seed: np.ndarray, number: int) -> None:
-        found = PyKDL.JntArray(len(seed))
-        self._chain._ik.CartToJnt(_to_array(seed), self._target, found)
-        q = self._into_range(np.array([found[i] for i in range(len(seed))]))
-        # The solver's verdict is not asked: forward kinematics says whether this is the pose.
-        reached = self._chain.forward(q)
-        residual_m = float(np.linalg.norm(reached.position - self._pose.position))
-        residual_rad = rotation_angle(reached.rotation, self._pose.rotation)
-        if not (residual_m <= self._settings.tolerance_m and residual_rad <= self._settings.tolerance_rad):
-            # on an arm of metres a radian is about a metre
-            self._residual = min(self._residual, (residual_m, residual_rad), key=lambda residual: math.hypot(*residual))
-        elif self._excess(q) > 0.0:
-            self._outside.append(q)
-        else:
-            self._solved.append(IkSolution(q, residual_m, residual_rad, number))
-
-    def _into_range(self, q: np.ndarray) -> np.ndarray:
-        """Return the same pose with each joint turned by whole turns into its range, as near to the seed as possible."""
-        lower, upper = self._chain._lower, self._chain._upper
-        slack = self._settings.tolerance_rad
-        nearest = q + _TURN * np.round((self._near - q) / _TURN)
-        # whole turns that bring a joint down below its upper end, then up above its lower end where that went too far
-        nearest = nearest - _TURN * np.ceil(np.maximum(nearest - upper - slack, 0.0) / _TURN)
-        turned = nearest + _TURN * np.ceil(np.maximum(lower - slack - nearest, 0.0) / _TURN)
-        # a target on the very edge of a range comes back a rounding error outside it
-        edge = np.clip(turned, lower, upper)
-        return np.where(np.abs(edge - turned) <= slack, edge, turned)
-
-    def _excess(self, q: np.ndarray) -> float:
-        return float(np.maximum(self._chain._lower - q, q - self._chain._upper).max())
+    def _fill(self, q: Sequence[float]) -> None:
+        if len(q) != self._count:
+            raise ValueError(f"{len(q)} joint values for {self._count} joints of {self.robot.name}")
+        buffer = self._q
+        for index, value in enumerate(q.tolist() if isinstance(q, np.ndarray) else q):
+            buffer[index] = value
 
 
 def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
@@ -272,7 +172,7 @@ def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
     Parameters
     ----------
     joints : sequence of Joint
-        From base to tip, revolute or fixed.
+        From base to tip: revolute, prismatic or fixed.
 
     Returns
     -------
@@ -286,10 +186,25 @@ def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
             kdl_joint = PyKDL.Joint(joint.name, PyKDL.Joint.Fixed)
         else:
             # URDF gives the axis in the joint's frame and defaults to X, KDL wants it in the parent's
-            axis = PyKDL.Vector(*(joint.axis or (1.0, 0.0, 0.0)))
-            kdl_joint = PyKDL.Joint(joint.name, parent_T_joint.p, parent_T_joint.M * axis, PyKDL.Joint.RotAxis)
+            axis = parent_T_joint.M * PyKDL.Vector(*(joint.axis or (1.0, 0.0, 0.0)))
+            kind = PyKDL.Joint.TransAxis if joint.joint_type == "prismatic" else PyKDL.Joint.RotAxis
+            kdl_joint = PyKDL.Joint(joint.name, parent_T_joint.p, axis, kind)
         chain.addSegment(PyKDL.Segment(joint.child, kdl_joint, parent_T_joint))
     return chain
+
+
+def to_frame(pose: Pose) -> PyKDL.Frame:
+    """Convert a pose to KDL's frame."""
+    rotation = PyKDL.Rotation(*np.asarray(pose.rotation, dtype=float).ravel().tolist())
+    return PyKDL.Frame(rotation, PyKDL.Vector(*np.asarray(pose.position, dtype=float).tolist()))
+
+
+def to_pose(frame: PyKDL.Frame) -> Pose:
+    """Convert KDL's frame to a pose."""
+    # written out: each element costs a call, and so would every loop and every view of the frame's parts
+    f = frame
+    rotation = [f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2], f[2, 0], f[2, 1], f[2, 2]]
+    return Pose(np.array([f[0, 3], f[1, 3], f[2, 3]]), np.array(rotation).reshape(3, 3))
 
 
 def _origin(joint: Joint) -> PyKDL.Frame:
@@ -299,35 +214,23 @@ def _origin(joint: Joint) -> PyKDL.Frame:
     return PyKDL.Frame(PyKDL.Rotation.RPY(roll, pitch, yaw), PyKDL.Vector(*(joint.origin.xyz or (0.0, 0.0, 0.0))))
 
 
+def _strokes(robot: RobotModel) -> float:
+    ends = zip(robot.linear, robot.lower, robot.upper)
+    return sum(max(abs(lower), abs(upper)) for linear, lower, upper in ends if linear)
+
+
 def _reach(joints: Sequence[Joint]) -> tuple[np.ndarray, float]:
-    """Return the first joint's origin and the length of everything behind it, stretched out."""
+    """Return the first turning joint's origin and the length of everything behind it, stretched out."""
     fixed = PyKDL.Frame()
     lengths = []
     shoulder = None
     for joint in joints:
         fixed = fixed * _origin(joint)
-        if joint.joint_type != "fixed":
+        if joint.joint_type == "revolute":
             # what lies between two joints is one rigid link, however many fixed joints it is made of
             if shoulder is None:
                 shoulder = np.array(list(fixed.p))
             else:
                 lengths.append(fixed.p.Norm())
             fixed = PyKDL.Frame()
-    return shoulder, sum(lengths) + fixed.p.Norm()
-
-
-def _to_array(q: Sequence[float]) -> PyKDL.JntArray:
-    array = PyKDL.JntArray(len(q))
-    for index, value in enumerate(q):
-        array[index] = float(value)
-    return array
-
-
-def _to_frame(pose: Pose) -> PyKDL.Frame:
-    rotation = PyKDL.Rotation(*(float(value) for value in np.asarray(pose.rotation).ravel()))
-    return PyKDL.Frame(rotation, PyKDL.Vector(*(float(value) for value in pose.position)))
-
-
-def _pose(frame: PyKDL.Frame) -> Pose:
-    rotation = np.array([[frame.M[row, column] for column in range(3)] for row in range(3)])
-    return Pose(np.array(list(frame.p)), rotation)
+    return shoulder if shoulder is not None else np.array(list(fixed.p)), sum(lengths) + fixed.p.Norm()

@@ -1,49 +1,39 @@
-"""Motion planning: a path from OMPL, timed, as a plan for review.
+"""Motion planning in a scene: a path around what is there, timed, checked, as a plan for review.
 
-Joint vectors are in the order of `RobotModel.joint_names` [rad]; poses are of the robot's tip in its base frame. Knows
-no obstacles of its own: what makes a joint vector valid, besides the ranges, is an argument.
-
-OMPL keeps two things per process, not per planner: its log, which is switched off here (outcomes are results or
-errors), and the seed of its random numbers, which can be set only once, before the first plan. Its time budgets run on
-its own clock.
+Joint vectors are in the order of `RobotModel.joint_names`, SI; poses are of the robot's tip in its base frame. A plan
+holds for the world it was made in: who changes the scene meanwhile has to compare hashes.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 import pydantic
-from ompl import base as ob
-from ompl import geometric as og
-from ompl import util as ou
 
-from construction_twin.errors import NoPathError, PlanningError
-from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.robot import RobotModel
+from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.solution import Configuration, InverseKinematics
+from construction_twin.motion_errors import CollisionError, NoPathError, PlanningError
+from construction_twin.plan import Plan, PlanReport
+from construction_twin.planning.edges import CornerRounding, EdgeCheck, levers
+from construction_twin.planning.report import report
+from construction_twin.planning.search import find_path, planner_kinds
 from construction_twin.planning.timing import time_path, with_midpoints
-from construction_twin.plan import Plan
+from construction_twin.robot import RobotModel
+from construction_twin.scene.world import CollisionWorld
 from construction_twin.trajectory import Trajectory
 
-#: Planners by the name used in the configuration. The last three use their whole time budget to improve the path.
-PLANNERS = {
-    "RRTConnect": og.RRTConnect,
-    "LBKPIECE1": og.LBKPIECE1,
-    "PRM": og.PRM,
-    "RRTstar": og.RRTstar,
-    "BITstar": og.BITstar,
-}
-#: Distance between the states checked along a path, as a share of the joint space's extent.
-CHECK_RESOLUTION = 0.002
-#: How often a path is given twice as many points when the motion timed through them is not valid.
-DENSIFY_ROUNDS = 4
-#: How many paths are found before giving up on one that can be timed without touching what it must not.
-PATHS_TRIED = 4
+#: How often a path is timed, each time with corners half as wide, before another one is looked for.
+TIMINGS_TRIED = 3
+#: The finest check of edges has their step halved this many times; a path that was found is checked with it.
+FINEST_HALVING = 2
+#: A joint that can turn further than this is searched half as far to either side of the motion's ends [rad].
+TURN = 2.0 * np.pi
+#: Name of the planner in a plan that is a straight line between two joint vectors.
+DIRECT = "direct"
 
-IsValid = Callable[[np.ndarray], bool]
 Clock = Callable[[], float]
 
 
@@ -53,9 +43,13 @@ class PlannerSettings(pydantic.BaseModel):
     Attributes
     ----------
     planner : str
-        A key of `PLANNERS`.
-    planning_budget, simplify_budget, ik_budget : float
+        Name of an OMPL planner.
+    planning_budget : float
         [s]
+    edge_step : float
+        [m]
+    goals : int
+        Most joint solutions of a goal pose that the search is given.
     speed_scale : float
         Used by requests that give neither this nor a duration, in (0, 1].
     max_waypoints : int
@@ -68,17 +62,17 @@ class PlannerSettings(pydantic.BaseModel):
 
     planner: str
     planning_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
-    simplify_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
-    ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+    edge_step: Annotated[float, pydantic.Field(ge=0.001, le=0.5)]
+    goals: Annotated[int, pydantic.Field(ge=1)]
     speed_scale: Annotated[float, pydantic.Field(gt=0.0, le=1.0)]
     max_waypoints: Annotated[int, pydantic.Field(ge=2)]
-    seed: Annotated[int, pydantic.Field(ge=0, lt=2**32)]
+    seed: Annotated[int, pydantic.Field(ge=0, lt=2**31)]
 
     @pydantic.field_validator("planner")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name not in PLANNERS:
-            raise ValueError(f"expected one of {', '.join(PLANNERS)}")
+        if name not in planner_kinds():
+            raise ValueError(f"expected one of {', '.join(planner_kinds())}")
         return name
 
 
@@ -95,9 +89,11 @@ class PlanRequest:
     source : str
         Who asks, for the reviewer.
     duration : float, optional
-        [s]; None: as fast as `speed_scale` allows.
+        [s]; None: as fast as the scales allow.
     speed_scale : float, optional
-        Share of the velocity and acceleration limits in (0, 1]; None: the planner's default, or 1 with a duration.
+        Share of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
+    acceleration_scale : float, optional
+        Share of the acceleration limits in (0, 1]; None: the same as the speed scale.
     waypoints : int, optional
         None: the default of `timing.time_path`.
     """
@@ -107,46 +103,81 @@ class PlanRequest:
     source: str = "request"
     duration: float | None = None
     speed_scale: float | None = None
+    acceleration_scale: float | None = None
     waypoints: int | None = None
+
+    def plan(
+        self, planner: str, planning_time: float, trajectory: Trajectory, measured: PlanReport, scene: str
+    ) -> Plan:
+        """Return the plan that answers this request.
+
+        Parameters
+        ----------
+        planner : str
+            What found the path.
+        planning_time : float
+            Without the report's own [s].
+        trajectory : Trajectory
+        measured : PlanReport
+        scene : str
+            Hash of the scene it was checked against.
+        """
+        return Plan(
+            id=self.plan_id,
+            hash=trajectory.content_hash(),
+            source=self.source,
+            planner=planner,
+            scene=scene,
+            created_ns=self.created_ns,
+            planning_time=planning_time,
+            trajectory=trajectory,
+            report=measured,
+        )
 
 
 class Planner:
-    """Plans joint motions of one robot.
+    """Plans joint motions of one robot. Not for use from several threads at once.
 
     Parameters
     ----------
     robot : RobotModel
-    chain : Chain
-        The robot's kinematics, for goals given as poses.
+    solver : InverseKinematics
+        For goals given as poses.
     settings : PlannerSettings
     clock : callable
-        Returns seconds from any fixed origin; measures planning time and ends the IK's budget.
-    is_valid : callable, optional
-        Tells whether the robot may be at joint angles, array, shape (n,) [rad]; asked for states within the ranges.
-        Default: everything in range is valid.
+        Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock.
+    rng : numpy Generator
+        Where seeds come from when the settings give none. With a seed in the settings the same request in the same world
+        gives the same plan; see `search` for the planners that this holds for.
     """
 
     def __init__(
-        self, robot: RobotModel, chain: Chain, settings: PlannerSettings, clock: Clock, is_valid: IsValid | None = None
+        self,
+        robot: RobotModel,
+        solver: InverseKinematics,
+        settings: PlannerSettings,
+        clock: Clock,
+        rng: np.random.Generator,
     ):
         self._robot = robot
-        self._chain = chain
+        self._solver = solver
         self._settings = settings
         self._clock = clock
-        self._is_valid = is_valid or (lambda q: True)
-        self._rng = np.random.default_rng(settings.seed or None)
-        ou.noOutputHandler()
-        if settings.seed:
-            ou.RNG.setSeed(settings.seed)
+        self._rng = rng
+        self._levers = levers(solver.chain)
 
-    def plan_to_joints(self, start: Sequence[float], goal: Sequence[float], request: PlanRequest) -> Plan:
+    def plan_to_joints(
+        self, start: Sequence[float], goal: Sequence[float], request: PlanRequest, world: CollisionWorld
+    ) -> Plan:
         """Plan a motion between two joint vectors.
 
         Parameters
         ----------
         start, goal : sequence of float, length n
-            [rad], order of the robot's `joint_names`.
+            [rad] or [m], order of the robot's `joint_names`.
         request : PlanRequest
+        world : CollisionWorld
+            What must not be touched.
 
         Returns
         -------
@@ -156,6 +187,8 @@ class Planner:
         ------
         JointRangeError
             If start or goal is out of range.
+        CollisionError
+            If start or goal touches something, and what.
         NoPathError
             If none was found within the budget.
         DurationError
@@ -165,30 +198,30 @@ class Planner:
         """
         began = self._clock()
         start, goal = self._joint_vector("start", start), self._joint_vector("goal", goal)
-        self._check_request(start, goal, request)
-        trajectory = self._find_trajectory(start, goal, request)
-        return Plan(
-            id=request.plan_id,
-            hash=trajectory.content_hash(),
-            source=request.source,
-            planner=self._settings.planner,
-            created_ns=request.created_ns,
-            planning_time=self._clock() - began,
-            trajectory=trajectory,
-        )
+        self._check_request(request)
+        _demand_free(start, world, "the start")
+        _demand_free(goal, world, "the goal")
+        return self._plan(start, [goal], request, world, began)
 
-    def plan_to_pose(self, start: Sequence[float], pose: Pose, request: PlanRequest) -> Plan:
+    def plan_to_pose(
+        self, start: Sequence[float], pose: Pose, request: PlanRequest, world: CollisionWorld, configuration: str = ""
+    ) -> Plan:
         """Plan a motion that brings the robot's tip to a pose.
 
-        The joint solution taken is the one the inverse kinematics reaches from `start`.
+        Every joint solution of the pose is a goal: straight motions to them are tried first, the nearest before the
+        others; a search is given the nearest ones that are free.
 
         Parameters
         ----------
         start : sequence of float, length n
-            [rad], order of the robot's `joint_names`.
+            [rad] or [m], order of the robot's `joint_names`.
         pose : Pose
             Of the tip in the robot's base frame.
         request : PlanRequest
+        world : CollisionWorld
+            What must not be touched.
+        configuration : str, optional
+            Only joint solutions of this configuration, see `Configuration.parse`. Default: all.
 
         Returns
         -------
@@ -198,14 +231,21 @@ class Planner:
         ------
         KinematicsError
             If the pose cannot be reached within the ranges, or start is out of range.
+        CollisionError
+            If the start, or every solution of the goal, touches something; for the goal the pair of the nearest one.
         PlanningError
             See `plan_to_joints`.
         """
+        began = self._clock()
         start = self._joint_vector("start", start)
-        solution = self._chain.inverse(
-            pose, seed=start, rng=self._rng, budget_s=self._settings.ik_budget, clock=self._clock
-        )
-        return self.plan_to_joints(start, solution.q, request)
+        self._check_request(request)
+        _demand_free(start, world, "the start")
+        asked = Configuration.parse(configuration) if configuration.strip() else None
+        goals = [solution.q for solution in self._solver.all(pose, start, asked)]
+        free = [goal for goal in goals if world.is_free(goal)]
+        if not free:
+            _demand_free(goals[0], world, "the goal")
+        return self._plan(start, free, request, world, began)
 
     def _joint_vector(self, name: str, values: Sequence[float]) -> np.ndarray:
         q = np.array(values, dtype=np.float64)
@@ -216,71 +256,84 @@ class Planner:
         self._robot.check_range(q)
         return q
 
-    def _check_request(self, start: np.ndarray, goal: np.ndarray, request: PlanRequest) -> None:
+    def _check_request(self, request: PlanRequest) -> None:
         limit = self._settings.max_waypoints
         if request.waypoints is not None and request.waypoints > limit:
             raise PlanningError(f"{request.waypoints} waypoints are requested; this planner makes at most {limit}")
-        for name, q in (("start", start), ("goal", goal)):
-            if not self._is_valid(q):
-                values = np.round(q, 6).tolist()
-                raise PlanningError(f"the {name} {values} rad is in range but not allowed; choose another")
 
-    def _find_trajectory(self, start: np.ndarray, goal: np.ndarray, request: PlanRequest) -> Trajectory:
-        for _ in range(PATHS_TRIED):
-            trajectory = self._timed(self._find_path(start, goal), request)
-            if trajectory is not None:
-                return trajectory
-        raise NoPathError(self._settings.planner, self._settings.planning_budget)
+    def _plan(
+        self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
+    ) -> Plan:
+        planner, (trajectory, measured) = self._find(start, goals, request, world, began)
+        planning_time = self._clock() - began - measured.recheck_time
+        return request.plan(planner, planning_time, trajectory, measured, world.scene.hash)
 
-    def _find_path(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Return a valid polyline from start to goal, shape (m, n); its ends are start and goal to the last bit."""
-        setup = self._setup(start, goal)
-        if not setup.solve(self._settings.planning_budget) or not setup.haveExactSolutionPath():
-            raise NoPathError(self._settings.planner, self._settings.planning_budget)
-        setup.simplifySolution(self._settings.simplify_budget)
-        states = setup.getSolutionPath().getStates()
-        path = np.array([[state[joint] for joint in range(len(start))] for state in states])
-        path[0], path[-1] = start, goal
-        # OMPL's shortcuts are random and may miss the best of all
-        if setup.getSpaceInformation().checkMotion(states[0], states[-1]):
-            return path[[0, -1]]
-        return path
+    def _find(
+        self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
+    ) -> tuple[str, tuple[Trajectory, PlanReport]]:
+        settings = self._settings
+        edges = EdgeCheck(world, self._levers, settings.edge_step)
+        for goal in goals:
+            if edges.free(start, goal):
+                timed = self._timed(np.array([start, goal]), request, world)
+                if timed is not None:
+                    return DIRECT, timed
+        goals = goals[: settings.goals]
+        seed = settings.seed or int(self._rng.integers(1, 2**31))
+        attempt = 0
+        while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
+            try:
+                path = find_path(
+                    start, goals, edges, self._bounds(start, goals), settings.planner, left, seed + attempt
+                )
+            except NoPathError as error:
+                raise NoPathError(settings.planner, self._clock() - began) from error
+            timed = self._timed(path, request, world)
+            if timed is not None:
+                return settings.planner, timed
+            # the path went through something thinner than the steps it was checked in: take smaller ones
+            attempt += 1
+            edges = EdgeCheck(world, self._levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
+        raise NoPathError(settings.planner, self._clock() - began)
 
-    def _setup(self, start: np.ndarray, goal: np.ndarray) -> og.SimpleSetup:
-        joints = range(len(start))
-        bounds = ob.RealVectorBounds(len(start))
-        for joint in joints:
-            bounds.setLow(joint, self._robot.lower[joint])
-            bounds.setHigh(joint, self._robot.upper[joint])
-        space = ob.RealVectorStateSpace(len(start))
-        space.setBounds(bounds)
-        setup = og.SimpleSetup(space)
-        setup.setStateValidityChecker(lambda state: bool(self._is_valid(np.array([state[joint] for joint in joints]))))
-        information = setup.getSpaceInformation()
-        information.setStateValidityCheckingResolution(CHECK_RESOLUTION)
-        setup.setPlanner(PLANNERS[self._settings.planner](information))
-        ends = space.allocState(), space.allocState()
-        for state, q in zip(ends, (start, goal)):
-            for joint in joints:
-                state[joint] = float(q[joint])
-        setup.setStartAndGoalStates(*ends)
-        return setup
+    def _bounds(self, start: np.ndarray, goals: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the joint values to search: of a joint that turns more than once, a full turn around the ends."""
+        lower, upper = np.array(self._robot.lower), np.array(self._robot.upper)
+        ends = np.array([start, *goals])
+        turns = ~np.array(self._robot.linear) & (upper - lower > TURN)
+        return (
+            np.where(turns, np.maximum(lower, ends.min(axis=0) - 0.5 * TURN), lower),
+            np.where(turns, np.minimum(upper, ends.max(axis=0) + 0.5 * TURN), upper),
+        )
 
-    def _timed(self, path: np.ndarray, request: PlanRequest) -> Trajectory | None:
-        """Time a path; None if the curve through its points cuts a corner it must not, however dense they are."""
+    def _timed(
+        self, path: np.ndarray, request: PlanRequest, world: CollisionWorld
+    ) -> tuple[Trajectory, PlanReport] | None:
+        """Round a path's corners, time it and check every sample; None if it touches something however tight they are."""
         speed_scale = request.speed_scale
         if speed_scale is None:  # a duration says how fast; the default only replaces a missing answer to that question
             speed_scale = self._settings.speed_scale if request.duration is None else 1.0
-        for _ in range(DENSIFY_ROUNDS + 1):
-            trajectory = time_path(path, self._robot, request.duration, speed_scale, request.waypoints)
-            if self._passes_only_valid(trajectory):
-                return trajectory
-            path = with_midpoints(path)
+        scales = speed_scale, request.acceleration_scale
+        fine = EdgeCheck(world, self._levers, self._settings.edge_step / 2**FINEST_HALVING)
+        rounder = CornerRounding(fine, np.array(self._robot.velocity))
+        for _ in range(TIMINGS_TRIED):
+            path = rounder.tightened(path)
+            if path is None:
+                return None
+            trajectory = time_path(path, self._robot, request.duration, *scales, request.waypoints, corner_share=1.0)
+            try:
+                return trajectory, report(trajectory, self._robot, world, self._clock)
+            except CollisionError as error:
+                if request.waypoints is not None and len(path) > 2:
+                    raise PlanningError(
+                        f"the motion through {request.waypoints} waypoints leaves the path that was found: {error}; "
+                        "ask for more waypoints, or leave their number to the planner"
+                    ) from error
+                path = with_midpoints(path)
         return None
 
-    def _passes_only_valid(self, trajectory: Trajectory) -> bool:
-        extent = np.linalg.norm(np.array(self._robot.upper) - self._robot.lower)
-        length = np.sum(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1))
-        count = max(len(trajectory.times), math.ceil(length / (CHECK_RESOLUTION * extent))) + 1
-        positions = trajectory.sample_many(np.linspace(0.0, trajectory.duration, count))[0]
-        return all(self._is_valid(q) for q in positions)
+
+def _demand_free(q: np.ndarray, world: CollisionWorld, where: str) -> None:
+    contact = world.contact(q)
+    if contact is not None:
+        raise CollisionError(contact.between, where)

@@ -1,29 +1,34 @@
-"""Time parameterisation: from a joint path to a trajectory inside the robot's limits, starting and ending at rest.
+"""Timing of a joint path: a trajectory inside the limits, continuous in acceleration, at rest at both ends.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. How it works: a cubic spline through the path's points;
-toppra finds the fastest motion s(t) along it; two sliding means over time make its acceleration continuous and zero at
-both ends; the result is sampled at the waypoints; and what will be played, the quintics between them, is measured and
-stretched in time until it is inside the limits. Does not know obstacles: between its points a curved path leaves the
-straight line.
+Joint vectors are in the order of `RobotModel.joint_names`, SI. The points of a path are joined by a smooth curve
+(`curves`), a progress s(t) along it is found (`progress`), sampled at the waypoints, and what will be played, the
+quintics between them, is measured and slowed until it is inside the limits. Does not know obstacles: between its points
+a curved path leaves the straight line.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import PPoly
-from toppra import SplineInterpolator
-from toppra.algorithm import TOPPRA
-from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
-from construction_twin.errors import DurationError, JointRangeError, PlanningError, TrajectoryError
+from construction_twin.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
+from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
+from construction_twin.planning.limit_shares import SAME_POINT, check_range, limit_use, shares_over_time
+from construction_twin.planning.progress import (
+    JERK_SHARE,
+    CurveProgress,
+    MotionLimits,
+    Progress,
+    RestToRest,
+    straight_progress,
+)
 from construction_twin.robot import RobotModel
 from construction_twin.trajectory import Trajectory, whole_nanoseconds
 from construction_twin.units import CYCLE
+
+__all__ = ["LIMIT_SHARE", "TimedCurve", "limit_use", "minimum_duration", "time_curve", "time_path", "with_midpoints"]
 
 #: Share of the velocity and acceleration limits a plan uses. The rest is for what happens after planning and is checked
 #: against the full limits: rounding to the wire's decimals adds up to 0.25 deg/s at 3 decimals (its share of the
@@ -32,16 +37,20 @@ LIMIT_SHARE = 0.9
 #: Spacing of the waypoints when the request does not count them [s], and the fewest then used.
 WAYPOINT_SPACING = 0.02
 MINIMUM_WAYPOINTS = 20
-#: Shortest first smoothing window [s]; the second is half as long.
-SHORTEST_WINDOW = 0.1
-#: Points closer than this are one [rad], per joint.
-SAME_POINT = 1e-9
-#: Stages of toppra along the whole path.
-STAGES = 200
 #: Resolution of the factor by which a motion is slowed into the limits.
 STRETCH_STEP = 1e-4
-#: How often the distance of the path's points is halved to keep the spline through them in the joint range.
-DENSIFY_ROUNDS = 6
+#: How often a motion is slowed: two are usual; the 4 ms samples fall elsewhere in the slower motion, which can cost one
+#: more.
+STRETCH_ROUNDS = 20
+#: A motion that is this many times too fast somewhere is slowed there; what is left, everywhere.
+LOCAL_SLOWING = 1.04
+LOCAL_ROUNDS = 2
+#: The same for `time_curve`, where slowing everything would also slow what is at the tool's speed.
+CURVE_SLOWING = 1.002
+CURVE_ROUNDS = 8
+#: Inner points of a path are taken this far from the edge of the range [rad] or [m]: the quintics between the waypoints
+#: swing past the curve by less. Half the last decimal of the joint string.
+EDGE = 1e-5
 
 
 def time_path(
@@ -49,26 +58,35 @@ def time_path(
     robot: RobotModel,
     duration: float | None = None,
     speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
     waypoints: int | None = None,
+    corner_share: float | None = None,
 ) -> Trajectory:
     """Time a joint path.
 
     The trajectory starts and ends at rest (velocities and accelerations exactly 0), exactly at the path's ends. At
-    every 4 ms sample its velocities and accelerations are within `LIMIT_SHARE` times `speed_scale` of the robot's
-    limits, its jerk within the robot's limit, its positions within the range.
+    every 4 ms sample its velocities are within `LIMIT_SHARE` times `speed_scale`, its accelerations within
+    `LIMIT_SHARE` times `acceleration_scale` of the robot's limits, its jerk within the robot's limit, its positions
+    within the range.
 
     Parameters
     ----------
     path : array, shape (m, n)
-        Points of the path [rad], at least two. Two make a straight line, more a cubic spline through all of them.
+        Points of the path [rad] ([m] for a linear joint), at least two. Two make a straight line.
     robot : RobotModel
     duration : float, optional
         Duration of the motion [s], to the nanosecond. Default: as short as the limits allow.
     speed_scale : float, optional
-        Share of the velocity and acceleration limits in (0, 1].
+        Share of the velocity limits in (0, 1].
+    acceleration_scale : float, optional
+        Share of the acceleration limits in (0, 1]. Default: `speed_scale`.
     waypoints : int, optional
         Number of waypoints, equally spaced in time, at least 2. With few of them the motion between two leaves the
         path. Default: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`.
+    corner_share : float, optional
+        In (0, 1]: keep to the straight lines between the points and round the corners, over this share of what is there
+        (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
+        `curves.monotone` where that would leave the range).
 
     Returns
     -------
@@ -79,62 +97,91 @@ def time_path(
     DurationError
         If `duration` is shorter than the limits allow.
     JointRangeError
-        If the path leaves the range.
+        If a point is out of range, or with so few waypoints the motion between them leaves it.
     TrajectoryError
         If the path ends where it starts, or its shape or a value does not make sense.
     PlanningError
         If another argument does not make sense, or the path cannot be timed.
     """
-    _check_request(duration, speed_scale, waypoints)
+    acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
+    _check_request(duration, speed_scale, acceleration_scale, waypoints, corner_share)
     path = _check_path(path, robot)
-    for _ in range(DENSIFY_ROUNDS):
+    request = _Request(robot, duration, LIMIT_SHARE * speed_scale, LIMIT_SHARE * acceleration_scale, waypoints)
+    pace, ends, inside = np.array(robot.velocity), path[[0, -1]], _off_the_edge(path, robot)
+    if corner_share is not None:
+        return request.run(rounded(inside, pace, corner_share), ends)
+    # a cubic spline swings past its points by a share of their distance
+    for points in (path, with_midpoints(path)):
         try:
-            return _time_spline(path, robot, duration, speed_scale * LIMIT_SHARE, waypoints)
+            return request.run(interpolated(points, pace), ends)
         except JointRangeError:
-            # a cubic spline swings past its points by a share of their distance: halve the distance
-            path = with_midpoints(path)
-    return _time_spline(path, robot, duration, speed_scale * LIMIT_SHARE, waypoints)
+            continue
+    return request.run(monotone(inside, pace), ends)
 
 
-@dataclass(frozen=True)
-class LimitUse:
-    """Largest share of each limit that a trajectory uses, over all joints and 4 ms samples; 1 is exactly at the
-    limit."""
-
-    velocity: float
-    acceleration: float
-    jerk: float
-
-
-def limit_use(trajectory: Trajectory, robot: RobotModel) -> LimitUse:
-    """Measure a trajectory at every controller cycle against the robot's limits.
-
-    Velocity and acceleration are taken twice, from the quintics and from differences of the sampled positions (which is
-    what gate and gateway check), and the larger counts.
+def time_curve(
+    curve,
+    robot: RobotModel,
+    speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
+    top_speed: float = math.inf,
+    spacing: float = WAYPOINT_SPACING,
+) -> TimedCurve:
+    """Time a given smooth joint curve from rest to rest, as fast as the limits allow.
 
     Parameters
     ----------
-    trajectory : Trajectory
+    curve : JointCurve or alike
+        Has `length`, `knots` (where its pieces meet, with both ends) and ``curve(s, order)`` for orders 0 to 2.
     robot : RobotModel
+    speed_scale, acceleration_scale : float, optional
+        As in `time_path`.
+    top_speed : float, optional
+        Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
+    spacing : float, optional
+        Time between waypoints [s]; with a shorter one the motion stays closer to the curve.
 
     Returns
     -------
-    use : LimitUse
+    timed : TimedCurve
+        Its duration is a whole number of 4 ms cycles, so that motions put one behind the other are sampled alike.
 
     Raises
     ------
     JointRangeError
-        If a sample is out of range by more than rounding.
+        If the curve leaves the range.
+    PlanningError
+        If an argument does not make sense, or the curve cannot be timed.
     """
-    q, qd, qdd, qddd = trajectory.sample_many(np.arange(0.0, trajectory.duration + 2.0 * CYCLE, CYCLE))
-    _check_samples_in_range(q, robot)
-    step = np.diff(q, axis=0)
-    bend = np.diff(step, axis=0)
-    return LimitUse(
-        velocity=max(_peak(qd, robot.velocity), _peak(step, robot.velocity) / CYCLE),
-        acceleration=max(_peak(qdd, robot.acceleration), _peak(bend, robot.acceleration) / CYCLE**2),
-        jerk=_peak(qddd, robot.jerk),
-    )
+    acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
+    _check_request(None, speed_scale, acceleration_scale, None, None)
+    if not (top_speed > 0.0 and 0.0 < spacing < math.inf):
+        raise PlanningError(
+            f"the requested top speed is {top_speed}, the spacing {spacing} s; expected positive numbers"
+        )
+    shares = LIMIT_SHARE * speed_scale, LIMIT_SHARE * acceleration_scale
+    request = _Request(robot, None, *shares, None, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
+    return request.timed(curve, curve(np.array([0.0, curve.length])), top_speed)
+
+
+def minimum_duration(start: np.ndarray, goal: np.ndarray, robot: RobotModel) -> float:
+    """Return a lower bound of the duration of any motion between two poses from rest to rest, from the limits alone.
+
+    Every joint on its own, within its full velocity, acceleration and jerk limits; the slowest one counts. No motion
+    within the limits is faster; most need longer.
+
+    Parameters
+    ----------
+    start, goal : array, shape (n,)
+
+    Returns
+    -------
+    duration : float
+        [s]; 0 where nothing moves.
+    """
+    distances = np.abs(np.asarray(goal, dtype=float) - start)
+    limits = zip(distances.tolist(), robot.velocity, robot.acceleration, robot.jerk)
+    return max(RestToRest.fastest(*joint).duration if joint[0] > 0.0 else 0.0 for joint in limits)
 
 
 def with_midpoints(path: np.ndarray) -> np.ndarray:
@@ -155,158 +202,172 @@ def with_midpoints(path: np.ndarray) -> np.ndarray:
     return denser
 
 
-@dataclass(frozen=True)
-class _SmoothMotion:
-    """Progress s along the path over time, from 0 to the path's length: piecewise polynomials for s, ds/dt and
-    d2s/dt2."""
+@dataclass(frozen=True, eq=False)
+class TimedCurve:
+    """A curve with a motion along it.
 
-    duration: float
-    derivatives: tuple[PPoly, PPoly, PPoly]
+    Attributes
+    ----------
+    trajectory : Trajectory
+    progress : Progress
+    stretch : float
+        The trajectory is this many times slower than `progress`.
+    """
 
-    @classmethod
-    def along(cls, spline: SplineInterpolator, robot: RobotModel, share: float) -> _SmoothMotion:
-        fastest = _fastest_progress(spline, robot, share)
-        # toppra switches between full acceleration and full deceleration: the first window spreads that switch, twice
-        # the acceleration, over enough time for the jerk limit; the second makes jerk itself continuous
-        window = 2.0 * share * max(a / j for a, j in zip(robot.acceleration, robot.jerk))
-        first = max(SHORTEST_WINDOW, window)
-        return cls._smoothed(fastest, first, 0.5 * first)
+    trajectory: Trajectory
+    progress: Progress
+    stretch: float
 
-    @classmethod
-    def _smoothed(cls, progress: PPoly, first: float, second: float) -> _SmoothMotion:
-        """Take the mean over two windows, one after the other.
+    def parameter(self, times: np.ndarray) -> np.ndarray:
+        """Return where on the curve the motion is.
 
-        d2s/dt2 of the result is a difference of four values of s divided by the windows, hence quadratic between
-        shifted knots: three samples give each piece exactly, and integrating it keeps s and its derivatives consistent.
+        Parameters
+        ----------
+        times : array, shape (m,)
+            [s]
+
+        Returns
+        -------
+        s : array, shape (m,)
+            From 0 to the curve's length.
         """
-        end = progress.x[-1]
-        knots = np.unique(np.concatenate([progress.x + shift for shift in (0.0, first, second, first + second)]))
-
-        def acceleration(t: np.ndarray) -> np.ndarray:
-            s0, s1, s2, s3 = (progress(np.clip(t - shift, 0.0, end)) for shift in (0.0, first, second, first + second))
-            return ((s0 - s1) - (s2 - s3)) / (first * second)
-
-        h = np.diff(knots)
-        start, middle, stop = acceleration(knots[:-1]), acceleration(knots[:-1] + 0.5 * h), acceleration(knots[1:])
-        curve = 2.0 * (start - 2.0 * middle + stop) / h**2
-        slope = (4.0 * middle - 3.0 * start - stop) / h
-        sdd = PPoly(np.stack((curve, slope, start)), knots)
-        sd = sdd.antiderivative()
-        return cls(float(knots[-1]), (sd.antiderivative(), sd, sdd))
+        return self.progress.derivatives[0](np.clip(times / self.stretch, 0.0, self.progress.duration))
 
 
-class _Sampler:
-    """Builds the trajectory that plays a motion `stretch` times slower."""
+@dataclass(frozen=True)
+class _Request:
+    """How a curve is to be timed: shares are of the robot's limits, already with `LIMIT_SHARE`."""
 
-    def __init__(
-        self, path: np.ndarray, spline: SplineInterpolator, motion: _SmoothMotion, robot: RobotModel, count: int
-    ):
-        self.path = path
-        self.spline = spline
-        self.motion = motion
-        self.robot = robot
-        self.count = count
+    robot: RobotModel
+    duration: float | None
+    velocity_share: float
+    acceleration_share: float
+    waypoints: int | None
+    spacing: float = WAYPOINT_SPACING
+    local_slowing: float = LOCAL_SLOWING
+    local_rounds: int = LOCAL_ROUNDS
+    whole_cycles: bool = False
 
-    def __call__(self, stretch: float, duration: float | None = None) -> Trajectory:
-        duration = stretch * self.motion.duration if duration is None else duration
-        times = whole_nanoseconds(np.linspace(0.0, duration, self.count))
-        s, sd, sdd = (derivative(times / stretch) for derivative in self.motion.derivatives)
-        s = np.clip(s, 0.0, self.spline.path_interval[1])
-        sd, sdd = (sd / stretch)[:, None], (sdd / stretch**2)[:, None]
-        first, second = self.spline(s, 1), self.spline(s, 2)
-        positions = self.spline(s)
-        velocities = first * sd
-        accelerations = second * sd**2 + first * sdd
-        positions[0], positions[-1] = self.path[0], self.path[-1]
+    def run(self, curve: JointCurve, ends: np.ndarray) -> Trajectory:
+        """Time a curve; `JointRangeError` if the curve or what is played leaves the range."""
+        timed = self.timed(curve, ends)
+        minimum = timed.trajectory.duration
+        if self.duration is None:
+            return timed.trajectory
+        if self.duration < minimum:
+            # rounded up, so that the duration the message names can be asked for
+            raise DurationError(self.duration, math.ceil(minimum * 1e3) / 1e3)
+        return self._build(curve, timed.progress, self.duration / timed.progress.duration, ends, self.duration)
+
+    def timed(self, curve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
+        """Return the fastest motion along a curve."""
+        limits = MotionLimits.shares(self.robot, self.velocity_share, self.acceleration_share)
+        if getattr(curve, "straight", False):
+            return self._slowed(curve, straight_progress(curve, limits, top_speed), ends)
+        check_range(curve(_between(curve.knots)), self.robot)
+        search = CurveProgress(curve, limits, top_speed)
+        progress = search.find()
+        for rounds_left in range(self.local_rounds, -1, -1):
+            times = np.linspace(0.0, progress.duration, math.ceil(progress.duration / self.spacing) + 1)
+            shares = _motion_shares(times, *_states(curve, progress, times)[1:], self.robot)
+            factor = self._too_fast(*shares, JERK_SHARE)
+            if not rounds_left or np.max(factor) <= self.local_slowing:
+                break
+            search.slow_down(*_slower(progress, times, factor))
+            progress = search.find()
+        return self._slowed(curve, progress, ends, float(np.max(self._too_fast(*shares))) * (1.0 - STRETCH_STEP))
+
+    def _slowed(self, curve, progress: Progress, ends: np.ndarray, least: float = 1.0) -> TimedCurve:
+        """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
+        limits."""
+        stretch = max(1.0, least)
+        for _ in range(STRETCH_ROUNDS):
+            if self.whole_cycles:
+                stretch = math.ceil(stretch * progress.duration / CYCLE - 1e-6) * CYCLE / progress.duration
+            trajectory = self._build(curve, progress, stretch, ends)
+            factor = float(np.max(self._too_fast(*shares_over_time(trajectory, self.robot))))
+            if factor <= 1.0:
+                return TimedCurve(trajectory, progress, stretch)
+            stretch *= factor * (1.0 + STRETCH_STEP)
+        raise PlanningError(f"the path cannot be slowed into the limits; {factor:.6f} times too fast remains")
+
+    def _too_fast(
+        self, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, jerk_share: float = 1.0
+    ) -> np.ndarray:
+        """Return by which factor a motion must be slowed at each time, from its shares of the limits, to meet them."""
+        return np.maximum(
+            np.maximum(
+                velocity.max(axis=1) / self.velocity_share, np.sqrt(acceleration.max(axis=1) / self.acceleration_share)
+            ),
+            np.cbrt(jerk.max(axis=1) / jerk_share),
+        )
+
+    def _build(
+        self, curve, progress: Progress, stretch: float, ends: np.ndarray, duration: float | None = None
+    ) -> Trajectory:
+        """Return the trajectory that plays a progress `stretch` times slower."""
+        duration = stretch * progress.duration if duration is None else duration
+        count = self.waypoints or max(MINIMUM_WAYPOINTS, math.ceil(duration / self.spacing) + 1)
+        times = whole_nanoseconds(np.linspace(0.0, duration, count))
+        s, velocities, accelerations = _states(curve, progress, times / stretch)
+        velocities /= stretch
+        accelerations /= stretch**2
+        positions = curve(s)
+        positions[0], positions[-1] = ends
         velocities[[0, -1]] = 0.0
         accelerations[[0, -1]] = 0.0
         return Trajectory(self.robot.joint_names, times, positions, velocities, accelerations)
 
 
-def _time_spline(
-    path: np.ndarray, robot: RobotModel, duration: float | None, share: float, waypoints: int | None
-) -> Trajectory:
-    """Time the spline through a checked path; `JointRangeError` if the spline or what is played leaves the range."""
-    spline = _spline(path, robot)
-    motion = _SmoothMotion.along(spline, robot, share)
-    build = _Sampler(path, spline, motion, robot, waypoints or _default_waypoints(duration or motion.duration))
-    stretch = _sufficient_stretch(build, robot, share)
-    minimum = stretch * motion.duration
-    if duration is None:
-        return build(stretch)
-    if duration < minimum:
-        # rounded up, so that the duration the message names can be asked for
-        raise DurationError(duration, math.ceil(minimum * 1e3) / 1e3)
-    return build(duration / motion.duration, duration)
+def _states(curve, progress: Progress, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where on the curve the motion is, and the joints' velocities and accelerations."""
+    s, sd, sdd = (derivative(times) for derivative in progress.derivatives)
+    s = np.clip(s, 0.0, curve.length)
+    sd, sdd = sd[:, None], sdd[:, None]
+    first = curve(s, 1)
+    return s, first * sd, curve(s, 2) * sd**2 + first * sdd
 
 
-def _sufficient_stretch(build: _Sampler, robot: RobotModel, share: float) -> float:
-    """Return the smallest factor (at least 1, and to `STRETCH_STEP`) by which the motion must be slowed to meet the
-    limits."""
-    stretch = 1.0
-    for _ in range(20):  # two are usual; the 4 ms samples fall elsewhere in the slower motion, which can cost one more
-        use = limit_use(build(stretch), robot)
-        factor = max(use.velocity / share, math.sqrt(use.acceleration / share), math.cbrt(use.jerk))
-        if factor <= 1.0:
-            return stretch
-        stretch *= factor * (1.0 + STRETCH_STEP)
-    raise PlanningError(f"the path cannot be slowed into the limits; {factor:.6f} times too fast remains")
+def _motion_shares(
+    times: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray, robot: RobotModel
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each joint's share of the limits at some times of a motion, shape (m, n) each; jerk by differences."""
+    jerks = np.diff(accelerations, axis=0) / np.diff(times)[:, None]
+    jerks = np.concatenate((jerks, jerks[-1:]))
+    values = np.abs(velocities), np.abs(accelerations), np.abs(jerks)
+    return tuple(value / limit for value, limit in zip(values, (robot.velocity, robot.acceleration, robot.jerk)))
 
 
-def _fastest_progress(spline: SplineInterpolator, robot: RobotModel, share: float) -> PPoly:
-    """Return s(t) of the fastest motion along the spline, piecewise quadratic, from toppra."""
-    logging.getLogger("toppra").setLevel(logging.CRITICAL)  # what it reports here is judged by its result
-    knots, points = spline.waypoints
-    length = knots[-1]
-    # toppra's tolerances are absolute: it gets the path at length 1, and time in units of sqrt(length), which leaves
-    # the accelerations as they are
-    unit_path = SplineInterpolator(knots / length, (points - points[0]) / length)
-    velocity = share * np.array(robot.velocity) / math.sqrt(length)
-    acceleration = share * np.array(robot.acceleration)
-    constraints = [
-        JointVelocityConstraint(np.column_stack((-velocity, velocity))),
-        JointAccelerationConstraint(np.column_stack((-acceleration, acceleration))),
-    ]
-    stages = _stages(knots / length)
-    _, speed, _ = TOPPRA(constraints, unit_path, gridpoints=stages).compute_parameterization(0.0, 0.0)
-    if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[:-1] + speed[1:] <= 0.0):
-        raise PlanningError("the path cannot be timed within the limits; choose another goal or points further apart")
-    s, speed = stages * length, speed * math.sqrt(length)
-    ds = np.diff(s)
-    dt = 2.0 * ds / (speed[:-1] + speed[1:])
-    half_acceleration = 0.25 * (speed[1:] ** 2 - speed[:-1] ** 2) / ds
-    return PPoly(np.stack((half_acceleration, speed[:-1], s[:-1])), np.concatenate(([0.0], np.cumsum(dt))))
+def _slower(progress: Progress, times: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest ds/dt over s that takes the factors off the present motion; inf where it is not too fast.
+
+    What is too fast at one time is slowed as far around it as the smoothing reaches, which mixes it with its
+    neighbours.
+    """
+    reach = math.ceil(progress.blur / (times[1] - times[0]))
+    padded = np.pad(factor, reach, constant_values=1.0)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
+    s, speed = progress.derivatives[0](times), progress.derivatives[1](times)
+    return s, np.where(around > 1.0, speed / around, math.inf)
 
 
-def _stages(knots: np.ndarray) -> np.ndarray:
-    """Return toppra's grid along the path: every knot of the spline, and enough stages between them."""
-    per_segment = max(2, math.ceil(STAGES / (len(knots) - 1)))
-    pieces = [np.linspace(a, b, per_segment, endpoint=False) for a, b in pairwise(knots)]
-    return np.concatenate([*pieces, knots[-1:]])
+def _between(knots: np.ndarray) -> np.ndarray:
+    """Return four points of each piece and the end."""
+    return np.concatenate([(knots[:-1, None] + np.diff(knots)[:, None] * [0.0, 0.25, 0.5, 0.75]).ravel(), knots[-1:]])
 
 
-def _spline(path: np.ndarray, robot: RobotModel) -> SplineInterpolator:
-    # knots as far apart as the slowest joint needs at full speed: even progress along s is then about even in time
-    knots = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(path, axis=0)) / robot.velocity, axis=1))))
-    spline = SplineInterpolator(knots, path)
-    _check_samples_in_range(spline(_stages(knots)), robot)
-    return spline
-
-
-def _check_samples_in_range(q: np.ndarray, robot: RobotModel) -> None:
-    outside = np.argwhere((q < np.array(robot.lower) - SAME_POINT) | (q > np.array(robot.upper) + SAME_POINT))
-    if len(outside):
-        row, joint = outside[0]
-        raise JointRangeError(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])
-
-
-def _check_request(duration: float | None, speed_scale: float, waypoints: int | None) -> None:
+def _check_request(
+    duration: float | None, speed: float, acceleration: float, waypoints: int | None, corner_share: float | None
+) -> None:
     if duration is not None and not 0.0 < duration < math.inf:
         raise PlanningError(f"the requested duration is {duration} s; expected a positive number")
-    if not 0.0 < speed_scale <= 1.0:
-        raise PlanningError(f"the requested speed scale is {speed_scale}; expected a share of the limits in (0, 1]")
+    for name, scale in (("speed", speed), ("acceleration", acceleration)):
+        if not 0.0 < scale <= 1.0:
+            raise PlanningError(f"the requested {name} scale is {scale}; expected a share of the limits in (0, 1]")
     if waypoints is not None and waypoints < 2:
         raise PlanningError(f"{waypoints} waypoints are requested; a motion needs at least 2")
+    if corner_share is not None and not 0.0 < corner_share <= 1.0:
+        raise PlanningError(f"the requested corner share is {corner_share}; expected a number in (0, 1]")
 
 
 def _check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
@@ -318,7 +379,7 @@ def _check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
         row, joint = np.argwhere(~np.isfinite(path))[0]
         name = robot.joint_names[joint]
         raise TrajectoryError(f"point {row} of the path: {name} is {path[row, joint]}, not a finite number")
-    for point in path:
+    for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
         robot.check_range(point)
     apart = np.max(np.abs(np.diff(path, axis=0)), axis=1) > SAME_POINT
     if not np.any(apart):
@@ -328,9 +389,8 @@ def _check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
     return kept
 
 
-def _default_waypoints(duration: float) -> int:
-    return max(MINIMUM_WAYPOINTS, math.ceil(duration / WAYPOINT_SPACING) + 1)
-
-
-def _peak(values: np.ndarray, limits: tuple[float, ...]) -> float:
-    return float(np.max(np.abs(values) / limits))
+def _off_the_edge(path: np.ndarray, robot: RobotModel) -> np.ndarray:
+    """Return the path with its inner points at least `EDGE` inside the range."""
+    inside = path.copy()
+    inside[1:-1] = np.clip(path[1:-1], np.array(robot.lower) + EDGE, np.array(robot.upper) - EDGE)
+    return inside

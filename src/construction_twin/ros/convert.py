@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.frames import quaternion_to_rotation
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Plan as PlanMsg
-from construction_twin.plan import Plan
+from construction_twin.plan import Clearance, LimitShares, Plan, PlanReport
 from construction_twin.trajectory import Trajectory
 from construction_twin.units import NANOSECONDS
 
@@ -60,7 +60,7 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
     ----------
     plan : Plan
     frame_id : str
-        Frame of `tool_path`.
+        tf frame that is the robot's base: of `tool_path` and of the clearance's point.
     tool_path : array, shape (k, 3)
         Position of the tool at the waypoints [m].
 
@@ -68,15 +68,25 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
     -------
     msg : construction_twin/Plan
     """
+    clearance, shares = plan.report.clearance, plan.report.shares
     msg = PlanMsg(
         id=plan.id,
         hash=plan.hash,
         source=plan.source,
         planner=plan.planner,
+        scene=plan.scene,
         duration=plan.trajectory.duration,
         planning_time=plan.planning_time,
+        recheck_time=plan.report.recheck_time,
         trajectory=trajectory_to_msg(plan.trajectory),
         tool_path=[Point(*position) for position in np.asarray(tool_path).tolist()],
+        clearance=clearance.distance,
+        clearance_time=clearance.time,
+        clearance_between=list(clearance.between),
+        clearance_point=Point(*clearance.point),
+        velocity_use=list(shares.velocity),
+        acceleration_use=list(shares.acceleration),
+        jerk_use=list(shares.jerk),
     )
     msg.header.stamp = genpy.Time(0, plan.created_ns)
     msg.header.frame_id = frame_id
@@ -96,9 +106,20 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
         hash=msg.hash,
         source=msg.source,
         planner=msg.planner,
+        scene=msg.scene,
         created_ns=msg.header.stamp.to_nsec(),
         planning_time=msg.planning_time,
         trajectory=trajectory_from_msg(msg.trajectory),
+        report=_report_from_msg(msg),
+    )
+
+
+def _report_from_msg(msg: PlanMsg) -> PlanReport:
+    point = msg.clearance_point
+    return PlanReport(
+        Clearance(msg.clearance, tuple(msg.clearance_between), (point.x, point.y, point.z), msg.clearance_time),
+        LimitShares(tuple(msg.velocity_use), tuple(msg.acceleration_use), tuple(msg.jerk_use)),
+        msg.recheck_time,
     )
 
 

@@ -1,31 +1,38 @@
-"""executor: plays the approved plan as `next/joint_states` at 250 Hz, and serves `review_plan` and `stop`."""
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, `stop`, `pause` and `resume`."""
 
 from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import asdict
-from typing import Literal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Literal
 
+import pydantic
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
-from construction_twin.errors import ConstructionTwinError
+from construction_twin.approval import Approval
+from construction_twin.errors import ConstructionTwinError, RecordError
 from construction_twin.executor import Executor, ExecutorState
 from construction_twin.gate import SyncState
-from construction_twin.msg import Execution, Link, Plan, Review, Sync
+from construction_twin.msg import Execution, Link, Plan, Review, Scene, Sync
 from construction_twin.review import Verdict
+from construction_twin.review_log import ReviewLog
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.cycle import cycles
-from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns, to_time
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
+from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
 from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
 from construction_twin.units import NANOSECONDS
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
 SYNC_TIMEOUT = NANOSECONDS // 2
+#: How often records that nobody waits for are written, and a plan is looked for that may approve itself [s].
+BACKGROUND_PERIOD = 0.05
 
 
 class Settings(NodeSettings):
@@ -33,6 +40,7 @@ class Settings(NodeSettings):
 
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
+    review_file: Annotated[str, pydantic.Field(min_length=1)]
 
 
 class ExecutorNode:
@@ -41,9 +49,13 @@ class ExecutorNode:
     def __init__(self):
         settings = read_parameters(Settings)
         robot = robot_from_parameters()
-        self._executor = Executor(robot, settings.auto_approve)
+        self._executor = Executor(robot)
+        self._log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
+        self._record_problem = ""
         self._started = rospy.Time.now()
         self._lock = threading.Lock()
+        self._approval = Approval(self._executor, self._log.append, self._lock)
+        self._auto_approve = settings.auto_approve
         self._session: str | None = None
         self._sync_at = 0
         self._reported: tuple = ()
@@ -51,16 +63,25 @@ class ExecutorNode:
         self._next = JointPublisher("next/joint_states", robot.joint_names)
         self._execution = rospy.Publisher("execution", Execution, queue_size=10, latch=True)
         self._verdicts = rospy.Publisher("review", Review, queue_size=10, latch=True)
-        JointSubscriber("twin/joint_states", robot.joint_names, self._on_twin, self._diagnostics.refuse)
-        rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
-        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
-        if settings.arm != "none":
-            self._executor.on_link(False, "no report of the link yet")
-            rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+        self._subscribe(robot.joint_names, settings.arm)
         rospy.Service("review_plan", ReviewPlan, self._on_review)
         rospy.Service("stop", Trigger, self._on_stop)
+        rospy.Service("pause", Trigger, lambda _: self._on_trigger("pause", self._executor.pause))
+        rospy.Service("resume", Trigger, lambda _: self._on_trigger("resume", self._executor.resume))
+        self._timer = rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), self._on_timer)
+        rospy.on_shutdown(self._write_records)
+        rospy.loginfo("verdicts are recorded in %s (%d so far)", self._log.path, self._log.state.lines)
         if settings.auto_approve:
             rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
+
+    def _subscribe(self, joint_names: tuple[str, ...], arm: str) -> None:
+        JointSubscriber("twin/joint_states", joint_names, self._on_twin, self._diagnostics.refuse)
+        rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
+        rospy.Subscriber("scene", Scene, self._on_scene, queue_size=5)
+        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
+        if arm != "none":
+            self._executor.on_link(False, "no report of the link yet")
+            rospy.Subscriber("link", Link, self._on_link, queue_size=5)
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
@@ -86,6 +107,10 @@ class ExecutorNode:
             self._sync_at = now_ns()
             self._executor.on_sync(SyncState(message.state), message.agreed)
 
+    def _on_scene(self, message: Scene) -> None:
+        with self._lock:
+            self._executor.on_scene(message.hash)
+
     def _on_plan(self, message: Plan) -> None:
         if message.header.stamp < self._started:
             rospy.logwarn("plan %s is older than this executor and will not be played; plan again", message.id)
@@ -93,7 +118,7 @@ class ExecutorNode:
         try:
             plan = plan_from_msg(message)
             with self._lock:
-                self._executor.desk.offer(plan)
+                self._executor.offer(plan)
         except ConstructionTwinError as error:
             self._diagnostics.refuse("plan", str(error))
 
@@ -109,13 +134,13 @@ class ExecutorNode:
 
     def _on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
         try:
-            with self._lock:
-                sentence = self._executor.review(
-                    request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
-                )
+            verdict, sentence = self._approval.review(
+                request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
+            )
         except ConstructionTwinError as error:
             rospy.logwarn("review refused: %s", error)
             return ReviewPlanResponse(False, str(error))
+        self._publish_verdict(verdict)
         return ReviewPlanResponse(True, sentence)
 
     def _on_stop(self, _request) -> TriggerResponse:
@@ -124,23 +149,67 @@ class ExecutorNode:
         rospy.logwarn("stop: %s", sentence)
         return TriggerResponse(True, sentence)
 
+    def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
+        try:
+            with self._lock:
+                sentence = action()
+        except ConstructionTwinError as error:
+            rospy.logwarn("%s refused: %s", name, error)
+            return TriggerResponse(False, str(error))
+        rospy.logwarn("%s: %s", name, sentence)
+        return TriggerResponse(True, sentence)
+
+    # -- in the background
+
+    def _on_timer(self, _event) -> None:
+        self._write_records()
+        if not self._auto_approve:
+            return
+        try:
+            taken = self._approval.approve_by_itself(now_ns())
+        except RecordError as error:
+            rospy.logerr_throttle(5.0, "%s", error)
+            return
+        if taken is not None:
+            self._publish_verdict(taken[0])
+
+    def _write_records(self) -> None:
+        try:
+            self._log.flush()
+        except RecordError as error:
+            self._record_problem = str(error)
+            rospy.logerr_throttle(5.0, "%s", error)
+            return
+        self._record_problem = ""
+
     # -- reports
 
     def _publish_verdict(self, verdict: Verdict) -> None:
-        decision = "approved" if verdict.approved else "not approved"
         rospy.logwarn(
-            "plan %s %s by %s: %s", verdict.plan_id, decision, verdict.reviewer, verdict.reason or "no reason given"
+            "plan %s %s by %s: %s",
+            verdict.plan_id,
+            verdict.verdict,
+            verdict.reviewer,
+            verdict.reason or "no reason given",
         )
-        message = Review(**asdict(verdict))
+        message = Review(
+            plan_id=verdict.plan_id,
+            plan_hash=verdict.plan_hash,
+            approved=verdict.approved,
+            reviewer=verdict.reviewer,
+            reason=verdict.reason,
+        )
         message.header.stamp = rospy.Time.now()
         self._verdicts.publish(message)
 
     def _publish_changes(self) -> None:
         executor = self._executor
         with self._lock:
-            verdicts = executor.take_verdicts()
-        for verdict in verdicts:
-            self._publish_verdict(verdict)
+            events = executor.take_events()
+        for event in events:
+            self._log.defer(event)
+            if isinstance(event, Verdict):
+                self._publish_verdict(event)
         state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
         if state == self._reported:
             return
@@ -157,9 +226,16 @@ class ExecutorNode:
         self._execution.publish(message)
 
     def _report(self) -> tuple[int, str, dict]:
-        executor = self._executor
+        executor, log = self._executor, self._log
+        values = {
+            "outcome of the last plan": executor.outcome,
+            "records": log.state.lines,
+            "SHA-256 of the last record": log.state.head,
+        }
+        if self._record_problem:
+            return ERROR, self._record_problem, values
         level = WARN if executor.state is ExecutorState.WAITING else OK
-        return level, f"{executor.state.name}: {executor.reason}", {"outcome of the last plan": executor.outcome}
+        return level, f"{executor.state.name}: {executor.reason}", values
 
 
 def main() -> None:

@@ -171,7 +171,7 @@ class Experiment:
         """Show the progress of a plan until it ends; return the executor's report of that."""
         while True:
             now = self._execution
-            if now.plan_id != plan_id or now.state not in (Execution.PLAYING, Execution.STOPPING):
+            if now.plan_id != plan_id or now.state in (Execution.WAITING, Execution.IDLE):
                 if now.outcome == "finished":
                     show(1.0)
                 return now

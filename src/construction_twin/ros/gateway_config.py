@@ -12,7 +12,7 @@ import rosgraph
 import rospy
 
 from construction_twin.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.ros.params import robot_from_parameters
+from construction_twin.ros.params import robot_from_parameters, ros_home
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.export import gateway_config
 
@@ -31,7 +31,9 @@ def config_from_parameters(namespace: str = "") -> GatewayConfig:
     settings = rospy.get_param(name)
     if "ethernet_xml" not in settings:
         raise ConfigurationError(
-            rospy.resolve_name(f"{name}/ethernet_xml"), None, "the controller's RSI Ethernet XML, as launch/bringup.launch loads it"
+            rospy.resolve_name(f"{name}/ethernet_xml"),
+            None,
+            "the controller's RSI Ethernet XML, as launch/bringup.launch loads it",
         )
     return gateway_config(robot_from_parameters(namespace), settings)
 
@@ -57,7 +59,8 @@ def export_main() -> None:
     layout = config.layout
     print(
         f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; RSI on UDP port "
-        f"{layout.port}, SENTYPE {layout.sentype}, " + ("read-only" if layout.onlysend else f"channels {', '.join(layout.receive)}")
+        f"{layout.port}, SENTYPE {layout.sentype}, "
+        + ("read-only" if layout.onlysend else f"channels {', '.join(layout.receive)}")
     )
 
 
@@ -70,7 +73,7 @@ def run_gateway() -> None:
         sys.exit(f"rsi_gateway cannot run: {error}")
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
-    path = Path(os.environ.get("ROS_HOME", Path.home() / ".ros")) / f"{name}.json"
+    path = ros_home() / f"{name}.json"
     write_whole(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
     arguments = rospy.myargv(sys.argv)[1:]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TypeVar
 
 import pydantic
@@ -74,3 +76,8 @@ def robot_from_parameters(namespace: str = "") -> RobotModel:
         if not rospy.has_param(name):
             raise ConfigurationError(rospy.resolve_name(name), None, "a robot, as launch/robot.launch loads it")
     return load_robot(*map(rospy.get_param, names))
+
+
+def ros_home() -> Path:
+    """Return the folder for a node's own files: environment variable ROS_HOME, by default ``~/.ros`` (as roslaunch does)."""
+    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")

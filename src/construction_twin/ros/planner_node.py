@@ -1,61 +1,88 @@
-"""ROS shell of the planner: services in, plans for review out. Nothing here moves anything."""
+"""ROS shell of the planner: requests in, plans for review out. Nothing here moves anything."""
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated
 
+import numpy as np
 import pydantic
 import rospy
 import tf2_ros
 from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
 
-from construction_twin.errors import ConstructionTwinError, PlanningError
+from construction_twin.errors import ConstructionTwinError
 from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.motion_errors import CartesianPathError, PlanningError, SceneError
 from construction_twin.msg import Plan as PlanMsg
-from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
+from construction_twin.msg import PlanOutcome
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.plan import Plan
+from construction_twin.planning.desk import PlanningDesk
+from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.ros.convert import plan_to_msg, pose_from_msg, pose_from_transform_msg
-from construction_twin.ros.diagnostics import OK, NodeDiagnostics
-from construction_twin.ros.joint_stream import joint_values, now_ns
+from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.joint_stream import now_ns
+from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
-from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PlanToPose, PlanToPoseResponse
-from construction_twin.plan import Plan
+from construction_twin.ros.plan_requests import plan_request, read_waypoints, tool_waypoints, trajectory_waypoints
+from construction_twin.ros.scene_convert import scene_from_msg
+from construction_twin.scene.objects import product
+from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.srv import (
+    PlanCartesian,
+    PlanCartesianResponse,
+    PlanFromCsv,
+    PlanFromCsvResponse,
+    PlanToJoints,
+    PlanToJointsResponse,
+    PlanToPose,
+    PlanToPoseResponse,
+)
 
 
 class Settings(PlannerSettings):
-    """The node's parameters: the planner's, and what only the node needs. Explained in config/planner.yaml.
+    """The node's parameters: the planner's, and what only the node needs.
+
+    Behaviour is explained in config/planner.yaml; `self_collision` and `base_frame` are given in launch/twin.launch.
 
     Attributes
     ----------
-    max_pose_age, tf_timeout : float
+    ik_budget, max_pose_age, tf_timeout, scene_timeout : float
         [s]
+    self_collision : str
+        YAML of the link pairs that are not checked.
     base_frame : str
-        Empty: the robot's `base_link`.
+        tf frame that is the robot's base; empty: its `base_link`.
     """
 
+    ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
     max_pose_age: Annotated[float, pydantic.Field(gt=0.0)]
     tf_timeout: Annotated[float, pydantic.Field(ge=0.0, le=60.0)]
+    scene_timeout: Annotated[float, pydantic.Field(ge=0.0, le=60.0)]
+    self_collision: str
     base_frame: str
 
 
 class PlannerNode:
-    """Services `plan_to_joints` and `plan_to_pose`, latched topic `plan`; listens to `twin/joint_states` and tf."""
+    """Services `plan_to_joints`, `plan_to_pose`, `plan_cartesian`, `plan_from_csv`; topic `joint_trajectory`.
+
+    Latched topics `plan` and `plan_outcome`; listens to `twin/joint_states`, `scene` and tf.
+    """
 
     def __init__(self):
         self._settings = read_parameters(Settings)
         self._robot = robot_from_parameters()
         self._chain = Chain(self._robot)
-        self._planner = Planner(self._robot, self._chain, self._settings, clock=time.monotonic)
+        self._desk = self._open_desk()
         self._base_frame = self._settings.base_frame or self._robot.base_link
-        self._twin: tuple[float, JointState] | None = None
-        self._twin_news = threading.Condition()
-        # one plan at a time: planner and kinematics are not made for several threads, and `plan` latches one
+        # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
         self._plans = 0
         self._last = "no plan asked for yet"
@@ -63,101 +90,144 @@ class PlannerNode:
         self._tf = tf2_ros.Buffer()
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._publisher = rospy.Publisher("plan", PlanMsg, queue_size=1, latch=True)
-        rospy.Subscriber("twin/joint_states", JointState, self._on_twin, queue_size=1, tcp_nodelay=True)
+        self._outcome_publisher = rospy.Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
+        rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
+        rospy.Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, queue_size=10)
         rospy.Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
         rospy.Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
+        rospy.Service("plan_cartesian", PlanCartesian, self._on_plan_cartesian)
+        rospy.Service("plan_from_csv", PlanFromCsv, self._on_plan_from_csv)
 
-    def _on_twin(self, msg: JointState) -> None:
-        with self._twin_news:
-            self._twin = (time.monotonic(), msg)
-            self._twin_news.notify_all()
+    def _open_desk(self) -> PlanningDesk:
+        settings = self._settings
+        rng = np.random.default_rng(settings.seed or None)
+        ik = IkSettings(budget_s=settings.ik_budget)
+        return PlanningDesk(
+            self._robot,
+            inverse_kinematics(self._chain, ik, rng, time.monotonic),
+            settings,
+            read_self_collision(settings.self_collision, self._robot),
+            time.monotonic,
+            rng,
+            rospy.resolve_name("scene"),
+        )
 
-    def _pose_age(self) -> float:
-        return math.inf if self._twin is None else time.monotonic() - self._twin[0]
+    # -- what the node listens to
+
+    def _on_scene(self, msg: SceneMsg) -> None:
+        try:
+            self._desk.set_scene(scene_from_msg(msg))
+        except SceneError as error:
+            self._desk.refuse_scene(error)
+            self._diagnostics.refuse("scene", str(error))
+
+    # -- requests
 
     def _on_plan_to_joints(self, request) -> PlanToJointsResponse:
-        def plan() -> Plan:
-            start = request.start or self._present_pose()
-            return self._planner.plan_to_joints(start, request.goal, _plan_request(request))
+        def plan(asked: PlanRequest) -> Plan:
+            return self._desk.to_joints(request.start or self._present_pose(), request.goal, asked)
 
-        return self._answer(plan, PlanToJointsResponse)
+        return PlanToJointsResponse(*self._answer(plan, self._request(request))[:5])
 
     def _on_plan_to_pose(self, request) -> PlanToPoseResponse:
-        def plan() -> Plan:
-            start = self._present_pose()
-            return self._planner.plan_to_pose(start, self._goal_in_base(request.goal), _plan_request(request))
+        def plan(asked: PlanRequest) -> Plan:
+            goal = self._goal_in_base(request.goal)
+            return self._desk.to_pose(self._present_pose(), goal, asked, request.configuration)
 
-        return self._answer(plan, PlanToPoseResponse)
+        return PlanToPoseResponse(*self._answer(plan, self._request(request))[:5])
 
-    def _answer(self, make_plan: Callable[[], Plan], response: type):
-        """Make and publish a plan; the one place where a failure becomes an answer."""
-        try:
-            with self._busy:
-                plan = make_plan()
-                self._publish(plan)
-        except ConstructionTwinError as error:
-            self._last = f"no plan: {error}"
-            self._diagnostics.refused[type(error).__name__] += 1
-            rospy.logwarn("%s", self._last)
-            return response(success=False, message=str(error))
-        trajectory = plan.trajectory
-        sentence = (
-            f"plan {plan.id} for {plan.source!r}: {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints, "
-            f"made by {plan.planner} in {plan.planning_time:.3f} s; waiting for review"
-        )
-        self._plans += 1
-        self._last = sentence
-        rospy.loginfo("%s", sentence)
-        return response(True, sentence, plan.id, plan.hash, trajectory.duration)
+    def _on_plan_cartesian(self, request) -> PlanCartesianResponse:
+        def plan(asked: PlanRequest) -> Plan:
+            path = tool_waypoints(request.waypoints, self._base_T(request.frame_id, rospy.Time(0)))
+            return self._desk.along(self._present_pose(), path, request.speed or None, asked)
 
-    def _publish(self, plan: Plan) -> None:
-        tool_path = [self._chain.forward(q).position for q in plan.trajectory.positions]
-        self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
+        success, message, *plan_fields, fraction = self._answer(plan, self._request(request))
+        return PlanCartesianResponse(success, message, fraction, *plan_fields)
 
-    def _present_pose(self) -> Sequence[float]:
-        """Return the twin's pose; right after start-up the first one may still be on its way, and is waited for."""
+    def _on_plan_from_csv(self, request) -> PlanFromCsvResponse:
+        def plan(asked: PlanRequest) -> Plan:
+            return self._desk.through(read_waypoints(request.path, self._robot), self._present_pose(), asked)
+
+        return PlanFromCsvResponse(*self._answer(plan, self._request(request, request.path))[:5])
+
+    def _on_trajectory(self, msg: JointTrajectory) -> None:
+        def plan(asked: PlanRequest) -> Plan:
+            return self._desk.through(trajectory_waypoints(msg, self._robot), self._present_pose(), asked)
+
+        caller = msg._connection_header["callerid"]
+        self._answer(plan, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
+
+    def _request(self, request, source: str = "request") -> PlanRequest:
+        return plan_request(request, str(uuid.uuid4()), now_ns(), source)
+
+    def _answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> tuple:
+        """Make and publish a plan; the one place where a failure becomes an answer.
+
+        Returns success, sentence, plan id, plan hash, duration, and the share of a tool path that can be followed.
+        """
+        with self._busy:
+            try:
+                self._desk.wait_for_scene(self._settings.scene_timeout)
+                plan = make_plan(asked)
+            except ConstructionTwinError as error:
+                return self._failed(error, asked)
+            tool_path = [self._chain.forward(q).position for q in plan.trajectory.positions]
+            self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
+            sentence = _sentence(plan)
+            self._plans += 1
+            self._last = sentence
+            rospy.loginfo("%s", sentence)
+            self._publish_outcome(True, asked, sentence, plan.id)
+            return True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0
+
+    def _failed(self, error: ConstructionTwinError, asked: PlanRequest) -> tuple:
+        self._last = f"no plan: {error}"
+        self._diagnostics.refused[type(error).__name__] += 1
+        rospy.logwarn("%s", self._last)
+        self._publish_outcome(False, asked, str(error), "")
+        fraction = error.fraction if isinstance(error, CartesianPathError) else 0.0
+        return False, str(error), "", "", 0.0, fraction
+
+    def _publish_outcome(self, success: bool, asked: PlanRequest, message: str, plan_id: str) -> None:
+        outcome = PlanOutcome(success=success, source=asked.source, message=message, plan_id=plan_id)
+        outcome.header.stamp = rospy.Time.now()
+        self._outcome_publisher.publish(outcome)
+
+    # -- what requests need to know
+
+    def _present_pose(self) -> tuple[float, ...]:
         oldest = self._settings.max_pose_age
-        with self._twin_news:
-            if not self._twin_news.wait_for(lambda: self._pose_age() <= oldest, oldest):
-                topic, age = rospy.resolve_name("twin/joint_states"), self._pose_age()
-                found = f"{age:.3f} s old" if math.isfinite(age) else "unknown, nothing was received"
-                raise PlanningError(
-                    f"the twin's pose on {topic} is {found}; expected one at most {oldest:g} s old, check that the twin runs"
-                )
-            _, msg = self._twin
-        return joint_values(msg, self._robot.joint_names)
+        return self._twin.pose(oldest, oldest)
 
     def _goal_in_base(self, goal: PoseStamped) -> Pose:
         """Return ``base_T_tool`` for a goal in any frame tf knows, at the goal's stamp (0: the latest)."""
-        pose = pose_from_msg(goal.pose)
-        frame = goal.header.frame_id
+        return product(self._base_T(goal.header.frame_id, goal.header.stamp), pose_from_msg(goal.pose))
+
+    def _base_T(self, frame: str, stamp: rospy.Time) -> Pose:  # noqa: N802 (a transform's name)
+        """Return the pose of a frame in the robot's base; an empty name is the base itself."""
         if frame in ("", self._base_frame):
-            return pose
+            return Pose(np.zeros(3), np.eye(3))
+        timeout = rospy.Duration(self._settings.tf_timeout)
         try:
-            transform = self._tf.lookup_transform(
-                self._base_frame, frame, goal.header.stamp, rospy.Duration(self._settings.tf_timeout)
-            )
+            transform = self._tf.lookup_transform(self._base_frame, frame, stamp, timeout)
         except tf2_ros.TransformException as error:
             raise PlanningError(f"no transform from goal frame {frame!r} to {self._base_frame!r}: {error}") from error
-        base_T_frame = pose_from_transform_msg(transform.transform)
-        return Pose(
-            position=base_T_frame.position + base_T_frame.rotation @ pose.position,
-            rotation=base_T_frame.rotation @ pose.rotation,
-        )
+        return pose_from_transform_msg(transform.transform)
 
     def _report(self) -> tuple[int, str, dict]:
-        return OK, self._last, {"plans": self._plans}
+        scene = self._desk.scene
+        values = {"plans": self._plans, "scene": scene.hash if scene is not None else "none"}
+        return OK if scene is not None else WARN, self._last, values
 
 
-def _plan_request(request) -> PlanRequest:
-    """Return the request behind either service's; zero and empty mean the default."""
-    return PlanRequest(
-        plan_id=str(uuid.uuid4()),
-        created_ns=now_ns(),
-        source=request.source or "request",
-        duration=request.duration or None,
-        speed_scale=request.speed_scale or None,
-        waypoints=request.waypoints or None,
+def _sentence(plan: Plan) -> str:
+    trajectory, clearance = plan.trajectory, plan.report.clearance
+    close = f"closest {clearance.distance:.3f} m at {clearance.time:.2f} s ({' to '.join(clearance.between)})"
+    return (
+        f"plan {plan.id} for {plan.source!r}: {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints, made by "
+        f"{plan.planner} in {plan.planning_time:.3f} s; {close if clearance.between else 'nothing to touch'}; "
+        "waiting for review"
     )
 
 

@@ -6,7 +6,6 @@ Used by the exporter, and by the bridge, which compares hashes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from xml.etree import ElementTree
 
 from construction_twin.errors import ConfigurationError
 from construction_twin.robot import RobotModel
@@ -64,10 +63,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
 
 
 def _refuse_linear_joints(robot: RobotModel) -> None:
-    for joint in ElementTree.fromstring(robot.urdf.encode()).iter("joint"):
-        if joint.get("name") in robot.joint_names and joint.get("type") == "prismatic":
-            raise ConfigurationError(
-                f"joint {joint.get('name')}",
-                "prismatic",
-                "joints that turn: the joint string on MQTT has no metres yet",
-            )
+    for name, linear in zip(robot.joint_names, robot.linear):
+        if linear:
+            expected = "joints that turn: the joint string on MQTT has no metres yet"
+            raise ConfigurationError(f"joint {name}", "a linear joint", expected)

@@ -22,7 +22,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from construction_twin.errors import ConfigurationError, JointRangeError, TelegramError
+from construction_twin.errors import ConfigurationError, TelegramError
+from construction_twin.motion_errors import JointRangeError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import check_axes
 from construction_twin.rsi.layout import STOP, AxisUnit, RsiLayout

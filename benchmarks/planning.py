@@ -1,0 +1,190 @@
+"""Planning benchmark: 100 fixed problems in each of three scenes, for the KR 120.
+
+    python benchmarks/planning.py --output results/bench/planning.json
+    python benchmarks/planning.py --generate [--seed 1]        writes benchmarks/problems/*.csv anew
+
+Per scene: success; median and 95th percentile of the time for planning and timing together, and the median time of the
+dense re-check after it, from each problem's first run; collisions found by python-fcl at every 1 ms of these plans; the
+mean ratio of their joint path length to the shortest of all runs, and of their duration to the lower bound that the
+limits alone set. Every run has its own seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import planning_problems
+import yaml
+
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.motion_errors import NoPathError
+from construction_twin.plan import Plan
+from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.timing import minimum_duration
+from construction_twin.robot import read_robot_files
+from construction_twin.scene.objects import load_scene
+from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.scene.world import CollisionWorld
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Time in which a problem has to be solved, and for the long run that shows that it can be [s].
+BUDGET, LONG_BUDGET = 5.0, 60.0
+#: Spacing of the independent check [s].
+CHECK_STEP = 0.001
+PACKAGES = ("numpy", "scipy", "ompl", "toppra", "pin", "coal", "python-fcl", "py-opw-kinematics")
+COLUMNS = ("problems", "success", "median_ms", "p95_ms", "recheck_ms", "collisions", "length_ratio", "duration_ratio")
+
+
+class Bench:
+    """The robot, and what is measured with it.
+
+    Parameters
+    ----------
+    planner : str
+        Name of an OMPL planner.
+    """
+
+    def __init__(self, planner: str):
+        self.robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+        self.chain = Chain(self.robot)
+        self.self_collision = read_self_collision(ROOT / "config/kr120_self_collision.yaml", self.robot)
+        self._shipped = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
+        self._planner = planner
+        rng = np.random.default_rng(0)
+        self._solver = inverse_kinematics(self.chain, IkSettings(), rng, time.monotonic)
+
+    def scene(self, name: str) -> tuple[dict, CollisionWorld]:
+        """Return a scene as parsed, and its collision world."""
+        path = planning_problems.FOLDER / f"{name}.yaml"
+        description = yaml.safe_load(path.read_text())
+        return description, CollisionWorld(self.robot, load_scene(description, path.parent), self.self_collision)
+
+    def planner(self, seed: int, budget: float = BUDGET) -> Planner:
+        """Return a planner as shipped, but at the full limits and with this seed."""
+        settings = {key: value for key, value in self._shipped.items() if key in PlannerSettings.model_fields}
+        settings |= {"planner": self._planner, "seed": seed, "planning_budget": budget, "speed_scale": 1.0}
+        rng = np.random.default_rng(seed)
+        return Planner(self.robot, self._solver, PlannerSettings(**settings), time.perf_counter, rng)
+
+    def measure(self, name: str, count: int, runs: int) -> dict:
+        """Return the figures of a scene."""
+        description, world = self.scene(name)
+        problems = planning_problems.read(name)[:count]
+        planners = [self.planner(run + 1) for run in range(runs)]
+        tried = [[solve(planner, *problem, world) for planner in planners] for problem in problems]
+        plans = [[plan for plan in row if plan is not None] for row in tried]
+        first = [row[0] for row in tried if row[0] is not None]
+        if not first:
+            sys.exit(f"{name}: none of {len(problems)} problems was solved; there is nothing to measure")
+        times = [plan.planning_time * 1e3 for plan in first]
+        ratios = [length(row[0]) / min(map(length, found)) for row, found in zip(tried, plans) if row[0] is not None]
+        bounds = [minimum_duration(*plan.trajectory.positions[[0, -1]], self.robot) for plan in first]
+        return {
+            "problems": len(problems),
+            "success": sum(map(len, plans)) / (len(problems) * runs),
+            "median_ms": rounded(np.median(times)),
+            "p95_ms": rounded(np.percentile(times, 95)),
+            "recheck_ms": rounded(np.median([plan.report.recheck_time * 1e3 for plan in first])),
+            "collisions": self.collisions(first, description),
+            "length_ratio": rounded(np.mean(ratios)),
+            "duration_ratio": rounded(
+                np.mean([plan.trajectory.duration / bound for plan, bound in zip(first, bounds)])
+            ),
+        }
+
+    def collisions(self, plans: list[Plan], description: dict) -> int:
+        """Return how many plans touch something at any millisecond, as python-fcl sees it."""
+        from fcl_checker import FclChecker  # needs python-fcl, which generating problems does not
+
+        checker = FclChecker(self.robot, description, set(self.self_collision.ignored))
+        touching = 0
+        for plan in plans:
+            times = np.append(np.arange(0.0, plan.trajectory.duration, CHECK_STEP), plan.trajectory.duration)
+            contacts = checker.contacts(plan.trajectory.sample_many(times)[0])
+            if contacts:
+                row, first, second = contacts[0]
+                print(f"plan {plan.id}: {first} touches {second} at {times[row]:.3f} s", file=sys.stderr)
+            touching += bool(contacts)
+        return touching
+
+
+def solve(planner: Planner, start: np.ndarray, goal: np.ndarray, world: CollisionWorld) -> Plan | None:
+    """Return a plan, None if none was found in time."""
+    try:
+        return planner.plan_to_joints(start, goal, PlanRequest("bench", 0), world)
+    except NoPathError:
+        return None
+
+
+def length(plan: Plan) -> float:
+    """Return the length of a plan's path in joint space [rad], along its waypoints."""
+    return float(np.sum(np.linalg.norm(np.diff(plan.trajectory.positions, axis=0), axis=1)))
+
+
+def rounded(value: float) -> float:
+    """Return a figure to four significant digits."""
+    return float(f"{value:.4g}")
+
+
+def environment() -> dict:
+    """Return what the figures depend on: processor, system, versions."""
+    models = [line.partition(":")[2].strip() for line in _cpuinfo() if line.startswith("model name")]
+    return {
+        "cpu": models[0] if models else platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in PACKAGES},
+    }
+
+
+def _cpuinfo() -> list[str]:
+    path = Path("/proc/cpuinfo")
+    return path.read_text().splitlines() if path.is_file() else []
+
+
+def table_row(name: str, values: dict) -> str:
+    """Return a line of the printed table."""
+    return f"{name:>10}" + "".join(f"{values[column]:>16}" for column in COLUMNS)
+
+
+def main() -> None:
+    """Measure and print, or generate the problems."""
+    parser = argparse.ArgumentParser(description="Planning benchmark: time, success, quality, safety.")
+    parser.add_argument("--output", type=Path, default=ROOT / "results/bench/planning.json", help="file of the figures")
+    parser.add_argument("--problems", type=int, default=planning_problems.PROBLEMS, help="per scene [%(default)s]")
+    parser.add_argument("--runs", type=int, default=10, help="per problem, each with its own seed [%(default)s]")
+    parser.add_argument("--planner", default="RRTConnect", help="any of OMPL's [%(default)s]")
+    parser.add_argument("--generate", action="store_true", help="make the problems anew instead")
+    parser.add_argument("--seed", type=int, default=1, help="of the problems [%(default)s]")
+    options = parser.parse_args()
+    if options.problems < 1 or options.runs < 1:
+        parser.error("expected at least one problem and one run")
+    bench = Bench(options.planner)
+    if options.generate:
+        for name in planning_problems.SCENES:
+            _, world = bench.scene(name)
+            problems = planning_problems.generate(name, bench.chain, world, bench.planner(1, LONG_BUDGET), options.seed)
+            print(planning_problems.write(name, bench.robot.joint_names, problems))
+        return
+    print(table_row("scene", {column: column for column in COLUMNS}), flush=True)
+    figures = {}
+    for name in planning_problems.SCENES:
+        figures[name] = bench.measure(name, options.problems, options.runs)
+        print(table_row(name, figures[name]), flush=True)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(figures | {"environment": environment()}, indent=2) + "\n")
+    print(f"written to {options.output}")
+
+
+if __name__ == "__main__":
+    main()

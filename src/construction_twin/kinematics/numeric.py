@@ -1,0 +1,313 @@
+"""Inverse kinematics of any serial chain: KDL's Levenberg-Marquardt solver from many starting points, in a time budget.
+
+The nearest solution it returns is the nearest it found: likely, not proven. Arms with more joints than a pose has degrees of
+freedom are moved along their self-motion towards the seed, within the ranges.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
+
+import numpy as np
+import PyKDL
+
+from construction_twin.kinematics.chain import Chain, Pose, to_frame
+from construction_twin.kinematics.solution import (
+    TURN,
+    Configuration,
+    IkSettings,
+    IkSolution,
+    InverseKinematics,
+    check_pose,
+    pose_error,
+    residual,
+)
+from construction_twin.motion_errors import (
+    BranchError,
+    NoSolutionError,
+    OrientationError,
+    PositionRangeError,
+    UnreachableError,
+)
+
+#: The solver ends at this error; far below the tolerance, so that what it calls solved also passes the check.
+_SOLVER_EPS = 1e-9
+#: ... or when its steps get this short [rad].
+_SOLVER_STEP = 1e-14
+#: Solutions nearer to each other than this are one [rad].
+_SAME = 1e-4
+#: Most steps along the self-motion of a redundant arm, and when they are short enough to end [rad].
+_SELF_MOTIONS = 30
+_SETTLED = 1e-7
+#: Longest step along the self-motion [rad].
+_STEP = 0.4
+#: Singular values below this share of the largest are directions in which the tip cannot move.
+_RANK = 1e-6
+#: Starts and steps of the search for the position alone, by which a failure is explained.
+_POSITION_STARTS = 8
+_POSITION_STEPS = 60
+
+
+class NumericInverse(InverseKinematics):
+    """Inverse kinematics by search.
+
+    Parameters
+    ----------
+    chain : Chain
+    settings : IkSettings
+    rng : numpy Generator
+        Source of the starting points.
+    clock : callable
+        Returns the present time [s], e.g. ``time.monotonic``: for the budget.
+    """
+
+    def __init__(self, chain: Chain, settings: IkSettings, rng: np.random.Generator, clock: Callable[[], float]):
+        super().__init__(chain, settings)
+        self._rng = rng
+        self._clock = clock
+        self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
+        self._turns = np.where(chain.robot.linear, 0.0, TURN)
+        self._redundant = len(self._lower) > 6
+        self._solver = PyKDL.ChainIkSolverPos_LMA(chain.kdl, _SOLVER_EPS, settings.iterations, _SOLVER_STEP)
+        self._start = PyKDL.JntArray(len(self._lower))
+        self._end = PyKDL.JntArray(len(self._lower))
+
+    def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
+        """See `InverseKinematics.nearest`: of the solutions found, until several in a row bring nothing nearer."""
+        return _Search(self, pose, seed, configuration).nearest()
+
+    def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
+        """See `InverseKinematics.all`: those found, until several starting points in a row bring nothing new."""
+        return _Search(self, pose, seed, configuration).all()
+
+    def configuration(self, q: Sequence[float]) -> None:
+        """Return None: these arms have no named configurations."""
+        return None
+
+    def solve_from(self, start: Sequence[float], target: PyKDL.Frame) -> np.ndarray:
+        """Return where the solver gets from one starting point, ranges left aside: not necessarily a solution.
+
+        Parameters
+        ----------
+        start : sequence of float, length n
+            [rad] or [m]
+        target : PyKDL.Frame
+
+        Returns
+        -------
+        q : array, shape (n,)
+        """
+        for index, value in enumerate(start):
+            self._start[index] = float(value)
+        self._solver.CartToJnt(self._start, target, self._end)
+        return np.array([self._end[index] for index in range(len(self._lower))])
+
+    def starts(self, seed: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield starting points: the seed, home, then random ones, near the seed and anywhere in the ranges in turn."""
+        yield seed
+        yield np.array(self.chain.robot.home)
+        reach = np.minimum(self._upper - self._lower, TURN) / 4.0
+        for number in range(self.settings.seeds - 2):
+            if number % 2:
+                yield self._rng.uniform(self._lower, self._upper)
+            else:
+                near = self._rng.normal(seed, reach)
+                yield np.clip(near, self._lower, self._upper)
+
+    def into_range(self, q: np.ndarray, seed: np.ndarray) -> np.ndarray:
+        """Return joint values turned as near to the seed as the ranges allow by whole turns; linear joints as they are."""
+        turns = np.where(self._turns > 0.0, self._turns, np.inf)
+        slack = self.settings.tolerance_rad
+        near = q + self._turns * np.rint((seed - q) / turns)
+        near = near - self._turns * np.ceil(np.maximum(near - self._upper - slack, 0.0) / turns)
+        near = near + self._turns * np.ceil(np.maximum(self._lower - slack - near, 0.0) / turns)
+        edge = np.clip(near, self._lower, self._upper)
+        return np.where(np.abs(edge - near) <= slack, edge, near)
+
+    def excess(self, q: np.ndarray) -> np.ndarray:
+        """Return by how much each joint is out of range, shape (n,); 0 or less: it is not."""
+        return np.maximum(self._lower - q, q - self._upper)
+
+    def towards(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
+        """Move a redundant arm along its self-motion to where it is nearest to the seed, within the ranges.
+
+        Parameters
+        ----------
+        q : array, shape (n,)
+            Reaches the pose, in range or not.
+        seed : array, shape (n,)
+        pose : Pose
+
+        Returns
+        -------
+        q : array, shape (n,)
+            Within the ranges; whether it reaches the pose is for the caller to check.
+        """
+        q = np.clip(q, self._lower, self._upper)
+        for _ in range(_SELF_MOTIONS):
+            error = pose_error(self.chain.forward(q), pose)
+            step = self._step(q, seed - q, error)
+            # a joint at the end of its range that would leave it stands still, and the others do its part
+            stuck = ((q <= self._lower) & (step < 0.0)) | ((q >= self._upper) & (step > 0.0))
+            if stuck.any():
+                step = self._step(q, seed - q, error, ~stuck)
+            length = float(np.abs(step).max())
+            q = np.clip(q + step * min(1.0, _STEP / max(length, _STEP)), self._lower, self._upper)
+            if length < _SETTLED:
+                break
+        return q
+
+    def _step(self, q: np.ndarray, wish: np.ndarray, error: np.ndarray, free: np.ndarray | None = None) -> np.ndarray:
+        """Return the joint step that removes an error of the tip and otherwise is as near to a wish as possible."""
+        jacobian = self.chain.jacobian(q)
+        if free is not None:
+            jacobian = jacobian * free
+            wish = wish * free
+        return wish + np.linalg.pinv(jacobian, rcond=_RANK) @ (error - jacobian @ wish)
+
+
+class _Search:
+    """One target: what has been found so far."""
+
+    def __init__(self, inverse: NumericInverse, pose: Pose, seed: Sequence[float], configuration: Configuration | None):
+        inverse.chain.robot.check_range(seed)
+        check_pose(pose)
+        if configuration is not None and configuration != Configuration():
+            raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist")
+        self._inverse = inverse
+        self._settings = inverse.settings
+        self._pose = pose
+        self._target = to_frame(pose)
+        self._seed = np.array(seed, dtype=float)
+        self._outside: list[np.ndarray] = []
+        self._residual = (math.inf, math.inf)
+        self._tried = 0
+        self._check_reach()
+
+    def nearest(self) -> IkSolution:
+        best = None
+        idle = 0
+        for solution in self._solutions():
+            idle += 1
+            if best is None or solution.distance < best.distance - _SAME:
+                best = solution
+                idle = 0
+            if idle >= self._settings.patience:
+                break
+        if best is None:
+            self._explain()
+        return best
+
+    def all(self) -> list[IkSolution]:
+        found: list[IkSolution] = []
+        idle = 0
+        for solution in self._solutions():
+            idle += 1
+            if all(math.dist(solution.q, other.q) > _SAME for other in found):
+                found.append(solution)
+                idle = 0
+            if idle >= self._settings.patience:
+                break
+        if not found:
+            self._explain()
+        turned = [other for solution in found for other in self._turned(solution)]
+        return sorted(turned, key=lambda solution: solution.distance)
+
+    def _solutions(self) -> Iterator[IkSolution]:
+        """Yield solutions, one for each starting point that leads to one, while seeds and budget last.
+
+        Better ones than the first are looked for in the first half of the budget only: the other half is for targets that
+        are hard to solve at all.
+        """
+        began = self._inverse._clock()
+        budget = self._settings.budget_s
+        for start in self._inverse.starts(self._seed):
+            if self._tried and self._inverse._clock() - began >= budget:
+                return
+            self._tried += 1
+            solution = self._try(start)
+            if solution is not None:
+                budget = 0.5 * self._settings.budget_s
+                yield solution
+
+    def _try(self, start: np.ndarray) -> IkSolution | None:
+        inverse = self._inverse
+        q = inverse.into_range(inverse.solve_from(start, self._target), self._seed)
+        # the solver's verdict is not asked: forward kinematics says whether this is the pose
+        error = residual(inverse.chain, q, self._pose)
+        if not self._is_solved(error):
+            # on an arm of metres a radian is about a metre
+            self._residual = min(self._residual, error, key=lambda error: math.hypot(*error))
+            return None
+        if inverse._redundant:
+            moved = inverse.towards(q, self._seed, self._pose)
+            moved_error = residual(inverse.chain, moved, self._pose)
+            if self._is_solved(moved_error):
+                q, error = moved, moved_error
+        if inverse.excess(q).max() > 0.0:
+            self._outside.append(q)
+            return None
+        return IkSolution(q, *error, math.dist(q, self._seed), None)
+
+    def _is_solved(self, error: tuple[float, float]) -> bool:
+        return error[0] <= self._settings.tolerance_m and error[1] <= self._settings.tolerance_rad
+
+    def _turned(self, solution: IkSolution) -> Iterator[IkSolution]:
+        """Yield a solution with every choice of whole turns within the ranges."""
+        inverse = self._inverse
+        choices = []
+        for value, lower, upper, turn in zip(solution.q, inverse._lower, inverse._upper, inverse._turns):
+            first, last = (math.ceil((lower - value) / turn), math.floor((upper - value) / turn)) if turn else (0, 0)
+            choices.append([value + turn * number for number in range(first, last + 1)])
+        for q in product(*choices):
+            error = residual(inverse.chain, q, self._pose)
+            if self._is_solved(error):
+                yield IkSolution(np.array(q), *error, math.dist(q, self._seed), None)
+
+    def _check_reach(self) -> None:
+        chain = self._inverse.chain
+        distance = float(np.linalg.norm(self._pose.position - chain.shoulder))
+        if distance > chain.reach:
+            raise UnreachableError(distance - chain.reach)
+
+    def _explain(self) -> None:
+        """Raise the error that says why there is no solution, as far as that can be known."""
+        missing = self._missing_position()
+        if not self._outside:
+            if missing > self._settings.tolerance_m and missing < math.inf:
+                raise UnreachableError(missing, self._is_too_close())
+            raise NoSolutionError(self._tried, *self._residual)
+        nearest = min(self._outside, key=lambda q: self._inverse.excess(q).max())
+        joint = int(self._inverse.excess(nearest).argmax())
+        robot = self._inverse.chain.robot
+        kind = OrientationError if missing <= self._settings.tolerance_m else PositionRangeError
+        raise kind(robot.joint_names[joint], float(nearest[joint]), robot.lower[joint], robot.upper[joint])
+
+    def _missing_position(self) -> float:
+        """Return how near the tip gets to the target's position within the ranges, whatever its orientation [m]."""
+        inverse = self._inverse
+        best = math.inf
+        starts = inverse.starts(self._seed)
+        for _ in range(_POSITION_STARTS):
+            q = next(starts)
+            for _ in range(_POSITION_STEPS):
+                error = self._pose.position - inverse.chain.forward(q).position
+                length = float(np.linalg.norm(error))
+                if length < 0.1 * self._settings.tolerance_m:
+                    return length
+                step = _damped(inverse.chain.jacobian(q)[:3], error)
+                q = np.clip(q + step, inverse._lower, inverse._upper)
+            best = min(best, length)
+        return best
+
+    def _is_too_close(self) -> bool:
+        chain = self._inverse.chain
+        return float(np.linalg.norm(self._pose.position - chain.shoulder)) < 0.5 * chain.reach
+
+
+def _damped(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Return the damped least-squares step, which stays short where the arm is stretched."""
+    damping = 1e-3 * float(error @ error) + 1e-9
+    return jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(len(error)), error)

@@ -1,0 +1,223 @@
+"""Whether a chain is of the OPW kind (ortho-parallel basis, spherical wrist), and with which parameters.
+
+Found from the joint axes as lines in space, not from names or from how the URDF places its frames. Parameters are those of
+Brandstoetter, Angerer, Hofbaur, "An Analytical Solution of the Inverse Kinematics Problem of Industrial Serial Manipulators
+with an Ortho-parallel Basis and a Spherical Wrist" (2014): the arm stretched upwards along Z is their zero.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import py_opw_kinematics
+import PyKDL
+
+from construction_twin.kinematics.chain import Chain, to_pose
+
+#: Angles and lengths below this are zero [rad], [m]; and how well both forward kinematics must agree.
+TOLERANCE = 1e-9
+#: Poses on which the parameters are checked against KDL.
+_CHECKS = 50
+_CHECK_SEED = 2014
+
+
+@dataclass(frozen=True)
+class NotOpw:
+    """Why a chain is not of the OPW kind.
+
+    Attributes
+    ----------
+    reason : str
+        A sentence part, with what was found.
+    """
+
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class OpwModel:
+    """A chain in OPW parameters: ``base_T_tip = base_T_opw * opw_T_flange(theta) * flange_T_tip``, theta = signs q - offsets.
+
+    Attributes
+    ----------
+    a1, a2, b, c1, c2, c3, c4 : float
+        [m]
+    offsets : tuple of float, length 6
+        [rad]
+    signs : tuple of int, length 6
+    base_T_opw, flange_T_tip : array, shape (4, 4)
+        The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the flange on axis 6 level with the
+        tip, Z out of it.
+    """
+
+    a1: float
+    a2: float
+    b: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+    offsets: tuple[float, ...]
+    signs: tuple[int, ...]
+    base_T_opw: np.ndarray
+    flange_T_tip: np.ndarray
+
+    def solver(self) -> py_opw_kinematics.Robot:
+        """Return the package's solver for these parameters, in radians."""
+        lengths = {name: getattr(self, name) for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4")}
+        flips = tuple(sign < 0 for sign in self.signs)
+        model = py_opw_kinematics.KinematicModel(**lengths, offsets=self.offsets, flip_axes=flips)
+        return py_opw_kinematics.Robot(model, degrees=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """A joint axis at zero pose: a point on it and its direction, in the base."""
+
+    point: np.ndarray
+    direction: np.ndarray
+
+    def nearest(self, point: np.ndarray) -> np.ndarray:
+        return self.point + self.direction * ((point - self.point) @ self.direction)
+
+
+def find_opw(chain: Chain) -> OpwModel | NotOpw:
+    """Decide whether a chain is of the OPW kind.
+
+    It is one if six joints turn, axes 2 and 3 are parallel and square to axes 1 and 4, axes 4, 5 and 6 meet in one point and
+    each is square to the next. Offsets before the first and behind the last joint may be any.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    model : OpwModel or NotOpw
+        A model has been compared with KDL's forward kinematics on seeded random poses.
+    """
+    if any(chain.robot.linear) or len(chain.robot.linear) != 6:
+        turning = chain.robot.linear.count(False)
+        return NotOpw(
+            f"it has {turning} turning and {len(chain.robot.linear) - turning} linear joints, not six turning ones"
+        )
+    axes = _axes(chain)
+    wrist = _meeting_point(axes[3], axes[4])
+    reason = _what_differs(axes, wrist)
+    if reason:
+        return NotOpw(reason)
+    model = _measure(axes, wrist, chain)
+    gap = _largest_gap(model, chain)
+    if gap > TOLERANCE:
+        return NotOpw(f"its forward kinematics differs from the OPW model's by {gap:.3g}")
+    return model
+
+
+def _axes(chain: Chain) -> list[_Axis]:
+    """Return the axes of the movable joints with all joints at zero."""
+    axes = []
+    base_T_parent = PyKDL.Frame()
+    for number in range(chain.kdl.getNrOfSegments()):
+        segment = chain.kdl.getSegment(number)
+        joint = segment.getJoint()
+        if joint.getType() != PyKDL.Joint.Fixed:
+            point, direction = base_T_parent * joint.JointOrigin(), base_T_parent.M * joint.JointAxis()
+            axes.append(_Axis(np.array(list(point)), np.array(list(direction))))
+        base_T_parent = base_T_parent * segment.pose(0.0)
+    return axes
+
+
+def _meeting_point(first: _Axis, second: _Axis) -> np.ndarray | None:
+    """Return where two lines meet, or None."""
+    normal = np.cross(first.direction, second.direction)
+    if np.linalg.norm(normal) < TOLERANCE:
+        return None
+    # along the first line until the second one is before us
+    along = np.cross(second.point - first.point, second.direction) @ normal / (normal @ normal)
+    point = first.point + along * first.direction
+    return point if np.linalg.norm(second.nearest(point) - point) < TOLERANCE else None
+
+
+def _what_differs(axes: list[_Axis], wrist: np.ndarray | None) -> str:
+    """Return what keeps an arm from being of the OPW kind, or "" if nothing does."""
+    d = [axis.direction for axis in axes]
+    if wrist is None:
+        return "its axes 4 and 5 do not meet in one point"
+    miss = float(np.linalg.norm(axes[5].nearest(wrist) - wrist))
+    if miss > TOLERANCE:
+        return f"axis 6 passes {miss:.3g} m beside the point where axes 4 and 5 meet, so its wrist is not spherical"
+    tilt = float(np.linalg.norm(np.cross(d[1], d[2])))
+    if tilt > TOLERANCE:
+        return f"its axes 2 and 3 are {math.asin(min(1.0, tilt)):.3g} rad from parallel"
+    for first, second in ((0, 1), (2, 3), (3, 4), (4, 5)):
+        off = abs(float(d[first] @ d[second]))
+        if off > TOLERANCE:
+            return f"its axes {first + 1} and {second + 1} are {math.asin(min(1.0, off)):.3g} rad from square to each other"
+    between = axes[2].point - axes[1].nearest(axes[2].point)
+    if np.linalg.norm(between) < TOLERANCE:
+        return "its axes 2 and 3 are the same line"
+    return ""
+
+
+def _measure(axes: list[_Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
+    """Read lengths, signs and offsets off the axes at zero pose. Directions x, y, z are the OPW base's."""
+    d = [axis.direction for axis in axes]
+    tip = to_pose(chain.frame([0.0] * 6))
+    origin = axes[0].nearest(np.zeros(3))
+    rise = (axes[1].nearest(origin) - origin) @ d[0]
+    z = d[0] if rise >= -TOLERANCE else -d[0]
+    y = d[1] if (axes[1].nearest(origin) - origin) @ np.cross(d[1], z) >= -TOLERANCE else -d[1]
+    x = np.cross(y, z)
+    shoulder = axes[1].nearest(origin) - origin
+
+    def in_plane(vector: np.ndarray) -> np.ndarray:
+        return vector - y * (vector @ y)
+
+    upper_arm = in_plane(axes[2].nearest(wrist) - axes[1].nearest(wrist))
+    forearm = in_plane(wrist - axes[2].nearest(wrist))
+    f = d[3] if forearm @ d[3] >= -TOLERANCE else -d[3]
+    side = d[4] if y @ d[4] >= -TOLERANCE else -d[4]
+    g = d[5] if (tip.position - wrist) @ d[5] >= -TOLERANCE else -d[5]
+    theta2 = math.atan2(upper_arm @ x, upper_arm @ z)
+    theta4 = math.atan2(np.cross(y, side) @ f, y @ side)
+    theta5 = math.atan2(g @ np.cross(side, f), g @ f)
+    references = (z, y, y, f, side, g)
+    flange = _matrix(np.column_stack([np.cross(side, g), side, g]), wrist + g * ((tip.position - wrist) @ g))
+    return OpwModel(
+        a1=float(shoulder @ x),
+        a2=float(forearm @ np.cross(y, f)),
+        b=float((wrist - origin) @ y),
+        c1=float(shoulder @ z),
+        c2=float(np.linalg.norm(upper_arm)),
+        c3=float(forearm @ f),
+        c4=float((tip.position - wrist) @ g),
+        offsets=(0.0, -theta2, _half_open(theta2 - math.atan2(f @ x, f @ z)), -theta4, -theta5, 0.0),
+        signs=tuple(1 if axis @ reference > 0.0 else -1 for axis, reference in zip(d, references)),
+        base_T_opw=_matrix(np.column_stack([x, y, z]), origin),
+        flange_T_tip=np.linalg.inv(flange) @ _matrix(tip.rotation, tip.position),
+    )
+
+
+def _half_open(angle: float) -> float:
+    """Return an angle in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def _matrix(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, position
+    return matrix
+
+
+def _largest_gap(model: OpwModel, chain: Chain) -> float:
+    """Return the largest difference of any matrix element between both forward kinematics, over random poses."""
+    solver = model.solver()
+    rng = np.random.default_rng(_CHECK_SEED)
+    worst = 0.0
+    for q in rng.uniform(chain.robot.lower, chain.robot.upper, (_CHECKS, 6)):
+        found = model.base_T_opw @ solver.forward(tuple(q.tolist())).as_matrix() @ model.flange_T_tip
+        pose = chain.forward(q)
+        worst = max(worst, float(np.abs(found - _matrix(pose.rotation, pose.position)).max()))
+    return worst

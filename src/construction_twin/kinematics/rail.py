@@ -1,0 +1,239 @@
+"""Inverse kinematics of an arm of the OPW kind on a linear axis: closed form at every place along the axis.
+
+The seventh joint leaves one degree of freedom: where the carriage stands. The axis is divided into places, the arm's
+branches are solved at all of them at once, and the neighbourhood of the best ones is divided again until the place is exact.
+Where that finds nothing, the search of `numeric` has the last word.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
+from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
+from construction_twin.kinematics.solution import (
+    TURN,
+    Configuration,
+    IkSolution,
+    InverseKinematics,
+    check_pose,
+    residual,
+)
+from construction_twin.motion_errors import BranchError, KinematicsError, UnreachableError
+from construction_twin.robot import chain_joints, parse_urdf
+
+#: Places along the axis.
+_PLACES = 301
+#: Divisions of a neighbourhood, and places in each: the last are some 1e-7 of the axis apart.
+_ZOOMS, _ZOOM_PLACES = 3, 33
+#: A place further than this from the best solution so far is not worth a division [rad].
+_PROMISING = 0.3
+#: Where a branch is out of range by less, the part of the axis on which it is in range may lie between two places [rad].
+_NEARLY = 0.1
+#: Cost of a branch out of range, above every squared distance within; the more it is out, the higher.
+_OUTSIDE = 1e6
+#: Out of range by less is rounding [rad].
+_ROUNDING = 3e-7
+#: Most places whose neighbourhoods are looked at for the nearest solution.
+_CANDIDATES = 6
+
+
+def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
+    """Return the arm on a linear axis, with its model, or why the chain is not one.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    arm, model : Chain, OpwModel
+        The six joints behind the first one, seen from the carriage.
+    """
+    robot = chain.robot
+    if robot.linear != (True,) + (False,) * 6:
+        return NotOpw("it is not one linear joint with six turning ones behind it")
+    joints = chain_joints(parse_urdf(robot.urdf), robot.base_link, robot.tip_link)
+    carriage = next(joint.child for joint in joints if joint.name == robot.joint_names[0])
+    lists = ("joint_names", "lower", "upper", "velocity", "acceleration", "jerk", "home", "axes", "linear")
+    arm = Chain(replace(robot, base_link=carriage, **{name: getattr(robot, name)[1:] for name in lists}))
+    model = find_opw(arm)
+    return model if isinstance(model, NotOpw) else (arm, model)
+
+
+class RailInverse(InverseKinematics):
+    """Inverse kinematics of an arm of the OPW kind on a linear axis.
+
+    Parameters
+    ----------
+    chain : Chain
+        All seven joints.
+    arm : ClosedFormInverse
+        The six on the carriage.
+    search : NumericInverse
+        Of the whole chain.
+    """
+
+    def __init__(self, chain: Chain, arm: ClosedFormInverse, search: NumericInverse):
+        super().__init__(chain, arm.settings)
+        self._arm = arm
+        self._search = search
+        self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
+        home = np.array(chain.robot.home)
+        home[0] = 0.0
+        whole, part = chain.forward(home), arm.chain.forward(home[1:])
+        # base_T_carriage with the carriage at zero, and the direction in which it travels
+        self._rotation = whole.rotation @ part.rotation.T
+        self._origin = whole.position - self._rotation @ part.position
+        self._axis = chain.jacobian(home)[:3, 0]
+
+    def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
+        """See `InverseKinematics.nearest`: over all places of the carriage."""
+        seed = self._checked(pose, seed)
+        wanted = self._wanted(configuration)
+        found = list(self._best(pose, seed, wanted, np.zeros(6), _CANDIDATES))
+        if found:
+            return min(found, key=lambda solution: solution.distance)
+        return self._last_word(pose, seed, configuration)
+
+    def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
+        """See `InverseKinematics.all`: for each branch and choice of whole turns, the nearest place of the carriage."""
+        seed = self._checked(pose, seed)
+        wanted = self._wanted(configuration)
+        robot = self.chain.robot
+        turns = [(-1, 0, 1) if high - low > TURN else (0,) for low, high in zip(robot.lower[1:], robot.upper[1:])]
+        nearest: dict[tuple, IkSolution] = {}
+        for turn in product(*turns):
+            for solution in self._best(pose, seed, wanted, np.array(turn, dtype=float), None):
+                family = (solution.configuration, turn)
+                if family not in nearest or solution.distance < nearest[family].distance:
+                    nearest[family] = solution
+        if nearest:
+            return sorted(nearest.values(), key=lambda solution: solution.distance)
+        return [self._last_word(pose, seed, configuration)]
+
+    def configuration(self, q: Sequence[float]) -> Configuration:
+        """See `InverseKinematics.configuration`: the arm's."""
+        return self._arm.configuration(q[1:])
+
+    def _checked(self, pose: Pose, seed: Sequence[float]) -> np.ndarray:
+        self.chain.robot.check_range(seed)
+        check_pose(pose)
+        return np.array(seed, dtype=float)
+
+    def _wanted(self, configuration: Configuration | None) -> np.ndarray:
+        return np.array([configuration is None or have.matches(configuration) for have in SLOTS])
+
+    def _best(
+        self, pose: Pose, seed: np.ndarray, wanted: np.ndarray, turn: np.ndarray, most: int | None
+    ) -> Iterator[IkSolution]:
+        """Yield the nearest solutions of so many neighbourhoods of places; None: of all there are."""
+        places = np.linspace(self._lower[0], self._upper[0], _PLACES)
+        _, squares, excess = self._at(pose, seed, places, wanted, turn)
+        cost = _cost(squares, excess)
+        padded = np.pad(cost, ((1, 1), (0, 0)), constant_values=np.inf)
+        valley = (cost <= padded[:-2]) & (cost <= padded[2:]) & (excess < _NEARLY)
+        rows, slots = np.nonzero(valley)
+        best = math.inf
+        for index in squares[rows, slots].argsort():
+            if most is not None and (most == 0 or math.sqrt(squares[rows[index], slots[index]]) > best + _PROMISING):
+                return
+            solution = self._zoomed(pose, seed, places, int(rows[index]), int(slots[index]), turn)
+            if solution is not None:
+                best = min(best, solution.distance)
+                yield solution
+                most = None if most is None else most - 1
+
+    def _zoomed(
+        self, pose: Pose, seed: np.ndarray, places: np.ndarray, row: int, slot: int, turn: np.ndarray
+    ) -> IkSolution | None:
+        """Return the nearest solution of one branch near one place, or None if forward kinematics says it is none."""
+        only = np.arange(len(SLOTS)) == slot
+        best, q = math.inf, None
+        place, apart = places[row], places[1] - places[0]
+        for _ in range(_ZOOMS):
+            near = place + apart * np.linspace(-1.0, 1.0, _ZOOM_PLACES)
+            near = np.clip(near, self._lower[0], self._upper[0])
+            branches, squares, excess = self._at(pose, seed, near, only, turn)
+            cost = _cost(squares[:, slot], excess[:, slot])
+            row = int(cost.argmin())
+            if cost[row] < best:
+                best, place, q = cost[row], near[row], np.concatenate([[near[row]], branches[row, slot]])
+            apart *= 2.0 / (_ZOOM_PLACES - 1)
+        if best >= _OUTSIDE:
+            return None
+        q = np.clip(q, self._lower, self._upper)
+        error_m, error_rad = residual(self.chain, q, pose)
+        if error_m > self.settings.tolerance_m or error_rad > self.settings.tolerance_rad:
+            return None
+        return IkSolution(q, error_m, error_rad, math.dist(q, seed), SLOTS[slot])
+
+    def _at(
+        self, pose: Pose, seed: np.ndarray, places: np.ndarray, wanted: np.ndarray, turn: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the arm's branches at places of the carriage, shape (m, 8, 6), and two figures of each, shape (m, 8).
+
+        Branches are turned as near to the seed as the ranges allow, and by `turn` further, shape (6,). The figures: squared
+        distance from the seed, and by how much the worst joint is out of range [rad], inf for what is not wanted or nowhere.
+        """
+        branches, _ = self._branches(pose, places)
+        lower, upper, near = self._lower[1:], self._upper[1:], seed[1:]
+        q = branches - TURN * np.rint((branches - near) / TURN)
+        q = np.where(
+            (q > upper) & (q - TURN >= lower), q - TURN, np.where((q < lower) & (q + TURN <= upper), q + TURN, q)
+        )
+        q = q + TURN * turn
+        squares = ((q - near) ** 2).sum(axis=2) + ((places - seed[0]) ** 2)[:, None]
+        excess = np.maximum(lower - q, q - upper).max(axis=2)
+        excess[~(wanted & np.isfinite(excess))] = np.inf
+        return q, squares, excess
+
+    def _branches(self, pose: Pose, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the arm's branches at places of the carriage, shape (m, 8, 6), and how far within reach it is, shape (m,)."""
+        carriage_T_tip = Pose(self._rotation.T @ (pose.position - self._origin), self._rotation.T @ pose.rotation)
+        flanges = np.repeat(self._arm.flange(carriage_T_tip)[None], len(places), axis=0)
+        travel = self._arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
+        flanges[:, :3, 3] -= places[:, None] * travel
+        branches, _, extension = self._arm.branches(flanges)
+        return branches, extension
+
+    def _last_word(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
+        """Return what a search finds, or raise the error that says why there is no solution."""
+        if configuration is not None:
+            # raises the reason if there is none in any configuration
+            others = {str(solution.configuration) for solution in self.all(pose, seed)}
+            raise BranchError(
+                str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges"
+            )
+        try:
+            found = self._search.nearest(pose, seed)
+            return replace(found, configuration=self.configuration(found.q))
+        except KinematicsError:
+            # closed form knows the reason better
+            self._explain(pose)
+            raise
+
+    def _explain(self, pose: Pose) -> None:
+        """Raise the error that says why there is no solution at any place."""
+        places = np.linspace(self._lower[0], self._upper[0], _PLACES)
+        branches, extension = self._branches(pose, places)
+        best = int(extension.argmax())
+        if extension[best] < 0.0:
+            at = self._origin + places[best] * self._axis
+            carriage_T_tip = Pose(self._rotation.T @ (pose.position - at), self._rotation.T @ pose.rotation)
+            raise UnreachableError(-float(extension[best]), self._arm.is_too_close(self._arm.flange(carriage_T_tip)))
+        rows = branches.reshape(-1, 6)
+        self._arm.blame_range(rows[np.isfinite(rows).all(axis=1)])
+
+
+def _cost(squares: np.ndarray, excess: np.ndarray) -> np.ndarray:
+    """Return what is to be least: first how far out of range, then the squared distance. Rounding at an end is in range."""
+    inside = excess <= _ROUNDING
+    return np.where(inside, squares, _OUTSIDE + np.where(np.isfinite(excess), excess, np.inf))

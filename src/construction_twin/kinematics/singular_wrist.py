@@ -1,0 +1,81 @@
+"""The singular wrist of an arm of the OPW kind: axes 4 and 6 in line, so that only the sum of their turns is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.opw import OpwModel
+from construction_twin.kinematics.solution import TURN
+
+
+class SingularWrist:
+    """Chooses joints 4 and 6 where axes 4 and 6 are in line.
+
+    Parameters
+    ----------
+    chain : Chain
+    model : OpwModel
+    """
+
+    def __init__(self, chain: Chain, model: OpwModel):
+        self._chain = chain
+        self._model = model
+        self._lower, self._upper = np.array(chain.robot.lower)[[3, 5]], np.array(chain.robot.upper)[[3, 5]]
+        self._tip_R_flange = model.flange_T_tip[:3, :3].T
+
+    def families(self, branch: np.ndarray, pose: Pose, seed: Sequence[float]) -> list[np.ndarray]:
+        """Return solutions with axes 4 and 6 in line, one for each choice of whole turns, the nearest to the seed first.
+
+        Parameters
+        ----------
+        branch : array, shape (6,)
+            Its joints 1 to 3 count [rad], and whether joint 5 is nearer to axes in line or to axes opposed.
+        pose : Pose
+            Target ``base_T_tip``.
+        seed : sequence of float, length 6
+            [rad]
+
+        Returns
+        -------
+        solutions : list of array, shape (6,)
+            Joints 4 and 6 within their ranges, whole turns included; the others as they are.
+        """
+        signs, offsets = self._model.signs, self._model.offsets
+        theta = np.asarray(signs) * branch - offsets
+        opposed = math.cos(theta[4]) < 0.0
+        q = branch.copy()
+        q[4] = signs[4] * ((math.copysign(math.pi, theta[4]) if opposed else 0.0) + offsets[4])
+        # turning both joints by these shares of the missing angle keeps the seed's middle
+        share = np.array([signs[3], -signs[5] if opposed else signs[5]], dtype=float)
+        missing = self._missing_turn(q, pose, seed, opposed)
+        start = np.array([seed[3], seed[5]])
+        lower, upper = self._lower - start, self._upper - start
+        turns = math.ceil(float((upper - lower).sum()) / TURN) + 1
+        found = []
+        for total in (missing + TURN * turn for turn in range(-turns, turns + 1)):
+            # joint 4 takes t, joint 6 the rest; both must stay in range
+            ends = np.sort(
+                [[lower[0] * share[0], upper[0] * share[0]], [total - lower[1] * share[1], total - upper[1] * share[1]]]
+            )
+            low, high = float(ends[:, 0].max()), float(ends[:, 1].min())
+            if low <= high:
+                t = min(max(0.5 * total, low), high)
+                solution = q.copy()
+                solution[[3, 5]] = start + share * (t, total - t)
+                found.append(solution)
+        return sorted(found, key=lambda solution: math.dist(solution, seed))
+
+    def _missing_turn(self, q: np.ndarray, pose: Pose, seed: Sequence[float], opposed: bool) -> float:
+        """Return by which angle the tip is turned about axis 6 from the target, with joints 4 and 6 at the seed [rad]."""
+        held = q.copy()
+        held[[3, 5]] = seed[3], seed[5]
+        reached = self._chain.forward(held).rotation @ self._tip_R_flange
+        target = pose.rotation @ self._tip_R_flange
+        turned = reached.T @ target
+        angle = math.atan2(turned[1, 0], turned[0, 0])
+        # counted about axis 4: opposed axes turn the other way
+        return -angle if opposed else angle

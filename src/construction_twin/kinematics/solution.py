@@ -1,0 +1,280 @@
+"""What every inverse kinematics takes and gives: settings, named configurations, solutions, and the common interface."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.motion_errors import BranchError, KinematicsError
+
+#: One turn [rad].
+TURN = 2.0 * math.pi
+#: How far a target's rotation matrix may be from orthonormal; more would not pass as a residual anyway.
+_ORTHONORMAL = 5e-7
+_WORDS = {
+    "front": "shoulder",
+    "back": "shoulder",
+    "up": "elbow",
+    "down": "elbow",
+    "positive": "wrist",
+    "negative": "wrist",
+}
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """One of the up to eight ways in which an arm with a spherical wrist reaches a pose.
+
+    None leaves a choice open.
+
+    Attributes
+    ----------
+    shoulder : str or None
+        ``front``: the wrist centre lies on the side of axis 1 on which axis 2 is (on which the upper arm's plane begins,
+        where both axes meet); ``back``: the arm reaches over its own shoulder to the other side.
+    elbow : str or None
+        ``up`` or ``down``: on which side of the line from axis 2 to the wrist centre the elbow lies, seen with the wrist
+        centre before us as `shoulder` says: above the line, or below it.
+    wrist : str or None
+        ``positive`` or ``negative``: sign of joint 5, counted in its own sense from where axes 4 and 6 are in line.
+    """
+
+    shoulder: str | None = None
+    elbow: str | None = None
+    wrist: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Configuration:
+        """Read a configuration from words such as ``front up positive``, in any order; what is not named stays open.
+
+        Raises
+        ------
+        BranchError
+            For an unknown word, or two words for the same choice.
+        """
+        chosen = {}
+        for word in text.split():
+            if word not in _WORDS:
+                raise BranchError(text, tuple(_WORDS), f"has the unknown word {word!r}")
+            if _WORDS[word] in chosen:
+                raise BranchError(text, tuple(_WORDS), f"chooses the {_WORDS[word]} twice")
+            chosen[_WORDS[word]] = word
+        return cls(**chosen)
+
+    def matches(self, asked: Configuration) -> bool:
+        """Return whether this one is among those that `asked` leaves open."""
+        mine = (self.shoulder, self.elbow, self.wrist)
+        return all(want in (None, have) for want, have in zip((asked.shoulder, asked.elbow, asked.wrist), mine))
+
+    def __str__(self) -> str:
+        return " ".join(word for word in (self.shoulder, self.elbow, self.wrist) if word) or "any"
+
+
+@dataclass(frozen=True)
+class IkSettings:
+    """How inverse kinematics searches. All but the tolerances concern arms without a closed form.
+
+    Attributes
+    ----------
+    seeds : int
+        Most starting points tried: the given seed, home, then random ones.
+    iterations : int
+        Most steps of the solver from one starting point.
+    tolerance_m, tolerance_rad : float
+        What a solution's own forward kinematics may miss the target by.
+    budget_s : float
+        Time for one target [s]. The first starting point is always tried.
+    patience : int
+        `nearest` ends its search after this many solved starting points that brought nothing nearer.
+    """
+
+    seeds: int = 400
+    iterations: int = 100
+    tolerance_m: float = 1e-6
+    tolerance_rad: float = 1e-6
+    budget_s: float = 0.04
+    patience: int = 20
+
+
+@dataclass(frozen=True, eq=False)
+class IkSolution:
+    """Joint values within the ranges, confirmed by KDL's forward kinematics.
+
+    Attributes
+    ----------
+    q : array, shape (n,)
+        [rad], or [m] for a linear joint.
+    residual_m, residual_rad : float
+        Distance of their forward kinematics from the target.
+    distance : float
+        Euclidean distance from the seed, over all joints [rad and m alike].
+    configuration : Configuration or None
+        None: the arm has no named configurations.
+    """
+
+    q: np.ndarray
+    residual_m: float
+    residual_rad: float
+    distance: float
+    configuration: Configuration | None
+
+
+class InverseKinematics(abc.ABC):
+    """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm.
+
+    Attributes
+    ----------
+    chain : Chain
+    settings : IkSettings
+    """
+
+    def __init__(self, chain: Chain, settings: IkSettings):
+        self.chain = chain
+        self.settings = settings
+
+    @abc.abstractmethod
+    def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
+        """Return the solution nearest to a seed.
+
+        Parameters
+        ----------
+        pose : Pose
+            Target ``base_T_tip``.
+        seed : sequence of float, length n
+            Joint values within the ranges [rad] or [m]: normally where the arm is.
+        configuration : Configuration, optional
+            Only solutions that match it.
+
+        Returns
+        -------
+        solution : IkSolution
+            By Euclidean joint distance, whole turns included.
+
+        Raises
+        ------
+        UnreachableError
+            If the pose is too far or too close, and by how much.
+        PositionRangeError, OrientationError
+            If it can be reached only with a joint out of range, which one, and its range.
+        BranchError
+            If no solution has the configuration asked for, or the arm knows no configurations.
+        NoSolutionError
+            If nothing was found within the budget, for no reason that could be proven.
+        JointRangeError
+            If the seed is out of range.
+        KinematicsError
+            If the pose is not finite, or its rotation is none.
+        """
+
+    @abc.abstractmethod
+    def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
+        """Return every solution within the ranges, whole turns of each joint included.
+
+        Where a pose leaves joints free (a singular one, or an arm of more than six joints), each family of solutions is
+        there once for every choice of whole turns, with the member nearest to the seed.
+
+        Parameters
+        ----------
+        pose, seed, configuration
+            As in `nearest`.
+
+        Returns
+        -------
+        solutions : list of IkSolution
+            At least one, ordered by Euclidean joint distance from the seed.
+
+        Raises
+        ------
+        KinematicsError
+            As `nearest`.
+        """
+
+    @abc.abstractmethod
+    def configuration(self, q: Sequence[float]) -> Configuration | None:
+        """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
+
+
+def check_pose(pose: Pose) -> None:
+    """Check that a target is a position and a rotation.
+
+    Raises
+    ------
+    KinematicsError
+        If numbers are not finite or the rotation is not orthonormal and right-handed.
+    """
+    position, rotation = np.asarray(pose.position), np.asarray(pose.rotation)
+    if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
+        raise KinematicsError(
+            f"pose is position {position.tolist()}, rotation {rotation.tolist()}; expected finite numbers"
+        )
+    error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
+        raise KinematicsError(
+            f"the pose's rotation {rotation.tolist()} is {error:.3g} off a rotation; expected orthonormal, right-handed axes"
+        )
+
+
+def residual(chain: Chain, q: Sequence[float], pose: Pose) -> tuple[float, float]:
+    """Return how far KDL's forward kinematics of joint values is from a pose: [m], [rad]."""
+    f = chain.frame(q)
+    x, y, z = pose.position.tolist()
+    (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = pose.rotation.tolist()
+    # The chord between two rotations: exact also where the angle is tiny. Plain floats, because arrays of this size would
+    # take twice as long, and every solution passes through here.
+    chord = math.sqrt(
+        (f[0, 0] - xx) ** 2 + (f[0, 1] - yx) ** 2 + (f[0, 2] - zx) ** 2
+        + (f[1, 0] - xy) ** 2 + (f[1, 1] - yy) ** 2 + (f[1, 2] - zy) ** 2
+        + (f[2, 0] - xz) ** 2 + (f[2, 1] - yz) ** 2 + (f[2, 2] - zz) ** 2
+    )  # fmt: skip
+    error_m = math.hypot(f[0, 3] - x, f[1, 3] - y, f[2, 3] - z)
+    return error_m, 2.0 * math.asin(min(1.0, chord / math.sqrt(8.0)))
+
+
+def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8) -> np.ndarray:
+    """Improve joint values that almost reach a pose, by Newton steps that stay within the ranges.
+
+    Parameters
+    ----------
+    chain : Chain
+    q : array, shape (n,)
+        [rad] or [m]
+    pose : Pose
+    steps : int
+
+    Returns
+    -------
+    q : array, shape (n,)
+        Within the ranges; whether it reaches the pose is for the caller to check.
+    """
+    lower, upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
+    q = np.clip(q, lower, upper)
+    for _ in range(steps):
+        error = pose_error(chain.forward(q), pose)
+        if np.abs(error).max() < 1e-12:
+            break
+        # the smallest step of those that help: close to a singularity directions that hardly count are left alone
+        step = np.linalg.lstsq(chain.jacobian(q), error, rcond=1e-9)[0]
+        q = np.clip(q + step, lower, upper)
+    return q
+
+
+def pose_error(reached: Pose, target: Pose) -> np.ndarray:
+    """Return the twist from one pose to another near it.
+
+    Parameters
+    ----------
+    reached, target : Pose
+
+    Returns
+    -------
+    error : array, shape (6,)
+        Translation [m], then rotation vector [rad] (exact to second order in the angle), in the base's directions.
+    """
+    r, t = reached.rotation, target.rotation
+    turn = np.cross(r[:, 0], t[:, 0]) + np.cross(r[:, 1], t[:, 1]) + np.cross(r[:, 2], t[:, 2])
+    return np.concatenate([target.position - reached.position, 0.5 * turn])

@@ -1,0 +1,171 @@
+"""Smooth curves through or along the points of a joint path.
+
+Joint vectors are in the order of `RobotModel.joint_names`, SI. A curve's parameter runs from 0 to its `length`; for the
+curves built here it is the time [s] that the slowest joint would need at full speed, so that even progress along a curve
+is about even in time. Knows neither dynamics (`progress` does) nor obstacles.
+
+Three ways to meet a path:
+
+- `interpolated` passes through every point (cubic spline). It swings past its points, so it can leave the joint range
+  when some of them lie close to its edge.
+- `monotone` passes through every point too, and between two of them each joint only rises or only falls: never out of
+  range where the points are in it. It bends more sharply at the points, so it is slower.
+- `rounded` runs on the straight lines between the points and cuts the corners: a cubic B-spline whose control points all
+  lie on the polyline. A B-spline lies in the convex hull of its control points, so it is in range wherever the points
+  are, and it differs from the lines only near a corner, by a bounded amount.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import BSpline, CubicSpline, PPoly
+
+#: A knot closer than this to the one before is the same knot, as a share of the curve's length.
+SAME_KNOT = 1e-9
+
+
+class JointCurve:
+    """A piecewise polynomial joint curve with continuous second derivatives.
+
+    Parameters
+    ----------
+    pieces : PPoly
+        From parameter 0, values of shape (n,).
+
+    Attributes
+    ----------
+    length : float
+        Last parameter value.
+    knots : array, shape (k,)
+        Where the pieces meet, with both ends.
+    joints : int
+    straight : bool
+        The curve is one straight line at constant speed.
+    """
+
+    def __init__(self, pieces: PPoly):
+        self._derivatives = (pieces, pieces.derivative(1), pieces.derivative(2))
+        self.knots = pieces.x
+        self.length = float(pieces.x[-1])
+        self.joints = pieces.c.shape[2]
+        self.straight = pieces.c.shape[:2] == (2, 1)
+
+    def __call__(self, s: np.ndarray, order: int = 0) -> np.ndarray:
+        """Evaluate the curve or one of its derivatives.
+
+        Parameters
+        ----------
+        s : array, shape (m,)
+            Within [0, `length`].
+        order : int
+            0 to 2.
+
+        Returns
+        -------
+        values : array, shape (m, n)
+        """
+        return self._derivatives[order](s)
+
+
+def straight(start: np.ndarray, goal: np.ndarray, pace: np.ndarray) -> JointCurve:
+    """Return the straight line between two joint vectors.
+
+    Parameters
+    ----------
+    start, goal : array, shape (n,)
+        Not the same.
+    pace : array, shape (n,)
+        Full speed of each joint, which sets the parameter.
+    """
+    length = float(_spans(np.array([start, goal]), pace)[0])
+    return JointCurve(PPoly(np.array([[(goal - start) / length], [start]]), [0.0, length]))
+
+
+def interpolated(points: np.ndarray, pace: np.ndarray) -> JointCurve:
+    """Return the cubic spline through all points.
+
+    Parameters
+    ----------
+    points : array, shape (m, n)
+        m >= 2, no two in a row the same.
+    pace : array, shape (n,)
+        Full speed of each joint, which sets the parameter.
+    """
+    if len(points) == 2:
+        return straight(points[0], points[1], pace)
+    knots = np.concatenate(([0.0], np.cumsum(_spans(points, pace))))
+    return JointCurve(CubicSpline(knots, points))
+
+
+def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
+    """Return a curve through all points along which no joint swings past them.
+
+    Quintics that meet at the points with one slope and no second derivative. A slope is the mean of those of the two
+    lines that meet there, but 0 where the joint turns round, and at most 1.25 times the smaller one: with the control
+    points of a quintic at fifths, that is what keeps it between its ends.
+
+    Parameters
+    ----------
+    points : array, shape (m, n)
+        m >= 2, no two in a row the same.
+    pace : array, shape (n,)
+        Full speed of each joint, which sets the parameter.
+    """
+    if len(points) == 2:
+        return straight(points[0], points[1], pace)
+    h = _spans(points, pace)[:, None]
+    knots = np.concatenate(([0.0], np.cumsum(h)))
+    lines = np.diff(points, axis=0) / h
+    before, after = lines[:-1], lines[1:]
+    smaller = np.minimum(np.abs(before), np.abs(after))
+    inner = np.where(
+        before * after > 0.0, np.sign(before) * np.minimum(0.5 * np.abs(before + after), 1.25 * smaller), 0.0
+    )
+    slopes = np.concatenate((lines[:1], inner, lines[-1:]))
+    v0, v1, step = slopes[:-1], slopes[1:], lines * h
+    c3 = (10.0 * step - (6.0 * v0 + 4.0 * v1) * h) / h**3
+    c4 = (-15.0 * step + (8.0 * v0 + 7.0 * v1) * h) / h**4
+    c5 = (6.0 * step - 3.0 * (v0 + v1) * h) / h**5
+    return JointCurve(PPoly(np.stack((c5, c4, c3, np.zeros_like(v0), v0, points[:-1])), knots))
+
+
+def rounded(points: np.ndarray, pace: np.ndarray, corner_share: float) -> JointCurve:
+    """Return a curve on the straight lines between the points, with rounded corners.
+
+    The corner at a point is cut within a distance of `corner_share` times half the shorter of its two segments, measured
+    along the polyline; beyond that the curve is on the lines. At the corner it misses the point by a sixth of that
+    distance, times the length of the difference of the two directions (0.24 of it at a right angle, a third where the
+    path turns back).
+
+    Parameters
+    ----------
+    points : array, shape (m, n)
+        m >= 2, no two in a row the same.
+    pace : array, shape (n,)
+        Full speed of each joint, which sets the parameter.
+    corner_share : float
+        In (0, 1]: smaller keeps closer to the points and is slower.
+    """
+    if len(points) == 2:
+        return straight(points[0], points[1], pace)
+    spans = _spans(points, pace)
+    corners = np.concatenate(([0.0], np.cumsum(spans)))
+    reach = 0.5 * corner_share * np.minimum(spans[:-1], spans[1:])
+    inner = np.sort(np.concatenate((corners[1:-1] - reach, corners[1:-1], corners[1:-1] + reach)))
+    length = corners[-1]
+    # where two corners share their whole segment, their knots meet
+    inner = inner[np.concatenate(([True], np.diff(inner) > SAME_KNOT * length))]
+    inner = inner[(inner > SAME_KNOT * length) & (inner < (1.0 - SAME_KNOT) * length)]
+    knots = np.concatenate((np.zeros(4), inner, np.full(4, length)))
+    # a B-spline with its control points on a line at the means of three knots runs along that line at constant speed
+    means = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
+    control = np.column_stack([np.interp(means, corners, column) for column in points.T])
+    control[0], control[-1] = points[0], points[-1]
+    spline = BSpline(knots, control, 3)
+    at = knots[3:-4]
+    coefficients = [spline(at, 3) / 6.0, spline(at, 2) / 2.0, spline(at, 1), spline(at)]
+    return JointCurve(PPoly(np.stack(coefficients), knots[3:-3]))
+
+
+def _spans(points: np.ndarray, pace: np.ndarray) -> np.ndarray:
+    return np.max(np.abs(np.diff(points, axis=0)) / pace, axis=1)

@@ -1,0 +1,132 @@
+"""How much of the robot's limits a trajectory uses, at every 4 ms sample.
+
+Joint vectors are in the order of `RobotModel.joint_names`, SI. Velocity and acceleration are taken twice, from the
+quintics and from differences of the sampled positions (which is what gate and gateway check), and the larger counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.motion_errors import JointRangeError
+from construction_twin.plan import LimitShares
+from construction_twin.robot import RobotModel
+from construction_twin.trajectory import Trajectory
+from construction_twin.units import CYCLE
+
+#: Points closer than this are one, and ranges are met to this [rad] or [m], per joint.
+SAME_POINT = 1e-9
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """Largest share of each limit that a trajectory uses, over all joints and 4 ms samples; 1 is exactly at the
+    limit."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+
+
+def limit_use(trajectory: Trajectory, robot: RobotModel) -> LimitUse:
+    """Measure a trajectory at every controller cycle against the robot's limits, as `limit_shares` does.
+
+    Returns
+    -------
+    use : LimitUse
+        The largest of all joints.
+    """
+    shares = limit_shares(trajectory, robot)
+    return LimitUse(max(shares.velocity), max(shares.acceleration), max(shares.jerk))
+
+
+def limit_shares(trajectory: Trajectory, robot: RobotModel) -> LimitShares:
+    """Measure a trajectory at every controller cycle against the robot's limits.
+
+    Velocity and acceleration are taken twice, from the quintics and from differences of the sampled positions (which is
+    what gate and gateway check), and the larger counts.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    robot : RobotModel
+
+    Returns
+    -------
+    shares : LimitShares
+
+    Raises
+    ------
+    JointRangeError
+        If a sample is out of range by more than rounding.
+    """
+    velocity, acceleration, jerk = (np.max(rows, axis=0).tolist() for rows in shares_over_time(trajectory, robot))
+    return LimitShares(tuple(velocity), tuple(acceleration), tuple(jerk))
+
+
+def cycle_times(trajectory: Trajectory) -> np.ndarray:
+    """Return the times of a trajectory's 4 ms samples [s], from 0 until it rests.
+
+    The two after its end belong to it: differences over them see the last step.
+    """
+    return np.arange(0.0, trajectory.duration + 2.0 * CYCLE, CYCLE)
+
+
+def shares_over_time(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each joint's share of velocity, acceleration and jerk limit at every 4 ms sample.
+
+    Returns
+    -------
+    velocity, acceleration, jerk : array, shape (m, n)
+        At `cycle_times`.
+
+    Raises
+    ------
+    JointRangeError
+        If a sample is out of range by more than rounding.
+    """
+    samples = trajectory.sample_many(cycle_times(trajectory))
+    check_range(samples[0], robot)
+    return _shares(*samples, robot)
+
+
+def measured_shares(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the same as `shares_over_time`, also for a trajectory out of range."""
+    return _shares(*trajectory.sample_many(cycle_times(trajectory)), robot)
+
+
+def range_excess(trajectory: Trajectory, robot: RobotModel) -> np.ndarray:
+    """Return by how much each 4 ms sample is out of range [rad] or [m], shape (m, n); 0 within `SAME_POINT` of it."""
+    q = trajectory.sample_many(cycle_times(trajectory))[0]
+    excess = np.maximum(np.array(robot.lower) - q, q - np.array(robot.upper))
+    return np.where(excess > SAME_POINT, excess, 0.0)
+
+
+def _shares(q, qd, qdd, qddd, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    velocity, acceleration, jerk = np.abs(qd), np.abs(qdd), np.abs(qddd)
+    step = q[1:] - q[:-1]
+    bend = step[1:] - step[:-1]
+    np.maximum(velocity[1:], np.abs(step) / CYCLE, out=velocity[1:])
+    np.maximum(acceleration[1:-1], np.abs(bend) / CYCLE**2, out=acceleration[1:-1])
+    return velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk
+
+
+def check_range(q: np.ndarray, robot: RobotModel) -> None:
+    """Check that joint vectors are in range, to `SAME_POINT`.
+
+    Parameters
+    ----------
+    q : array, shape (m, n)
+    robot : RobotModel
+
+    Raises
+    ------
+    JointRangeError
+        For the first that is not.
+    """
+    outside = np.argwhere((q < np.array(robot.lower) - SAME_POINT) | (q > np.array(robot.upper) + SAME_POINT))
+    if len(outside):
+        row, joint = outside[0]
+        raise JointRangeError(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])

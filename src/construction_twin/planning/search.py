@@ -1,0 +1,178 @@
+"""A path around obstacles: OMPL's planners on joint vectors, with edges checked as a whole.
+
+Joint vectors are in the order of `RobotModel.joint_names`, SI. A path is a polyline; timing and rounding its corners is
+not done here.
+
+What OMPL keeps per process, not per planner: its log, which `find_path` switches off, and the generator of its seeds.
+`find_path` seeds that generator before every search, and everything that draws random numbers is made anew after that:
+the same search with the same seed gives the same path, in one process as in two. This holds for planners that end with
+the first path found; how often one improves its path until its time is over depends on the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from construction_twin.errors import ConfigurationError
+from construction_twin.motion_errors import NoPathError
+from construction_twin.planning.edges import EdgeCheck
+
+#: Distance of the points between which a path is pulled tight [rad]: shorter costs more checks and gains little.
+ROPE_STEP = 1.0
+#: Points closer than this are one [rad] or [m], per joint.
+SAME_POINT = 1e-9
+
+
+def planner_kinds() -> dict[str, type]:
+    """Return OMPL's geometric planners by name."""
+    members = ((name, getattr(og, name)) for name in dir(og))
+    return {name: kind for name, kind in members if isinstance(kind, type) and issubclass(kind, ob.Planner)}
+
+
+def planner_kind(name: str) -> type:
+    """Return an OMPL planner by its name.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is none of that name; lists what there is.
+    """
+    kinds = planner_kinds()
+    if name not in kinds:
+        raise ConfigurationError("the planner", name, f"one of OMPL's {', '.join(kinds)}")
+    return kinds[name]
+
+
+class _EdgeValidator(ob.MotionValidator):
+    """`EdgeCheck` for OMPL: one call of Python for a whole edge."""
+
+    def __init__(self, information: ob.SpaceInformation, edges: EdgeCheck, joints: range):
+        super().__init__(information)
+        self._edges = edges
+        self._joints = joints
+
+    def checkMotion(self, first, second, *last_valid) -> bool:  # noqa: N802 (OMPL's name)
+        # the last valid state is not filled in: planners that ask for it then drop the edge as a whole
+        return self._edges.free(_values(first, self._joints), _values(second, self._joints))
+
+
+def find_path(
+    start: np.ndarray,
+    goals: Sequence[np.ndarray],
+    edges: EdgeCheck,
+    bounds: tuple[np.ndarray, np.ndarray],
+    planner: str,
+    budget: float,
+    seed: int,
+) -> np.ndarray:
+    """Find a path from a start to one of several goals, and shorten it.
+
+    Parameters
+    ----------
+    start : array, shape (n,)
+        Free, within `bounds`.
+    goals : sequence of array, shape (n,)
+        At least one; each free and within `bounds`. Planners of the PRM family are given the first only: they add
+        goals from a thread of their own, which a check in Python would block for ever.
+    edges : EdgeCheck
+    bounds : tuple of array, shape (n,)
+        Lowest and highest joint values searched.
+    planner : str
+        As in `planner_kind`.
+    budget : float
+        Time for the search [s], on OMPL's own clock. Shortening comes on top.
+    seed : int
+        1 to 2**32 - 1.
+
+    Returns
+    -------
+    path : array, shape (m, n)
+        From `start` to a goal, both to the last bit.
+
+    Raises
+    ------
+    NoPathError
+        If none was found within the budget.
+    ConfigurationError
+        If there is no such planner.
+    """
+    kind = planner_kind(planner)
+    # outcomes are results or errors, nothing is said on the terminal: also not the warning that seeds came too late, which
+    # is right for what exists already, and here that is nothing
+    ou.noOutputHandler()
+    ou.RNG.setSeed(seed)
+    information = _space_information(edges, bounds)
+    if issubclass(kind, og.PRM):
+        goals = goals[:1]
+    problem = _problem(information, start, goals)
+    search = kind(information)
+    search.setProblemDefinition(problem)
+    search.setup()
+    search.solve(ob.timedPlannerTerminationCondition(budget))
+    if not problem.hasExactSolution():
+        raise NoPathError(planner, budget)
+    path = problem.getSolutionPath()
+    _shorten(path, information)
+    joints = range(len(start))
+    points = _without_repeats(np.array([_values(state, joints) for state in path.getStates()]))
+    # OMPL's shortcuts may miss the best of all
+    return points[[0, -1]] if len(points) > 2 and edges.free(points[0], points[-1]) else points
+
+
+def _without_repeats(points: np.ndarray) -> np.ndarray:
+    apart = np.max(np.abs(np.diff(points, axis=0)), axis=1) > SAME_POINT
+    kept = points[np.concatenate(([True], apart))]
+    kept[-1] = points[-1]
+    return kept
+
+
+def _space_information(edges: EdgeCheck, bounds: tuple[np.ndarray, np.ndarray]) -> ob.SpaceInformation:
+    joints = range(len(bounds[0]))
+    limits = ob.RealVectorBounds(len(joints))
+    for joint in joints:
+        limits.setLow(joint, float(bounds[0][joint]))
+        limits.setHigh(joint, float(bounds[1][joint]))
+    space = ob.RealVectorStateSpace(len(joints))
+    space.setBounds(limits)
+    information = ob.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: bool(edges.world.is_free(_values(state, joints))))
+    information.setMotionValidator(_EdgeValidator(information, edges, joints))
+    information.setup()
+    return information
+
+
+def _problem(information: ob.SpaceInformation, start: np.ndarray, goals: Sequence[np.ndarray]) -> ob.ProblemDefinition:
+    problem = ob.ProblemDefinition(information)
+    problem.addStartState(_state(information, start))
+    targets = ob.GoalStates(information)
+    for goal in goals:
+        targets.addState(_state(information, goal))
+    problem.setGoal(targets)
+    return problem
+
+
+def _shorten(path: og.PathGeometric, information: ob.SpaceInformation) -> None:
+    """Shorten a path in place: by removing points, and by pulling it tight like a rope.
+
+    It ends when there is nothing to gain, not when a time is over: it is the same on every machine.
+    """
+    simplifier = og.PathSimplifier(information)
+    simplifier.reduceVertices(path)
+    simplifier.ropeShortcutPath(path, ROPE_STEP)
+    simplifier.reduceVertices(path)
+
+
+def _state(information: ob.SpaceInformation, q: np.ndarray) -> ob.State:
+    state = information.allocState()
+    for joint, value in enumerate(q.tolist()):
+        state[joint] = value
+    return state
+
+
+def _values(state: ob.State, joints: range) -> np.ndarray:
+    return np.array([state[joint] for joint in joints])

@@ -1,0 +1,228 @@
+"""The path that a tool is told to follow: straight lines and circular arcs through waypoints, corners stopped at or blended.
+
+Poses are ``base_T_tip``; lengths in metres along the path. Along a segment the orientation turns evenly about one axis
+(slerp). In a blend, position and orientation leave the incoming segment and join the outgoing one with continuous first
+and second derivatives over the path's length. Knows no arm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import PlanningError
+from construction_twin.planning.sections import ArcLine, Blend, Section, StraightLine, Turn
+
+#: What a turn on the spot counts as along the path [m/rad].
+TURN_LENGTH = 0.1
+#: Closer than this is the same place [m], the same orientation [rad].
+SAME_PLACE = 1e-7
+#: Directions that differ by less go on smoothly: the tool need not stop.
+SMOOTH = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ToolWaypoint:
+    """Where one segment of a tool path ends.
+
+    Attributes
+    ----------
+    pose : Pose
+        Of the tip in the robot's base.
+    via : array, shape (3,), or None
+        Any other point of the circular arc that leads here [m]; None: a straight line.
+    blend : float
+        Radius of the rounded corner [m]: how far before and after the waypoint, along the path, the tool leaves the
+        segments. 0: the tool stops here, unless the path goes on in the same direction. The last one always stops.
+    """
+
+    pose: Pose
+    via: np.ndarray | None = None
+    blend: float = 0.0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What the tool does from one stop to the next.
+
+    Attributes
+    ----------
+    begin, end : float
+        Along the path [m].
+    turn : bool
+        It only turns on the spot: the tool's speed says nothing about it.
+    knots : tuple of float
+        Where the sections meet, `begin` and `end` included.
+    cells : tuple of int
+        How many samples describe each section well, to begin with.
+    """
+
+    begin: float
+    end: float
+    turn: bool
+    knots: tuple[float, ...]
+    cells: tuple[int, ...]
+
+
+class ToolPath:
+    """A checked tool path.
+
+    Parameters
+    ----------
+    start : Pose
+        Where the tool is.
+    waypoints : sequence of ToolWaypoint
+        At least one that is elsewhere.
+
+    Attributes
+    ----------
+    length : float
+        [m], turns on the spot counted by `TURN_LENGTH`.
+    pieces : tuple of Piece
+
+    Raises
+    ------
+    PlanningError
+        Naming the waypoint: no path at all, an arc without a circle, a blend that does not fit.
+    """
+
+    def __init__(self, start: Pose, waypoints: Sequence[ToolWaypoint]):
+        legs = _legs(start, waypoints)
+        if not legs:
+            raise PlanningError("the tool is already there: no waypoint differs from the start; nothing to plan")
+        self._sections, stops, self._marks = _sections(legs, waypoints)
+        self._ends = np.cumsum([section.length for section in self._sections])
+        self._begins = np.concatenate(([0.0], self._ends[:-1]))
+        self.length = float(self._ends[-1])
+        self._waypoint_ends = [self._ends[index] for _, index in self._marks]
+        bounds = [0, *(index + 1 for index in stops)]
+        self.pieces = tuple(self._piece(first, last) for first, last in pairwise(bounds))
+
+    def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the commanded poses along the path.
+
+        Parameters
+        ----------
+        s : array, shape (m,)
+            [m], from 0 to `length`.
+
+        Returns
+        -------
+        positions : array, shape (m, 3)
+        rotations : array, shape (m, 3, 3)
+        """
+        s = np.asarray(s, dtype=float)
+        positions, rotations = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
+        numbers = np.minimum(np.searchsorted(self._ends, s), len(self._sections) - 1)
+        for number in np.unique(numbers):
+            rows = numbers == number
+            at = np.clip(s[rows] - self._begins[number], 0.0, self._sections[number].length)
+            positions[rows], turns = self._sections[number].at(at)
+            rotations[rows] = turns.as_matrix()
+        return positions, rotations
+
+    def pose(self, s: float) -> Pose:
+        """Return the commanded pose at one place [m]."""
+        positions, rotations = self.poses(np.array([s]))
+        return Pose(positions[0], rotations[0])
+
+    def waypoint_at(self, s: float) -> int:
+        """Return the number of the waypoint, from 0, that the tool is going to at `s` [m]."""
+        return self._marks[self._next(s)][0]
+
+    def waypoint_end(self, s: float) -> float:
+        """Return where the waypoint that the tool is going to at `s` is along the path [m]; its blend is behind it."""
+        return float(self._waypoint_ends[self._next(s)])
+
+    def _next(self, s: float) -> int:
+        return min(int(np.searchsorted(self._waypoint_ends, s)), len(self._marks) - 1)
+
+    def _piece(self, first: int, last: int) -> Piece:
+        sections = self._sections[first:last]
+        knots = (float(self._begins[first]), *(float(end) for end in self._ends[first:last]))
+        cells = tuple(section.cells for section in sections)
+        return Piece(knots[0], knots[-1], isinstance(sections[0], Turn), knots, cells)
+
+
+def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[tuple[int, Section]]:
+    """Return the whole segments with the numbers of the waypoints they lead to; waypoints that are no way are left out."""
+    legs = []
+    at = start
+    for number, waypoint in enumerate(waypoints):
+        if not (0.0 <= waypoint.blend < math.inf):
+            raise PlanningError(f"waypoint {number}: the blend is {waypoint.blend} m; expected 0 or a positive number")
+        leg = _leg(number, at, waypoint)
+        if leg is not None:
+            legs.append((number, leg))
+            at = waypoint.pose
+    return legs
+
+
+def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Section | None:
+    goal = waypoint.pose
+    for values in (goal.position, goal.rotation, () if waypoint.via is None else waypoint.via):
+        if not np.all(np.isfinite(values)):
+            raise PlanningError(f"waypoint {number}: {np.asarray(values).tolist()} are not finite numbers")
+    first = Rotation.from_matrix(start.rotation)
+    turn = (Rotation.from_matrix(goal.rotation) * first.inv()).as_rotvec()
+    if waypoint.via is not None:
+        arc = ArcLine.through(start.position, waypoint.via, goal.position, first, turn)
+        if arc is None:
+            raise PlanningError(
+                f"waypoint {number}: the start, via point and end of its arc are on one line or the same; expected three "
+                "points of a circle, for a full circle use two arcs"
+            )
+        return arc
+    if np.linalg.norm(goal.position - start.position) > SAME_PLACE:
+        return StraightLine.between(start.position, goal.position, first, turn)
+    angle = float(np.linalg.norm(turn))
+    return Turn(np.array(goal.position), first, turn, TURN_LENGTH * angle) if angle > SAME_PLACE else None
+
+
+def _sections(
+    legs: list[tuple[int, Section]], waypoints: Sequence[ToolWaypoint]
+) -> tuple[list[Section], list[int], list[tuple[int, int]]]:
+    """Return the sections, the numbers of those after which the tool stops, and per waypoint the section that ends
+    there (the blend, where there is one)."""
+    cuts = [0.0] * (len(legs) + 1)
+    for index in range(len(legs) - 1):
+        number, leg = legs[index]
+        cuts[index + 1] = waypoints[number].blend
+        if cuts[index + 1] and (isinstance(leg, Turn) or isinstance(legs[index + 1][1], Turn)):
+            raise PlanningError(f"waypoint {number}: a turn on the spot has no corner to blend; expected blend 0")
+    for index, (number, leg) in enumerate(legs):
+        if cuts[index] + cuts[index + 1] > leg.length * (1.0 + 1e-9):
+            raise PlanningError(
+                f"the segment to waypoint {number} is {leg.length:.4f} m long; the blends at its ends need "
+                f"{cuts[index] + cuts[index + 1]:.4f} m, choose smaller ones"
+            )
+    sections, stops, marks = [], [], []
+    for index, (number, leg) in enumerate(legs):
+        trimmed = leg.part(cuts[index], leg.length - cuts[index + 1])
+        if trimmed is not None:
+            sections.append(trimmed)
+        last = index == len(legs) - 1
+        if cuts[index + 1]:
+            blend = Blend.between(leg, legs[index + 1][1], cuts[index + 1])
+            if blend is None:
+                raise PlanningError(
+                    f"waypoint {number}: the path turns back there and cannot be blended; expected blend 0"
+                )
+            sections.append(blend)
+        marks.append((number, len(sections) - 1))
+        if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1][1])):
+            stops.append(len(sections) - 1)
+    return sections, stops, marks
+
+
+def _goes_on(leg: Section, following: Section) -> bool:
+    if isinstance(leg, Turn) or isinstance(following, Turn):
+        return False
+    before, after = leg.direction(leg.length), following.direction(0.0)
+    return all(float(np.max(np.abs(a - b))) < SMOOTH for a, b in zip(before, after))

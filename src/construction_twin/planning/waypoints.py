@@ -1,0 +1,328 @@
+"""Joint waypoints that were made elsewhere: checked, never clamped, and made a trajectory.
+
+Joint vectors are in the order of `RobotModel.joint_names`, SI; the file's own units stay in `waypoint_file` and in the
+messages. Without times the waypoints are timed by `timing.time_path`, through all of them. With times the timing is kept
+as it is, and refused where it breaks a limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from construction_twin.motion_errors import TrajectoryError, WaypointsError
+from construction_twin.planning.limit_shares import cycle_times, measured_shares, range_excess
+from construction_twin.planning.timing import time_path
+from construction_twin.robot import RobotModel
+from construction_twin.trajectory import Trajectory
+
+#: How far the first waypoint may be from where the arm is; it is then taken to be there.
+START_TOLERANCE_RAD = math.radians(0.05)
+START_TOLERANCE_M = 5e-4
+#: What counts as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
+AT_REST = 1e-6
+#: Rounding allowed on a share of a limit.
+ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Unit:
+    """How a joint's values are written in messages to whom they came from: ``value * factor`` is SI."""
+
+    name: str
+    factor: float
+
+    def text(self, value: float, per: str = "") -> str:
+        """Return an SI value in this unit."""
+        return f"{value / self.factor:.6g} {self.name}{per}"
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Waypoints in the robot's joint order, not yet checked against its limits.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        What each is called in messages: a line of the file, or the number of the point.
+    row_name : str
+        ``line`` or ``point``.
+    units : tuple of Unit, length n
+    positions : array, shape (m, n)
+        [rad] or [m]
+    times : array, shape (m,), or None
+        [s]
+    velocities, accelerations : array, shape (m, n), or None
+        Only with `times`.
+    """
+
+    rows: tuple[int, ...]
+    row_name: str
+    units: tuple[Unit, ...]
+    positions: np.ndarray
+    times: np.ndarray | None = None
+    velocities: np.ndarray | None = None
+    accelerations: np.ndarray | None = None
+
+    def place(self, index: int) -> str:
+        """Return what a waypoint is called in a message."""
+        return f"{self.row_name} {self.rows[index]}"
+
+
+def from_points(
+    robot: RobotModel,
+    joint_names: Sequence[str],
+    positions: Sequence[Sequence[float]],
+    velocities: Sequence[Sequence[float]] | None = None,
+    accelerations: Sequence[Sequence[float]] | None = None,
+    times: Sequence[float] | None = None,
+) -> Waypoints:
+    """Take over the contents of a trajectory message.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    joint_names : sequence of str
+        The robot's joints in any order, each once.
+    positions : sequence of sequence of float
+        Per point, in the order of `joint_names` [rad] or [m].
+    velocities, accelerations : sequence of sequence of float, optional
+        The same; None or all empty: not given.
+    times : sequence of float, optional
+        [s]; None or all 0: not given.
+
+    Returns
+    -------
+    waypoints : Waypoints
+
+    Raises
+    ------
+    WaypointsError
+        If names or counts do not fit, or a value is not finite.
+    """
+    if sorted(joint_names) != sorted(robot.joint_names):
+        raise WaypointsError(
+            f"the joints are {', '.join(joint_names) or 'not named'}; expected each of {', '.join(robot.joint_names)} once"
+        )
+    order = [list(joint_names).index(name) for name in robot.joint_names]
+    timed = times is not None and any(time != 0.0 for time in times)
+    units = tuple(Unit("m" if linear else "rad", 1.0) for linear in robot.linear)
+    arrays = {}
+    for name, values in (("position", positions), ("velocity", velocities), ("acceleration", accelerations)):
+        given = name == "position" or (values is not None and any(len(row) for row in values))
+        arrays[name] = _point_array(name, values, len(positions), len(order))[:, order] if given else None
+    if timed and len(times) != len(positions):
+        raise WaypointsError(f"{len(times)} times for {len(positions)} points; expected as many")
+    waypoints = Waypoints(
+        tuple(range(len(positions))),
+        "point",
+        units,
+        arrays["position"],
+        np.array(times, dtype=float) if timed else None,
+        arrays["velocity"] if timed else None,
+        arrays["acceleration"] if timed else None,
+    )
+    check_finite(waypoints, robot)
+    return waypoints
+
+
+def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
+    """Check that there are waypoints and that every value is a finite number.
+
+    Raises
+    ------
+    WaypointsError
+        Naming row, joint and value.
+    """
+    if len(waypoints.positions) < 2:
+        raise WaypointsError(
+            f"{len(waypoints.positions)} waypoints; a motion needs at least two, the first where the arm is"
+        )
+    for name in ("positions", "velocities", "accelerations"):
+        values = getattr(waypoints, name)
+        wrong = np.argwhere(~np.isfinite(values)) if values is not None else []
+        if len(wrong):
+            row, joint = wrong[0]
+            value, joint_name = values[row, joint], robot.joint_names[joint]
+            message = f"{waypoints.place(row)}: {joint_name} has {value} among the {name}; expected a finite number"
+            raise WaypointsError(message, waypoints.rows[row], joint_name, value)
+    if waypoints.times is not None and not np.all(np.isfinite(waypoints.times)):
+        row = int(np.argmin(np.isfinite(waypoints.times)))
+        value = waypoints.times[row]
+        raise WaypointsError(
+            f"{waypoints.place(row)}: the time is {value}; expected a finite number", waypoints.rows[row]
+        )
+
+
+def plan_waypoints(
+    waypoints: Waypoints,
+    present: Sequence[float],
+    robot: RobotModel,
+    speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
+) -> Trajectory:
+    """Check waypoints against the robot's limits and make them a trajectory from the present pose.
+
+    With times, the timing is kept: the motion passes every waypoint at its time, counted from the first. Between them it
+    is smooth up to the acceleration; where velocities are not given, up to the fourth derivative (quintic spline).
+
+    Parameters
+    ----------
+    waypoints : Waypoints
+    present : sequence of float, length n
+        Where the arm is. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and the
+        trajectory then begins exactly at `present`.
+    robot : RobotModel
+    speed_scale, acceleration_scale : float, optional
+        As in `timing.time_path`; only for waypoints without times.
+
+    Returns
+    -------
+    trajectory : Trajectory
+
+    Raises
+    ------
+    WaypointsError
+        Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase, not
+        at rest at an end, too fast.
+    PlanningError
+        If waypoints without times cannot be timed.
+    """
+    robot.check_range(present)
+    _check_ranges(waypoints, robot)
+    positions = _from_present(waypoints, np.array(present, dtype=float), robot)
+    if waypoints.times is None:
+        return time_path(positions, robot, speed_scale=speed_scale, acceleration_scale=acceleration_scale)
+    _check_times(waypoints)
+    _check_rest(waypoints, robot)
+    times = waypoints.times - waypoints.times[0]
+    velocities, accelerations = _derivatives(times, positions, waypoints)
+    try:
+        trajectory = Trajectory(robot.joint_names, times, positions, velocities, accelerations)
+    except TrajectoryError as error:
+        raise WaypointsError(f"the times are too close together: {error}") from error
+    _check_limits(trajectory, waypoints, robot)
+    return trajectory
+
+
+def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
+    if len(values) != points:
+        raise WaypointsError(f"{len(values)} points have a {name}, {points} a position; expected as many")
+    for row, point in enumerate(values):
+        if len(point) != joints:
+            message = f"point {row}: {len(point)} values of {name}; expected {joints}, one for each joint"
+            raise WaypointsError(message, row)
+    return np.array(values, dtype=float).reshape(points, joints)
+
+
+def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
+    lower, upper = np.array(robot.lower), np.array(robot.upper)
+    outside = np.argwhere((waypoints.positions < lower) | (waypoints.positions > upper))
+    if len(outside):
+        row, joint = outside[0]
+        name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[row, joint]
+        limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
+        raise WaypointsError(
+            f"{waypoints.place(row)}: {name} is {unit.text(value)}; its range is {unit.text(robot.lower[joint])} to "
+            f"{unit.text(robot.upper[joint])}",
+            *(waypoints.rows[row], name, float(value), limit),
+        )
+
+
+def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) -> np.ndarray:
+    """Return the positions with the first one where the arm is."""
+    away = np.abs(waypoints.positions[0] - present)
+    tolerance = np.where(robot.linear, START_TOLERANCE_M, START_TOLERANCE_RAD)
+    if np.any(away > tolerance):
+        joint = int(np.argmax(away / tolerance))
+        name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[0, joint]
+        raise WaypointsError(
+            f"{waypoints.place(0)}: {name} is {unit.text(value)}, but the arm is at {unit.text(present[joint])}; the first "
+            f"waypoint must be where the arm is within {unit.text(tolerance[joint])}, plan a motion to it first",
+            *(waypoints.rows[0], name, float(value), float(tolerance[joint])),
+        )
+    positions = waypoints.positions.copy()
+    positions[0] = present
+    return positions
+
+
+def _check_times(waypoints: Waypoints) -> None:
+    late = np.flatnonzero(np.diff(waypoints.times) <= 0.0)
+    if len(late):
+        row = int(late[0]) + 1
+        before, time = waypoints.times[row - 1 : row + 1]
+        message = f"{waypoints.place(row)}: its time {time:.9g} s is not after the {before:.9g} s of the one before"
+        raise WaypointsError(f"{message}; times must increase", waypoints.rows[row], "", float(time))
+
+
+def _check_rest(waypoints: Waypoints, robot: RobotModel) -> None:
+    for name, per in (("velocities", "/s"), ("accelerations", "/s^2")):
+        values = getattr(waypoints, name)
+        if values is None:
+            continue
+        for row in (0, len(values) - 1):
+            joint = int(np.argmax(np.abs(values[row])))
+            if abs(values[row, joint]) > AT_REST:
+                found = waypoints.units[joint].text(values[row, joint], per)
+                message = f"{waypoints.place(row)}: {robot.joint_names[joint]} moves there ({found})"
+                raise WaypointsError(
+                    f"{message}; the motion must begin and end at rest",
+                    *(waypoints.rows[row], robot.joint_names[joint], float(values[row, joint]), 0.0),
+                )
+
+
+def _derivatives(times: np.ndarray, positions: np.ndarray, waypoints: Waypoints) -> tuple[np.ndarray, np.ndarray]:
+    """Return velocities and accelerations at the waypoints, as given or of a smooth curve through them; 0 at the ends."""
+    if waypoints.velocities is None:
+        rest = np.zeros(positions.shape[1])
+        ends = [(1, rest), (2, rest)]
+        spline = make_interp_spline(times, positions, k=5, bc_type=(ends, ends))
+        velocities, accelerations = spline(times, 1), spline(times, 2)
+    else:
+        velocities = waypoints.velocities.copy()
+        given = waypoints.accelerations
+        accelerations = _bends(times, positions, velocities) if given is None else given.copy()
+    velocities[[0, -1]] = 0.0
+    accelerations[[0, -1]] = 0.0
+    return velocities, accelerations
+
+
+def _bends(times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+    """Return accelerations that fit positions and velocities: the mean of what the cubics on both sides have there."""
+    h = np.diff(times)[:, None]
+    step, v0, v1 = np.diff(positions, axis=0), velocities[:-1], velocities[1:]
+    first = (6.0 * step / h - 4.0 * v0 - 2.0 * v1) / h
+    last = (2.0 * v0 + 4.0 * v1 - 6.0 * step / h) / h
+    bends = np.zeros_like(positions)
+    # of two cubics the shorter says more about the place where they meet
+    bends[1:-1] = (last[:-1] * h[1:] + first[1:] * h[:-1]) / (h[:-1] + h[1:])
+    return bends
+
+
+def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotModel) -> None:
+    """Check every 4 ms sample; name the waypoint that the motion is going to."""
+    excess = range_excess(trajectory, robot)
+    shares = measured_shares(trajectory, robot)
+    checks = [("position", "", excess, 0.0, None)]
+    for (name, per), share in zip((("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")), shares):
+        checks.append((name, per, share, 1.0 + ROUNDING, getattr(robot, name)))
+    for name, per, found, most, limits in checks:
+        beyond = np.argwhere(found > most)
+        if not len(beyond):
+            continue
+        sample, joint = beyond[0]
+        time = float(cycle_times(trajectory)[sample])
+        row = int(np.clip(np.searchsorted(trajectory.times, time), 1, len(waypoints.rows) - 1))
+        unit, joint_name = waypoints.units[joint], robot.joint_names[joint]
+        where = f"{waypoints.place(row)} (on the way to it, {time:.3f} s after the start): {joint_name}"
+        if limits is None:
+            value = float(found[sample, joint])
+            message = f"{where} swings {unit.text(value)} past its range; give more waypoints or more time there"
+            raise WaypointsError(message, waypoints.rows[row], joint_name, value, 0.0)
+        value = float(found[sample, joint] * limits[joint])
+        message = f"{where} has a {name} of {unit.text(value, per)}; its limit is {unit.text(limits[joint], per)}"
+        raise WaypointsError(f"{message}, give it more time", waypoints.rows[row], joint_name, value, limits[joint])

@@ -1,0 +1,380 @@
+"""What surrounds the arm: obstacles, tools, workpieces. A scene is a value: every change makes a new one with a new hash.
+
+Metres; poses in the robot's base_link, or in the link that carries the object. Degrees only in `load_scene` (``rpy_deg``).
+Whether something touches something is `scene.world`'s question.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pydantic
+import yaml
+from scipy.spatial.transform import Rotation
+
+from construction_twin.frames import quaternion_to_rotation, rotation_to_quaternion
+from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import SceneError
+
+#: Numbers in `SceneObject.size` for each shape, and what they are.
+SIZES = {"box": (3, "x y z"), "cylinder": (2, "radius length"), "sphere": (1, "radius"), "mesh": (3, "scale x y z")}
+#: How far a quaternion's norm may be from 1 before it is refused, and before it is normalised. Between the two it is
+#: normalised once; a normalised one stays as it is to the last bit, so that a scene sent as a message keeps its hash.
+_QUATERNION_REFUSED, _QUATERNION_EXACT = 1e-3, 1e-12
+_MESH_SUFFIXES = (".stl", ".obj")
+
+
+def product(a_T_b: Pose, b_T_c: Pose) -> Pose:
+    """Return ``a_T_c``."""
+    return Pose(a_T_b.position + a_T_b.rotation @ b_T_c.position, a_T_b.rotation @ b_T_c.rotation)
+
+
+def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
+    """Return ``b_T_c``."""
+    return Pose(a_T_b.rotation.T @ (a_T_c.position - a_T_b.position), a_T_b.rotation.T @ a_T_c.rotation)
+
+
+def mesh_digest(name: str, mesh: str) -> str:
+    """Return the SHA-256 of an object's mesh file.
+
+    Raises
+    ------
+    SceneError
+        If the path is not absolute, the format not STL or OBJ, or the file not readable.
+    """
+    path = Path(mesh)
+    where = f"object {name!r} mesh"
+    if not path.is_absolute() or path.suffix.lower() not in _MESH_SUFFIXES:
+        raise SceneError(where, mesh, "the absolute path of an STL or OBJ file")
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise SceneError(where, mesh, f"a readable file ({error.strerror})") from error
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """One body. The fields are those of ``msg/SceneObject``, checked.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the scene.
+    shape : str
+        ``box``, ``cylinder``, ``sphere`` or ``mesh``.
+    size : tuple of float
+        [m] box: x, y, z; cylinder (about its z axis, centred): radius, length; sphere: radius; mesh: scale x, y, z
+        (empty: 1, 1, 1).
+    position : tuple of float, length 3
+        Of the object's frame in the base_link, or in `link` [m].
+    quaternion : tuple of float, length 4
+        x, y, z, w, of unit length.
+    padding : float
+        Distance to keep from it [m], added to the scene's own.
+    mesh : str
+        Absolute path of an STL or OBJ file; empty for other shapes.
+    link : str
+        Link that carries it; empty: it stands in the world.
+    touch : tuple of str
+        Links that may touch it, besides the one that carries it; sorted.
+    fixed : bool
+        It stays when the scene is cleared. No part of the hash.
+    mesh_digest : str
+        SHA-256 of the mesh file, read when the object is made.
+
+    Raises
+    ------
+    SceneError
+        Naming the object, the property, its value and what was expected.
+    """
+
+    name: str
+    shape: str
+    size: tuple[float, ...] = ()
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    padding: float = 0.0
+    mesh: str = ""
+    link: str = ""
+    touch: tuple[str, ...] = ()
+    fixed: bool = False
+    mesh_digest: str = field(default="", init=False, repr=False)
+
+    def __post_init__(self):
+        if not self.name.strip():
+            raise SceneError("an object's name", self.name, "a name that is not empty")
+        if self.shape not in SIZES:
+            raise self._wrong("shape", self.shape, f"one of {list(SIZES)}")
+        size = self.size or ((1.0, 1.0, 1.0) if self.shape == "mesh" else ())
+        count, meaning = SIZES[self.shape]
+        self._set("size", self._numbers("size", size, count, f"{meaning} [m], above 0", lambda value: value > 0))
+        self._set("position", self._numbers("position", self.position, 3, "x y z [m]"))
+        self._set("quaternion", self._unit_quaternion())
+        (padding,) = self._numbers("padding", (self.padding,), 1, "0 or more [m]", lambda value: value >= 0)
+        self._set("padding", padding)
+        self._set("touch", tuple(sorted(set(self.touch))))
+        if (self.shape == "mesh") != bool(self.mesh):
+            raise self._wrong("mesh", self.mesh, "a file for the shape mesh, nothing for the others")
+        if self.mesh:
+            self._set("mesh_digest", mesh_digest(self.name, self.mesh))
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def _wrong(self, key: str, value: object, expected: str) -> SceneError:
+        return SceneError(f"object {self.name!r} {key}", value, expected)
+
+    def _numbers(self, key: str, values: Iterable, count: int, expected: str, allowed=lambda value: True) -> tuple:
+        try:
+            numbers = tuple(map(float, values))
+        except (TypeError, ValueError) as error:
+            raise self._wrong(key, values, f"{count} numbers: {expected}") from error
+        if len(numbers) != count or not all(math.isfinite(number) and allowed(number) for number in numbers):
+            raise self._wrong(key, numbers, f"{count} finite numbers: {expected}")
+        # minus zero equals zero, but would make another hash
+        return tuple(number + 0.0 for number in numbers)
+
+    def _unit_quaternion(self) -> tuple:
+        values = self._numbers("orientation", self.quaternion, 4, "a unit quaternion x y z w")
+        norm = math.hypot(*values)
+        if abs(norm - 1.0) > _QUATERNION_REFUSED:
+            raise self._wrong("orientation", values, "a quaternion x y z w of length 1")
+        return values if abs(norm - 1.0) <= _QUATERNION_EXACT else tuple(value / norm for value in values)
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the object in the base_link, or in the link that carries it."""
+        return Pose(np.array(self.position), quaternion_to_rotation(self.quaternion))
+
+    def moved(self, pose: Pose, link: str = "", touch: Iterable[str] = ()) -> SceneObject:
+        """Return the same body elsewhere: at `pose` in `link`, or in the base_link when that is empty."""
+        quaternion = tuple(map(float, rotation_to_quaternion(pose.rotation)))
+        return replace(
+            self, position=tuple(map(float, pose.position)), quaternion=quaternion, link=link, touch=tuple(touch)
+        )
+
+    def contents(self) -> dict:
+        """Return what the scene's hash is made of: the body itself, whatever its file is called."""
+        return {
+            "name": self.name,
+            "shape": self.shape,
+            "size": self.size,
+            "mesh": self.mesh_digest,
+            "position": self.position,
+            "quaternion": self.quaternion,
+            "padding": self.padding,
+            "link": self.link,
+            "touch": self.touch,
+        }
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything the arm must not touch, besides itself.
+
+    Attributes
+    ----------
+    objects : tuple of SceneObject
+        With different names; the order carries no meaning.
+    padding : float
+        Distance kept from every object [m].
+
+    Raises
+    ------
+    SceneError
+        If two objects have one name, or the padding is negative.
+    """
+
+    objects: tuple[SceneObject, ...] = ()
+    padding: float = 0.0
+
+    def __post_init__(self):
+        if not (math.isfinite(self.padding) and self.padding >= 0.0):
+            raise SceneError("the scene's padding", self.padding, "0 or more [m]")
+        object.__setattr__(self, "padding", float(self.padding) + 0.0)
+        object.__setattr__(self, "objects", tuple(self.objects))
+        names = [item.name for item in self.objects]
+        for name in names:
+            if names.count(name) > 1:
+                raise SceneError("an object's name", name, "a name that no other object of the scene has")
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the contents, 64 hexadecimal digits: the version that plans and approvals refer to."""
+        objects = sorted((item.contents() for item in self.objects), key=lambda contents: contents["name"])
+        text = json.dumps({"padding": self.padding, "objects": objects}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the objects, in their order."""
+        return tuple(item.name for item in self.objects)
+
+    def get(self, name: str) -> SceneObject:
+        """Return the object of that name.
+
+        Raises
+        ------
+        SceneError
+            If there is none.
+        """
+        for item in self.objects:
+            if item.name == name:
+                return item
+        raise SceneError("an object's name", name, f"one of the scene's {sorted(self.names)}")
+
+    def add(self, item: SceneObject, replace_existing: bool = False) -> Scene:
+        """Return the scene with one more object, or with another one in the place of the one of that name.
+
+        An object that takes the place of a fixed one is fixed, too.
+
+        Raises
+        ------
+        SceneError
+            If the name is taken and `replace_existing` is false.
+        """
+        if item.name not in self.names:
+            return replace(self, objects=(*self.objects, item))
+        if not replace_existing:
+            raise SceneError(
+                "an object's name", item.name, "one that is not in the scene yet, or a request to replace it"
+            )
+        return self._with(replace(item, fixed=self.get(item.name).fixed))
+
+    def remove(self, name: str) -> Scene:
+        """Return the scene without the object of that name; raises like `get`."""
+        gone = self.get(name)
+        return replace(self, objects=tuple(item for item in self.objects if item is not gone))
+
+    def attach(self, name: str, link: str, pose: Pose, touch: Iterable[str] = ()) -> Scene:
+        """Return the scene with the object carried by a link.
+
+        Parameters
+        ----------
+        name : str
+        link : str
+            Which carries it from now on.
+        pose : Pose
+            Of the object in `link`.
+        touch : iterable of str, optional
+            Links it may touch besides `link`.
+
+        Raises
+        ------
+        SceneError
+            If there is no such object, or `link` is empty.
+        """
+        if not link:
+            raise SceneError(f"object {name!r} link", link, "the link that shall carry it")
+        return self._with(self.get(name).moved(pose, link, touch))
+
+    def detach(self, name: str, pose: Pose) -> Scene:
+        """Return the scene with a carried object standing at `pose` in the base_link.
+
+        Raises
+        ------
+        SceneError
+            If there is no such object, or nothing carries it.
+        """
+        item = self.get(name)
+        if not item.link:
+            raise SceneError(
+                f"object {name!r} link", item.link, "a link that carries it; it stands in the world already"
+            )
+        return self._with(item.moved(pose))
+
+    def clear(self) -> Scene:
+        """Return the scene with its fixed objects only."""
+        return replace(self, objects=tuple(item for item in self.objects if item.fixed))
+
+    def _with(self, changed: SceneObject) -> Scene:
+        return replace(self, objects=tuple(changed if item.name == changed.name else item for item in self.objects))
+
+
+_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
+
+
+class _ObjectDescription(pydantic.BaseModel):
+    """One object in YAML: see the comments in config/scene.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    shape: Literal["box", "cylinder", "sphere", "mesh"]
+    size: tuple[_Finite, ...] = ()
+    position: tuple[_Finite, _Finite, _Finite] = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[_Finite, _Finite, _Finite] = (0.0, 0.0, 0.0)
+    padding: _Finite = 0.0
+    mesh: str = ""
+    link: str = ""
+    touch: tuple[str, ...] = ()
+    fixed: bool = False
+
+
+class _SceneDescription(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    padding: _Finite
+    objects: dict[str, _ObjectDescription]
+
+
+def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
+    """Build a scene from a parsed YAML file.
+
+    Parameters
+    ----------
+    description : Mapping
+        Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about the
+        fixed x, y and z axes, in this order [deg].
+    base_dir : str or Path
+        Directory that mesh files are relative to.
+
+    Returns
+    -------
+    scene : Scene
+
+    Raises
+    ------
+    SceneError
+        Naming the key (``objects/wall/size``) or the object, its value and what was expected.
+    """
+    try:
+        parsed = _SceneDescription.model_validate(dict(description))
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        value = None if first["type"] == "missing" else first["input"]
+        where = "/".join(["scene", *map(str, first["loc"])])
+        raise SceneError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
+    objects = (_object(name, item, Path(base_dir)) for name, item in parsed.objects.items())
+    return Scene(tuple(objects), parsed.padding)
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read a scene from a YAML file; see `load_scene`, also for what it raises.
+
+    Raises
+    ------
+    SceneError
+        Also if the file cannot be read.
+    """
+    try:
+        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SceneError(str(path), str(error), "a YAML file of a scene") from error
+    if not isinstance(description, dict):
+        raise SceneError(str(path), description, "a mapping with the keys padding and objects")
+    return load_scene(description, Path(path).parent)
+
+
+def _object(name: str, item: _ObjectDescription, base_dir: Path) -> SceneObject:
+    values = item.model_dump(exclude={"rpy_deg", "mesh"})
+    quaternion = Rotation.from_euler("xyz", item.rpy_deg, degrees=True).as_quat(canonical=True)
+    mesh = str((base_dir / item.mesh).resolve()) if item.mesh else ""
+    return SceneObject(name=name, quaternion=tuple(map(float, quaternion)), mesh=mesh, **values)

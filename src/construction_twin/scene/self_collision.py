@@ -1,0 +1,262 @@
+"""Which pairs of a robot's links need no check against each other, and why: found by sampling, kept in a YAML file.
+
+A pair is left out when it is ``adjacent`` (joined by one joint, or by two joints with one origin, like A5 and A6 in a
+spherical wrist: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses (then the
+shapes overlap and the check says nothing), or ``never``, not even nearly. The file carries a hash of the geometry that it
+was made from; it is refused with any other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pinocchio
+import pydantic
+import yaml
+
+from construction_twin.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.robot import RobotModel, read_robot_files
+from construction_twin.scene.bodies import RobotBodies, shape_contents
+
+#: Poses that `main` samples by default, and the seed of their random numbers.
+SAMPLES, SEED = 20000, 0
+#: A pair that came this close [m] in a sample is checked: a contact may lie between the samples.
+NEAR = 0.05
+
+_HEADER = """\
+# Pairs of links that are not checked against each other. Written by
+#   rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <this file>
+# from {samples} random poses within the joint ranges (seed {seed}); run it again when a collision shape, a joint or a range
+# of the robot changes.
+#   adjacent: joined by one joint, or by two joints with one origin
+#   always: in contact in every sample: the check would say nothing
+#   never: in no sample closer than {near_mm:g} mm
+"""
+
+
+@dataclass(frozen=True)
+class SelfCollision:
+    """The pairs of links that are not checked.
+
+    Attributes
+    ----------
+    ignored : mapping of frozenset of two str to str
+        Reason for each pair: ``adjacent``, ``always`` or ``never``.
+    geometry_hash : str
+        Of the robot they were found with, see `geometry_hash`.
+    """
+
+    ignored: Mapping[frozenset[str], str]
+    geometry_hash: str
+
+    def ignores(self, first: str, second: str) -> bool:
+        """Return whether two links are not checked against each other."""
+        return frozenset((first, second)) in self.ignored
+
+
+def geometry_hash(bodies: RobotBodies) -> str:
+    """Return the SHA-256 of everything that decides which links can touch: shapes, joints and ranges, to 1e-9."""
+    shapes = [
+        [body.link, body.joint, _rounded(body.placement.homogeneous), shape_contents(body.geometry)]
+        for body in bodies.bodies
+    ]
+    joints = [
+        [
+            name,
+            bodies.model.parents[index],
+            bodies.model.joints[index].shortname(),
+            _rounded(bodies.model.jointPlacements[index].homogeneous),
+        ]
+        for index, name in enumerate(bodies.model.names)
+        if index
+    ]
+    ranges = [_rounded(bodies.robot.lower), _rounded(bodies.robot.upper)]
+    return hashlib.sha256(json.dumps([shapes, joints, ranges]).encode()).hexdigest()
+
+
+def _rounded(values) -> list[float]:
+    # + 0.0 turns minus zero into zero
+    return (np.round(np.asarray(values, dtype=float), 9) + 0.0).ravel().tolist()
+
+
+def sample_self_collision(robot: RobotModel, samples: int = SAMPLES, seed: int = SEED) -> SelfCollision:
+    """Find the pairs of links that need no check.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    samples : int, optional
+        Poses: the home pose and random ones within the ranges.
+    seed : int, optional
+
+    Returns
+    -------
+    self_collision : SelfCollision
+    """
+    bodies = RobotBodies(robot)
+    pairs, adjacent = _link_pairs(bodies)
+    touched, near = _sample(bodies, pairs, samples, np.random.default_rng(seed))
+    ignored = {frozenset(pair): "adjacent" for pair in adjacent}
+    for pair in pairs:
+        if touched[pair] == samples:
+            ignored[frozenset(pair)] = "always"
+        elif not near[pair]:
+            ignored[frozenset(pair)] = "never"
+    return SelfCollision(ignored, geometry_hash(bodies))
+
+
+def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Return the pairs of links that move against each other: those to sample, and the adjacent ones."""
+    joints = {body.link: body.joint for body in bodies.bodies}
+    links = list(joints)
+    pairs, adjacent = [], []
+    for index, second in enumerate(links):
+        for first in links[:index]:
+            if joints[first] != joints[second]:
+                (adjacent if _adjacent(bodies, joints[first], joints[second]) else pairs).append((first, second))
+    return pairs, adjacent
+
+
+def _adjacent(bodies: RobotBodies, first: int, second: int) -> bool:
+    near, far = sorted((first, second))
+    parent = bodies.model.parents[far]
+    if parent == near:
+        return True
+    common_origin = not np.any(np.round(bodies.model.jointPlacements[far].translation, 9))
+    return parent != 0 and bodies.model.parents[parent] == near and common_origin
+
+
+def _sample(bodies: RobotBodies, pairs: Sequence[tuple[str, str]], samples: int, rng: np.random.Generator):
+    """Return, for each pair of links, the number of poses in contact and of those nearly in contact."""
+    model, geometry = bodies.model, pinocchio.GeometryModel()
+    for index, body in enumerate(bodies.bodies):
+        geometry.addGeometryObject(pinocchio.GeometryObject(str(index), body.joint, body.placement, body.geometry))
+    owners = []
+    wanted = set(pairs)
+    for second, other in enumerate(bodies.bodies):
+        for first, one in enumerate(bodies.bodies[:second]):
+            if (one.link, other.link) in wanted:
+                geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
+                owners.append((one.link, other.link))
+    counts = []
+    lower, upper = np.array(bodies.robot.lower), np.array(bodies.robot.upper)
+    poses = np.vstack([bodies.robot.home, rng.uniform(lower, upper, (samples - 1, len(lower)))])
+    for margin in (0.0, NEAR):
+        data, shapes = model.createData(), geometry.createData()
+        for request in shapes.collisionRequests:
+            request.security_margin = margin
+        count = dict.fromkeys(pairs, 0)
+        q = np.zeros(len(lower))
+        for pose in poses:
+            q[bodies.order] = pose
+            pinocchio.computeCollisions(model, data, geometry, shapes, q, False)
+            for pair in {pair for pair, result in zip(owners, shapes.collisionResults) if result.isCollision()}:
+                count[pair] += 1
+        counts.append(count)
+    return counts
+
+
+class _Description(pydantic.BaseModel):
+    """The YAML file."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    robot: str
+    geometry: Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
+    samples: Annotated[int, pydantic.Field(ge=1)]
+    seed: Annotated[int, pydantic.Field(ge=0)]
+    ignored: tuple[tuple[str, str, Literal["adjacent", "always", "never"]], ...]
+
+
+def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, seed: int) -> str:
+    """Return the text of the file: the same to the byte for the same robot, samples and seed."""
+    lines = [
+        _HEADER.format(samples=samples, seed=seed, near_mm=NEAR * 1e3),
+        f"robot: {robot.name}",
+        "# SHA-256 of the shapes, joints and ranges these pairs were found with",
+        f"geometry: {found.geometry_hash}",
+        f"samples: {samples}",
+        f"seed: {seed}",
+        "ignored:" if found.ignored else "ignored: []",
+    ]
+    rows = sorted((*sorted(pair), reason) for pair, reason in found.ignored.items())
+    return "\n".join([*lines, *(f"  - [{first}, {second}, {reason}]" for first, second, reason in rows), ""])
+
+
+def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -> SelfCollision:
+    """Return what a parsed file says, if it was made for this robot.
+
+    Parameters
+    ----------
+    description : Mapping
+    bodies : RobotBodies
+        The robot's.
+    where : str
+        Name of the file, for errors.
+
+    Raises
+    ------
+    ConfigurationError
+        If a key is wrong, or the robot's geometry is not the one the file was made from.
+    """
+    try:
+        parsed = _Description.model_validate(dict(description))
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        key = "/".join(map(str, first["loc"]))
+        value = None if first["type"] == "missing" else first["input"]
+        raise ConfigurationError(f"{where} {key}", value, first["msg"]) from error
+    found = geometry_hash(bodies)
+    if parsed.geometry != found:
+        raise ConfigurationError(
+            f"{where} geometry", parsed.geometry,
+            f"{found}, that of robot {bodies.robot.name}: its shapes, joints or ranges have changed; run "
+            f"`rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> {where}`",
+        )  # fmt: skip
+    return SelfCollision({frozenset((first, second)): why for first, second, why in parsed.ignored}, found)
+
+
+def read_self_collision(path: str | Path, robot: RobotModel) -> SelfCollision:
+    """Read a file; see `load_self_collision`, also for what it raises."""
+    try:
+        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(str(path), str(error), "a YAML file of self collision pairs") from error
+    if not isinstance(description, dict):
+        raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
+    return load_self_collision(description, RobotBodies(robot), str(path))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Sample a robot's self collisions and write the file; needs no ROS master."""
+    parser = argparse.ArgumentParser(
+        prog="self_collision",
+        description="Find the pairs of links that need no check against each other, and write them to a YAML file.",
+    )
+    parser.add_argument("urdf", help="URDF, or xacro with default arguments")
+    parser.add_argument("robot", help="robot YAML, e.g. config/kr120.yaml")
+    parser.add_argument("output", help="file to write; - for the terminal")
+    parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
+    options = parser.parse_args(arguments)
+    if options.samples < 1 or options.seed < 0:
+        sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
+    try:
+        robot = read_robot_files(options.urdf, options.robot)
+        found = sample_self_collision(robot, options.samples, options.seed)
+    except ConstructionTwinError as error:
+        sys.exit(f"self_collision: {error}")
+    text = self_collision_yaml(robot, found, options.samples, options.seed)
+    if options.output == "-":
+        print(text, end="")
+        return
+    Path(options.output).write_text(text, encoding="utf-8")
+    print(f"{options.output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")

@@ -1,0 +1,311 @@
+#!/usr/bin/env python3
+"""Motion in a built scene: around a wall, along a line, from a file and a topic; what voids an approval; pause and preview."""
+
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import numpy as np
+import rospy
+import rostest
+from construction_twin.msg import CartesianWaypoint, Execution, PlanOutcome, Scene, SceneObject
+from construction_twin.srv import (
+    AddObject,
+    AttachObject,
+    DetachObject,
+    PlanCartesian,
+    PlanFromCsv,
+    PlanToPose,
+    PreviewPlan,
+    RemoveObject,
+)
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+from visualization_msgs.msg import Marker, MarkerArray
+
+from construction_twin.frames import rotation_to_quaternion
+from construction_twin.kinematics.chain import Chain
+from construction_twin.units import radians
+
+#: A wall between RIGHT and LEFT: too long to pass in front of, too high to pass without lifting the arm [m].
+WALL = {"centre": (1.8, 0.0, 0.85), "size": (1.2, 0.1, 1.7)}
+#: Distance that the shipped scene keeps from everything [m].
+PADDING = 0.02
+
+
+def pose_at(x: float, y: float, z: float) -> Pose:
+    return Pose(Point(x, y, z), Quaternion(0.0, 0.0, 0.0, 1.0))
+
+
+class MotionTest(unittest.TestCase):
+    """Every test begins at rest at home in the shipped scene."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_motion")
+        cls.client = TwinClient()
+        cls.chain = Chain(cls.client.robot)
+        cls.scenes: list[Scene] = []
+        rospy.Subscriber("scene", Scene, cls.scenes.append)
+        for service in ("add_object", "clear_scene", "plan_cartesian", "plan_from_csv", "preview_plan", "pause"):
+            rospy.wait_for_service(service, 40.0)
+
+    def setUp(self):
+        self.client.wait_until_ready()
+        self.assertTrue(self.client.call("clear_scene").success)
+        self.client.go_to(HOME)
+
+    def add_box(self, name: str, centre: tuple, size: tuple) -> str:
+        """Add a box; return the scene's hash once the scene with it was published."""
+        box = SceneObject(name=name, shape="box", size=size, pose=pose_at(*centre))
+        answer = rospy.ServiceProxy("add_object", AddObject)(object=box)
+        self.assertTrue(answer.success, answer.message)
+        wait(lambda: self.scenes and self.scenes[-1].hash == answer.hash, "the scene with the box")
+        return answer.hash
+
+    def plan_in(self, scene: str, goal_deg, **options):
+        """Plan to joints, again while the planner has not received this scene yet."""
+        answers = []
+
+        def planned() -> bool:
+            answers.append(self.client.plan_to(goal_deg, **options))
+            return self.client.plans[-1].scene == scene
+
+        self.client.wait(planned, "a plan in the present scene")
+        return answers[-1]
+
+    def outcome_of(self, action) -> PlanOutcome:
+        """Return the outcome that follows on an action."""
+        outcomes: list[PlanOutcome] = []
+        since = rospy.Time.now()
+        subscriber = rospy.Subscriber("plan_outcome", PlanOutcome, outcomes.append)
+        wait(subscriber.get_num_connections, "the planner's outcomes")
+        action()
+        wait(lambda: [one for one in outcomes if one.header.stamp >= since], "the outcome")
+        subscriber.unregister()
+        return next(one for one in outcomes if one.header.stamp >= since)
+
+    def tool(self, stream: Stream) -> np.ndarray:
+        """Return the tool's positions of a recording, shape (k, 3) [m]."""
+        return np.array([self.chain.forward(q).position for q in stream.positions()])
+
+    # -- the scene
+
+    def test_goes_around_a_wall_after_a_rejection(self):
+        self.client.go_to(RIGHT)
+        scene = self.add_box("wall", WALL["centre"], WALL["size"])
+        rejected = self.plan_in(scene, LEFT, duration=0.0)
+        self.assertTrue(self.client.review(rejected.plan_id, rejected.plan_hash, approve=False).success)
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            plan = self.plan_in(scene, LEFT, duration=0.0)
+            report = self.client.plans[-1]
+            self.assertGreaterEqual(report.clearance, PADDING)
+            self.assertEqual(len(report.clearance_between), 2)
+            self.assertTrue(
+                all(0.0 < share <= 1.0 for share in report.velocity_use + report.acceleration_use + report.jerk_use)
+            )
+            self.assertFalse(self.client.review(rejected.plan_id, rejected.plan_hash).success)
+            answer = self.client.review(plan.plan_id, plan.plan_hash)
+            self.assertTrue(answer.success, answer.message)
+            self.client.wait_for_outcome(plan.plan_id, "finished", 60.0)
+            self.client.assert_at(LEFT, twin, arm)
+            self.client.assert_within_limits(arm, missed)
+            self.assert_clear_of_the_wall(arm)
+            self.assert_clear_of_the_wall(twin)
+        self.client.wait_until_ready()
+        self.assertTrue(rospy.ServiceProxy("remove_object", RemoveObject)("wall").success)
+
+    def assert_clear_of_the_wall(self, stream: Stream):
+        """No point of the arm's centre line is inside the wall, and the arm came from the one side to the other."""
+        half = np.array(WALL["size"]) / 2
+        sides = set()
+        for q in stream.positions()[::5]:
+            points = self.chain.skeleton(q)
+            line = np.concatenate([np.linspace(a, b, 50) for a, b in zip(points, points[1:])])
+            inside = (np.abs(line - WALL["centre"]) < half).all(axis=1)
+            self.assertFalse(inside.any(), "the arm's centre line is inside the wall")
+            sides.add(points[-1][1] > 0.0)
+        self.assertEqual(sides, {True, False})
+
+    def test_goal_inside_the_wall_is_refused_and_names_it(self):
+        self.add_box("wall", WALL["centre"], WALL["size"])
+        goal = PoseStamped(pose=Pose(Point(1.5, 0.0, 1.0), Quaternion(0.0, 1.0, 0.0, 0.0)))
+
+        def refused() -> bool:
+            answer = rospy.ServiceProxy("plan_to_pose", PlanToPose)(goal=goal, source="test")
+            return not answer.success and "wall" in answer.message
+
+        self.client.wait(refused, "a refusal that names the wall")
+
+    def test_a_change_of_the_scene_voids_what_was_planned_before(self):
+        plan = self.client.plan_to(LEFT)
+        self.add_box("new", (-1.5, 0.0, 0.5), (0.2, 0.2, 0.2))
+
+        def refused() -> bool:
+            answer = self.client.review(plan.plan_id, plan.plan_hash)
+            self.assertFalse(answer.success, "a plan for another scene was approved")
+            return True
+
+        with Stream("mock_rsi/joint_states") as arm:
+            self.client.wait(refused, "the refusal")
+            arm.wait_for_more(200)
+            self.assertTrue(arm.at_rest(200))
+
+    def test_a_change_of_the_scene_stops_the_motion(self):
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm:
+            plan = self.client.start(LEFT, duration=4.0)
+            wait(lambda: arm.moved(3.0), "the arm to move")
+            self.add_box("new", (-1.5, 0.0, 0.5), (0.2, 0.2, 0.2))
+            self.client.wait_for_outcome(plan.plan_id, "stopped")
+            wait(arm.at_rest, "the arm to rest")
+            self.client.assert_within_limits(arm, missed)
+            self.assertIn("scene", self.client.execution.reason)
+        self.client.wait_until_ready()
+
+    def test_a_carried_tool_is_planned_with_and_put_down_where_it_is(self):
+        self.add_box("tool", (0.0, 0.0, 3.0), (0.1, 0.1, 0.4))
+        attach = rospy.ServiceProxy("attach_object", AttachObject)
+        answer = attach(name="tool", touch=["link_6", "flange", "link_5"], use_pose=True, pose=pose_at(0.0, 0.0, 0.2))
+        self.assertTrue(answer.success, answer.message)
+        low = PoseStamped(pose=Pose(Point(1.4, 0.0, 0.3), Quaternion(0.0, 1.0, 0.0, 0.0)))
+
+        def refused() -> bool:
+            answer = rospy.ServiceProxy("plan_to_pose", PlanToPose)(goal=low, source="test")
+            return not answer.success and "tool" in answer.message and "floor" in answer.message
+
+        self.client.wait(refused, "a refusal that names tool and floor")
+        answer = rospy.ServiceProxy("detach_object", DetachObject)("tool")
+        self.assertTrue(answer.success, answer.message)
+        wait(lambda: self.scenes[-1].hash == answer.hash, "the scene without a carried tool")
+        (tool,) = [one for one in self.scenes[-1].objects if one.name == "tool"]
+        self.assertEqual(tool.link, "")
+        tool0 = self.chain.forward(radians(HOME))
+        expected = tool0.position + tool0.rotation @ (0.0, 0.0, 0.2)
+        np.testing.assert_allclose(
+            (tool.pose.position.x, tool.pose.position.y, tool.pose.position.z), expected, atol=1e-4
+        )
+
+    # -- along lines, and paths from elsewhere
+
+    def test_a_straight_line_at_tool_speed(self):
+        start = self.chain.forward(radians(HOME))
+        down, side = np.array((0.0, 0.0, -0.3)), np.array((0.0, 0.4, 0.0))
+        orientation = Quaternion(*rotation_to_quaternion(start.rotation))
+        corners = [start.position + down, start.position + down + side]
+        waypoints = [CartesianWaypoint(pose=Pose(Point(*corner), orientation)) for corner in corners]
+        answer = rospy.ServiceProxy("plan_cartesian", PlanCartesian)(waypoints=waypoints, speed=0.2, source="test")
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual(answer.fraction, 1.0)
+        self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
+        with Stream("mock_rsi/joint_states") as arm:
+            verdict = self.client.review(answer.plan_id, answer.plan_hash)
+            self.assertTrue(verdict.success, verdict.message)
+            self.client.wait_for_outcome(answer.plan_id, "finished", 60.0)
+            wait(arm.at_rest, "the arm to rest")
+            tool = self.tool(arm)
+        line = [start.position, *corners]
+        distance = np.min([distance_to_segment(tool, a, b) for a, b in zip(line, line[1:])], axis=0)
+        # 0.1 mm of the plan, and what rounding to 3 decimals of a degree on six joints makes at the tool
+        self.assertLess(distance.max(), 0.1e-3 + 0.1e-3)
+        speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) / 0.004
+        self.assertGreater(np.median(speed[speed > 0.01]), 0.15)
+        self.client.wait_until_ready()
+
+    def test_a_line_out_of_reach_tells_how_far_it_can_be_followed(self):
+        start = self.chain.forward(radians(HOME))
+        far = Pose(Point(*(start.position + (3.0, 0.0, 0.0))), Quaternion(*rotation_to_quaternion(start.rotation)))
+        waypoint = CartesianWaypoint(pose=far)
+        answer = rospy.ServiceProxy("plan_cartesian", PlanCartesian)(waypoints=[waypoint], speed=0.2, source="test")
+        self.assertFalse(answer.success)
+        self.assertTrue(0.05 < answer.fraction < 0.6, answer.message)
+        self.assertEqual(answer.plan_id, "")
+
+    def test_a_file_of_waypoints_is_executed(self):
+        rows = np.linspace(HOME, RIGHT, 6)
+        with Stream("mock_rsi/joint_states") as arm:
+            answer = self.plan_csv(rows)
+            self.assertTrue(answer.success, answer.message)
+            self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
+            self.assertTrue(self.client.review(answer.plan_id, answer.plan_hash).success)
+            self.client.wait_for_outcome(answer.plan_id, "finished", 60.0)
+            self.client.assert_at(RIGHT, arm)
+        self.client.wait_until_ready()
+
+    def test_a_bad_file_is_refused_naming_row_and_joint(self):
+        rows = np.linspace(HOME, RIGHT, 6)
+        rows[3, 1] = 20.0  # A2 ends at -5 deg
+        plans = len(self.client.plans)
+        answer = self.plan_csv(rows)
+        self.assertFalse(answer.success)
+        self.assertIn("joint_a2", answer.message)
+        self.assertIn("5", answer.message)  # the header is line 1, so row 3 is line 5
+        self.assertEqual(len(self.client.plans), plans)
+
+    def plan_csv(self, rows: np.ndarray):
+        header = ",".join(f"{name}_deg" for name in self.client.robot.joint_names)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "waypoints.csv"
+            path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
+            return rospy.ServiceProxy("plan_from_csv", PlanFromCsv)(path=str(path), source="test")
+
+    def test_a_trajectory_topic_is_planned_and_bad_ones_move_nothing(self):
+        publisher = rospy.Publisher("joint_trajectory", JointTrajectory, queue_size=1)
+        wait(publisher.get_num_connections, "the planner to listen")
+        trajectory = JointTrajectory(joint_names=self.client.robot.joint_names)
+        trajectory.points = [JointTrajectoryPoint(positions=radians(row)) for row in np.linspace(HOME, LEFT, 5)]
+        outcome = self.outcome_of(lambda: publisher.publish(trajectory))
+        self.assertTrue(outcome.success, outcome.message)
+        trajectory.points[2].positions = [*trajectory.points[2].positions[:4], 4.0, 0.0]
+        outcome = self.outcome_of(lambda: publisher.publish(trajectory))
+        self.assertFalse(outcome.success)
+        self.assertIn("joint_a5", outcome.message)
+        with Stream("mock_rsi/joint_states") as arm:
+            arm.wait_for_more(200)
+            self.assertTrue(arm.at_rest(200))
+
+    # -- looking at it, and holding it up
+
+    def test_the_preview_shows_the_plan_and_moves_nothing(self):
+        markers: list[Marker] = []
+        rospy.Subscriber("plan_markers", MarkerArray, lambda message: markers.extend(message.markers))
+        plan = self.client.plan_to(LEFT, duration=2.5)
+        with Stream("preview/joint_states") as ghost, Stream("mock_rsi/joint_states") as arm:
+            answer = rospy.ServiceProxy("preview_plan", PreviewPlan)(speed=2.0, loop=False)
+            self.assertTrue(answer.success, answer.message)
+            goal = np.array(radians(LEFT))
+            wait(lambda: np.abs(ghost.positions(-1)[0] - goal).max() < 1e-6, "the ghost to reach the goal")
+            self.assertTrue(arm.at_rest(len(arm.messages)))
+        lines = [marker for marker in markers if marker.type == Marker.LINE_STRIP and len(marker.points) > 10]
+        self.assertTrue(lines)
+        self.assertGreater(lines[-1].color.r, lines[-1].color.g)
+        self.assertTrue(self.client.review(plan.plan_id, plan.plan_hash, approve=False).success)
+
+    def test_pause_and_resume_on_the_path(self):
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm:
+            plan = self.client.start(LEFT, duration=3.0)
+            wait(lambda: arm.moved(5.0), "the arm to move")
+            self.assertTrue(self.client.call("pause").success)
+            self.client.wait(lambda: self.client.execution.state == Execution.PAUSED, "the pause")
+            wait(arm.at_rest, "the arm to rest on the path")
+            self.assertGreater(np.abs(arm.positions(-1)[0] - radians(LEFT)).max(), np.deg2rad(3.0))
+            answer = self.client.call("resume")
+            self.assertTrue(answer.success, answer.message)
+            self.client.wait_for_outcome(plan.plan_id, "finished")
+            self.client.assert_at(LEFT, arm)
+            self.client.assert_within_limits(arm, missed)
+        self.client.wait_until_ready()
+
+
+def distance_to_segment(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    along = end - start
+    share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
+    return np.linalg.norm(points - (start + share[:, None] * along), axis=1)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "motion", MotionTest, sys.argv)
