@@ -1,12 +1,14 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo test bench clean
+.PHONY: help setup demo test bench fuzz soak clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
 	@echo "make test             build and run every test"
 	@echo "make bench            measure inverse kinematics and planning; writes results/bench/*.json"
+	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
+	@echo "make soak             the whole loop for an hour: memory and late replies per minute"
 	@echo "make setup            only install and build"
 	@echo "make clean            remove the workspace and the venv (.ws)"
 
@@ -21,6 +23,12 @@ test: setup
 
 bench: setup
 	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'
+
+fuzz: setup
+	@bash -c 'source .ws/env.bash && python scripts/fuzz.py $(ARGS)'
+
+soak: setup
+	@bash -c 'source .ws/env.bash && python scripts/soak.py $(ARGS)'
 
 clean:
 	rm -rf .ws

@@ -330,7 +330,8 @@ def _lag(positions: np.ndarray, motion: np.ndarray) -> int:
     return min(range(60), key=lambda lag: float(np.abs(positions[lag : ends + lag] - motion[:ends]).sum()))
 
 
-def _print(results: dict) -> None:
+def print_ratios(results: dict) -> None:
+    """Print the table of `measure`."""
     print(f"{'profile':16s}{'ours: acc':>12s}{'jerk':>10s}{'naive: acc':>14s}{'jerk':>10s}   (RMS over the plan's)")
     for name, row in results.items():
         ours, naive = row["ours"], row["naive"]
@@ -349,7 +350,7 @@ def main() -> None:
     if arguments.json:
         print(json.dumps({"smoothness": results, "ripple": ripple}, indent=2))
         return
-    _print(results)
+    print_ratios(results)
     print(f"\n{'decimals':>8s}{'smoothing':>11s}{'delay':>8s}{'ripple':>14s}{'acc':>9s}{'jerk':>9s}")
     for row in ripple:
         print(

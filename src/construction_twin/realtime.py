@@ -1,8 +1,13 @@
-"""Real-time scheduling where the system permits it; never required. Standard library only."""
+"""Real-time scheduling and locked memory where the system permits them; never required. Standard library only."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import sys
+
+#: Linux: keep what is in memory now, without reading in what is not.
+_MCL_CURRENT, _MCL_ONFAULT = 1, 4
 
 
 def request_realtime(priority: int) -> str:
@@ -28,6 +33,24 @@ def request_realtime(priority: int) -> str:
     except OSError as error:
         return f"SCHED_FIFO {priority} not permitted ({error.strerror}); normal scheduling"
     return f"SCHED_FIFO {priority}"
+
+
+def lock_memory() -> str:
+    """Keep this process's memory from being paged out, so that no cycle waits for a disk; call it once everything is loaded.
+
+    What is allocated later is not locked: where memory that may be locked is limited, that could make an allocation fail.
+
+    Returns
+    -------
+    outcome : str
+        One sentence for the log.
+    """
+    if sys.platform != "linux":
+        return "memory not locked: this system has no mlockall"
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT):
+        return f"memory not locked ({os.strerror(ctypes.get_errno())})"
+    return "memory locked"
 
 
 def release_realtime() -> None:

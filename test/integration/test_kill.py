@@ -1,32 +1,14 @@
 #!/usr/bin/env python3
 """The path of commands is interrupted in mid-motion: the arm brakes within its limits and holds; `reset` brings the system back."""
 
-import os
-import signal
 import sys
-import unittest
-from collections.abc import Callable
 
-import numpy as np
-import rospy
 import rostest
-from construction_twin.msg import Link
-from twin_client import FINAL_ERROR, HOME, LEFT, Stream, TwinClient, node_pid, wait
-
-from construction_twin.units import radians
+from interruption import Interruption
 
 
-class KillTest(unittest.TestCase):
+class KillTest(Interruption):
     """One interruption per test, each in the middle of a motion from home."""
-
-    @classmethod
-    def setUpClass(cls):
-        rospy.init_node("test_kill")
-        cls.client = TwinClient()
-
-    def setUp(self):
-        self.client.wait_until_ready()
-        self.client.go_to(HOME)
 
     def test_killed_monitor(self):
         self.interrupt_and_recover(lambda: self.kill("pca_monitor"))
@@ -39,65 +21,6 @@ class KillTest(unittest.TestCase):
 
     def test_stop_at_the_gateway(self):
         self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("mqtt_bridge/stop").success))
-
-    def interrupt_and_recover(self, interrupt: Callable[[], None]):
-        """Interrupt the path of commands in mid-motion: the arm stops, holds, and after `reset` executes a new plan."""
-        client = self.client
-        missed = client.mock_counter("missed")
-        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
-            # over before a killed node is back: an executor that did not notice would report it as finished
-            plan = client.start(LEFT, duration=1.5)
-            wait(lambda: arm.moved(5.0), "the arm to move")
-            interrupt()
-            wait(arm.at_rest, "the arm to rest")
-            stopped = arm.positions(-1)[0]
-            self.assertGreater(np.abs(stopped - radians(LEFT)).max(), np.deg2rad(3.0), "the arm went on to the goal")
-            self.wait_for_the_link()
-            self.assertNotEqual((client.execution.plan_id, client.execution.outcome), (plan.plan_id, "finished"))
-            self.assert_holds(arm, stopped)
-            self.reset()
-            self.assert_holds(arm, stopped)
-            client.wait(twin.at_rest, "the twin to rest where the arm is")
-            np.testing.assert_allclose(twin.positions(-1), arm.positions(-1), atol=FINAL_ERROR)
-            client.assert_within_limits(arm, missed)
-            self.assert_works(arm, twin, missed)
-
-    def kill(self, node: str):
-        """Kill a node and wait until roslaunch has started it again."""
-        pid = node_pid(node)
-        self.assertGreater(pid, 0)
-        os.kill(pid, signal.SIGKILL)
-        wait(lambda: node_pid(node) not in (0, pid), f"{node} to be started again", 20.0)
-
-    def wait_for_the_link(self):
-        """Wait until the bridge has seen the arm at rest, and says that it goes on by itself or needs a reset."""
-        with Stream("physical/joint_states") as physical:
-            physical.wait_for_more(100)
-        seen = rospy.Time.now()
-        self.client.wait(
-            lambda: self.client.link.header.stamp > seen and self.client.link.state in (Link.ARMED, Link.NEEDS_RESET),
-            "the link to be armed again, or to need a reset",
-        )
-
-    def reset(self):
-        """Call `reset`; the state is then as after bringup, in a new session."""
-        before = self.client.link.session
-        answer = self.client.call("reset")
-        self.assertTrue(answer.success, answer.message)
-        self.client.wait(lambda: self.client.link.session != before, "a new session")
-        self.client.wait_until_ready()
-
-    def assert_works(self, arm: Stream, twin: Stream, missed: int):
-        """A new plan is executed up to its goal."""
-        plan = self.client.start(LEFT)
-        self.client.wait_for_outcome(plan.plan_id, "finished")
-        self.client.assert_at(LEFT, twin, arm)
-        self.client.assert_within_limits(arm, missed)
-
-    def assert_holds(self, arm: Stream, stopped: np.ndarray):
-        """Nothing has driven the arm to the twin: at most the start tolerance was blended in."""
-        tolerance = rospy.get_param("gateway/start_tolerance")
-        self.assertLessEqual(np.abs(arm.positions(-1)[0] - stopped).max(), tolerance)
 
 
 if __name__ == "__main__":

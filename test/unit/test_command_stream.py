@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from construction_twin.errors import PayloadError
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties
-from construction_twin.rsi.command_stream import ARRIVAL_SMOOTHING, REMEMBERED, CommandStream
+from construction_twin.rsi.command_stream import ARRIVAL_SMOOTHING, FARTHEST, REMEMBERED, CommandStream
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
@@ -45,6 +45,16 @@ def test_a_command_that_was_held_up_is_stale_even_after_hours_of_drift():
     stamp = SENDER_EPOCH + round((seconds - CONFIG.max_age - 0.01) * NANOSECONDS * (1 - 50e-6))
     with pytest.raises(PayloadError, match="older than the freshest"):
         stream.read(PAYLOAD, CommandProperties("s1", seconds + 1, stamp), seconds * NANOSECONDS)
+
+
+def test_a_number_far_ahead_is_refused_once_the_stream_runs_and_leaves_no_trace():
+    # one message could otherwise lift the count of lost commands beyond what a status may hold, and end the stream for its owner
+    stream = make_stream()
+    assert take(stream, 70_000) == 69_999
+    stream.last_stamp = SENDER_EPOCH
+    assert take(stream, 70_001 + FARTHEST) == "sequence"
+    assert take(stream, 70_000 + FARTHEST) == FARTHEST - 1
+    assert take(stream, 70_001 + FARTHEST) == 0
 
 
 # -- order -----------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import json
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,10 +13,16 @@ import pydantic
 import pytest
 import yaml
 from evaluation_samples import run
+from gateway_cell import following
 
 from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.mqtt.access import PLC, ROLES
+from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.review import PlanView, review_answer
+from construction_twin.mqtt.status_values import status_values
 from construction_twin.rsi.config import GatewayConfig
+from construction_twin.rsi.mode import Mode
 from construction_twin.rsi.session import State
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,9 +30,16 @@ ROS = ROOT / "src/construction_twin/ros"
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 INTERFACE = (ROOT / "docs/interface.md").read_text()
 README = (ROOT / "README.md").read_text()
+BROKER = (ROOT / "docs/broker.md").read_text()
 TROUBLESHOOTING = (ROOT / "docs/troubleshooting.md").read_text()
-#: Names in code spans, also where several stand in one.
-CODE_WORDS = {word for span in re.findall(r"`([^`\n]+)`", INTERFACE) for word in re.split(r"[\s,:\[\]]+", span)}
+
+
+def code_words(text: str) -> set[str]:
+    """Return the names in code spans, also where several stand in one."""
+    return {word for span in re.findall(r"`([^`\n]+)`", text) for word in re.split(r"[\s,:\[\]]+", span)}
+
+
+CODE_WORDS = code_words(INTERFACE)
 NODES = sorted(ROS.glob("*_node.py"))
 
 
@@ -81,10 +95,47 @@ def test_gateway_interface_is_documented():
     assert undocumented(state.value for state in State) == []
 
 
-@pytest.mark.parametrize("file", ["rsi/gateway", "rsi/mock", "ros/evaluate", "ros/gateway_config", "mqtt/broker"])
+def test_gateway_status_is_documented():
+    status = following().gateway.status()
+    assert undocumented(status) == []
+    assert undocumented([*status["playout"], *status["intruder"]]) == []
+    assert undocumented(status_values(status)) == []
+    assert undocumented(mode.value for mode in Mode) == []
+
+
+def test_gateway_counters_are_documented():
+    files = ("gateway", "session", "player", "controller_session", "command_stream")
+    code = "".join((ROOT / f"src/construction_twin/rsi/{file}.py").read_text() for file in files)
+    # a refusal is documented by its reason
+    counters = [re.sub(r"^(telegram_)?refused_", "", name) for name in re.findall(r"counters\[\"(\w+)\"", code)]
+    reasons = re.findall(r"(?:PayloadError|MotionRefused)\(\"(\w+)\"", code)
+    assert {"repeated", "source", "cycles_without_command"} <= set(counters)
+    assert {"duplicate", "lead"} <= set(reasons)
+    assert undocumented([*counters, *reasons, "arm", "stop", "reset", "end"]) == []
+
+
+def test_keys_of_plan_review_and_account_files_are_documented():
+    empty = PlanView("", "", "", "", "", "", 0, 0.0, 0.0, (), (), (), (), None, {})
+    keys = {*json.loads(empty.to_json(2)), *json.loads(review_answer(None, True, ""))}
+    keys |= {field.name for field in dataclasses.fields(Account)} - {"name"}
+    assert sorted(keys - code_words(BROKER)) == []
+
+
+def test_roles_and_their_topics_are_documented():
+    rows = dict(re.findall(r"^\| (\w+)(?: \(`--plc`\))? \| `kr120-.*?\| (.*) \|$", BROKER, re.MULTILINE))
+    assert set(rows) == {*ROLES, PLC}
+    for role, row in rows.items():
+        rules = (ROOT / f"config/mosquitto/{role}.acl").read_text()
+        topics = set(re.findall(r"^topic \w+ \$topics/([a-z/]+)$", rules, re.MULTILINE))
+        assert topics == code_words(row), role
+
+
+@pytest.mark.parametrize(
+    "file", ["rsi/gateway", "rsi/mock", "ros/evaluate", "ros/gateway_config", "mqtt/broker", "mqtt/site"]
+)
 def test_command_line_options_are_documented(file):
     text = (ROOT / f"src/construction_twin/{file}.py").read_text()
-    options = re.findall(r"(?:add_argument|option)\(\"(--[a-z-]+)\"", text)
+    options = re.findall(r"(?:add_argument|option|add)\(\s*\"(--[a-z-]+)\"", text)
     assert options
     assert undocumented(options) == []
 

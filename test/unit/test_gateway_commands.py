@@ -210,6 +210,15 @@ def test_a_sender_faster_than_time_is_stopped():
     cell.held()
 
 
+def test_a_controller_that_falls_silent_does_not_make_commands_look_early():
+    # 0.2 s of playout delay and 0.38 s of silence are more than max_age, and nobody's clock was set
+    cell = following(playout_delay=0.2, playout_delay_max=0.2)
+    for k in range(100, 195):
+        cell.now += CYCLE_NS
+        cell.send(slow(k))
+    assert (cell.state, cell.count("refused_lead")) == (State.FOLLOWING, 0)
+
+
 def test_a_senders_clock_that_is_set_back_stops_the_arm():
     cell = following()
     cell.send(slow(100), stamp=cell.stamp - int(0.3 * NANOSECONDS))

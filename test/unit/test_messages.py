@@ -138,6 +138,8 @@ def test_control_s_value_may_be_left_out():
         control(session=None),
         control(verb=["arm"]),
         control(verb="x" * 65),
+        control(session="s1\n2026-11-21 rsi_gateway INFO all is well"),
+        control(id="\x1b[2J"),
         control(value="x" * MAX_CONTROL_BYTES),
         b"[" * 2000,
         b'{"verb": "stop", ' + control()[1:],

@@ -24,3 +24,10 @@ def test_every_thread_is_raised_and_released():
 
 def test_priority_zero_asks_for_nothing():
     assert request_realtime(0) == "normal scheduling"
+
+
+def test_memory_is_locked_where_permitted_and_the_sentence_is_true():
+    code = "from construction_twin.realtime import lock_memory; print(lock_memory()); print(open('/proc/self/status').read())"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    locked = int(said.split("VmLck:")[1].split()[0])
+    assert said.startswith("memory locked\n") if locked else said.startswith("memory not locked (")

@@ -20,6 +20,7 @@ def test_it_shows_what_a_real_gateway_says():
     assert values["playout_drift_ppm"] == "" and values["playout_rate_percent"] == "0"
     assert (values["intruder_session"], values["intruder_count"]) == ("other", "1")
     assert values["last_refusal"].startswith("arm: armed for session s1") and values["mode"] == "normal"
+    assert values["last_ipoc_jump_ms"] == "0"
 
 
 def test_an_older_gateway_s_status_says_nothing():
@@ -34,7 +35,10 @@ def test_an_older_gateway_s_status_says_nothing():
         {"playout": {"delay_ms": [1]}},
         {"playout": {"delay_ms": True}},
         {"playout": {"delay_ms": float("nan")}},
+        {"playout": {"delay_ms": 10**400}},
+        {"intruder": {"count": -(1 << 63)}},
         {"playout": {str(k): 1 for k in range(33)}},
+        {"playout": {"x" * 65: 1}},
         {"intruder": {"session": {}}},
         {"last_refusal": ["x"]},
     ],

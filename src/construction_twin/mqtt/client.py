@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.errors import ConfigurationError
 from construction_twin.mqtt.account import Account
+from construction_twin.mqtt.fast_client import DirectClient, FastClient, UserProperties
 
 _PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTTv311}
 
@@ -84,7 +83,9 @@ def unique_id(robot: str, role: str) -> str:
 OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
-def make_client(broker: Broker, client_id: str, will_topic: str, will: str = OFFLINE) -> paho.Client:
+def make_client(
+    broker: Broker, client_id: str, will_topic: str, will: str = OFFLINE, direct: bool = False
+) -> paho.Client:
     """Return a client that is not connected yet.
 
     Parameters
@@ -96,6 +97,8 @@ def make_client(broker: Broker, client_id: str, will_topic: str, will: str = OFF
         The broker publishes `will` there, retained, when the connection is lost.
     will : str, optional
         Empty: the topic's retained message is taken away.
+    direct : bool, optional
+        Send from the thread that publishes, where the socket allows it; for a client served by `loop_start`.
 
     Returns
     -------
@@ -107,7 +110,8 @@ def make_client(broker: Broker, client_id: str, will_topic: str, will: str = OFF
     ConfigurationError
         When a file of the account cannot be used.
     """
-    client = paho.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=_PROTOCOLS[broker.protocol])
+    kind = DirectClient if direct and not broker.encrypted else FastClient
+    client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=_PROTOCOLS[broker.protocol])
     client.will_set(will_topic, will, qos=1, retain=True)
     # the same on a TLS socket: it hands the option to the TCP socket below
     client.on_socket_open = lambda client, userdata, sock: sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -152,11 +156,9 @@ def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tu
     return [(topic, SubscribeOptions(qos=qos, retainAsPublished=True)) for topic, qos in topics]
 
 
-def user_properties(pairs: list[tuple[str, str]]) -> Properties:
+def user_properties(pairs: list[tuple[str, str]]) -> UserProperties:
     """Return MQTT 5 user properties for a publish."""
-    properties = Properties(PacketTypes.PUBLISH)
-    properties.UserProperty = pairs
-    return properties
+    return UserProperties(pairs)
 
 
 def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:

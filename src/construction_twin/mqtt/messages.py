@@ -114,7 +114,7 @@ def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str
     values = dict(pairs)
     if len(values) != len(pairs) or set(values) != set(names):
         raise PayloadError(
-            "properties", f"user properties {[name for name, _ in pairs][:8]}; expected exactly {list(names)}"
+            "properties", f"user properties {[name[:32] for name, _ in pairs[:8]]}; expected exactly {list(names)}"
         )
     return values
 
@@ -162,10 +162,11 @@ def parse_control(payload: bytes) -> Control:
     document = parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
         raise PayloadError(
-            "control", f"control message with keys {sorted(document)[:8]}; expected id, session, verb and value"
+            "control",
+            f"control message with keys {[key[:32] for key in sorted(document)[:8]]}; expected id, session, verb and value",
         )
-    if not all(isinstance(document[key], str) and len(document[key]) <= 64 for key in ("id", "session", "verb")):
-        raise PayloadError("control", "control message whose id, session or verb is not a short text")
+    if not all(_is_short_text(document[key]) for key in ("id", "session", "verb")):
+        raise PayloadError("control", "control message whose id, session or verb is not a short text in one line")
     return Control(**document)
 
 
@@ -188,6 +189,11 @@ def parse_status(payload: bytes) -> dict:
     ):
         raise PayloadError("status", "status message whose reply_us is not a histogram of whole numbers")
     return status
+
+
+def _is_short_text(value: object) -> bool:
+    # printable, because it is shown to people: in the status, in answers, in a log
+    return isinstance(value, str) and len(value) <= 64 and value.isprintable()
 
 
 def _is_count(value: object) -> bool:

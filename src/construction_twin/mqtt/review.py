@@ -62,7 +62,10 @@ def parse_review(payload: bytes, retained: bool) -> RemoteReview:
         )
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
     if not set(_KEYS) <= set(document) <= {*_KEYS, "reason"}:
-        raise PayloadError("review", f"review with keys {sorted(document)[:8]}; expected {', '.join(_KEYS)} and reason")
+        raise PayloadError(
+            "review",
+            f"review with keys {[key[:32] for key in sorted(document)[:8]]}; expected {', '.join(_KEYS)} and reason",
+        )
     for key, value in document.items():
         if not isinstance(value, str) or len(value) > _MAX_TEXT[key] or not value.isprintable():
             raise PayloadError(

@@ -10,6 +10,7 @@ import dataclasses
 import json
 import re
 import secrets
+import sys
 import tempfile
 from collections.abc import Callable, Iterable
 from datetime import UTC
@@ -241,3 +242,7 @@ def main(argv: list[str] | None = None) -> int:
     if site.certificates:
         print(f"clients with a certificate: port {site.port + 1}, .../certificate.json")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

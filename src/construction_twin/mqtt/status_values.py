@@ -8,12 +8,12 @@ from construction_twin.errors import PayloadError
 
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("playout", "intruder")
-_TEXTS = ("mode", "last_refusal")
+_SINGLE = ("mode", "last_refusal", "last_ipoc_jump_ms")
 _LONGEST = 300
 
 
 def status_values(status: dict) -> dict[str, str]:
-    """Return delay, jitter, drift and rate of the playout, the last intruder and the last refusal.
+    """Return delay, jitter, drift and rate of the playout, mode, last intruder, last refusal and last jump of IPOC.
 
     Parameters
     ----------
@@ -30,10 +30,10 @@ def status_values(status: dict) -> dict[str, str]:
     PayloadError
         ``status``, when a value is no number, short text or null.
     """
-    values = {name: _text(name, status[name]) for name in _TEXTS if name in status}
+    values = {name: _text(name, status[name]) for name in _SINGLE if name in status}
     for group in _GROUPS:
         members = status.get(group, {})
-        if not isinstance(members, dict) or len(members) > 32:
+        if not isinstance(members, dict) or len(members) > 32 or any(len(name) > 64 for name in members):
             raise PayloadError("status", f"status message whose {group} is not what the interface says")
         values |= {f"{group}_{name}": _text(f"{group}.{name}", value) for name, value in members.items()}
     return values
@@ -44,6 +44,9 @@ def _text(name: str, value: object) -> str:
         return ""
     if isinstance(value, str):
         return value[:_LONGEST]
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
+    # a whole number in JSON may have more digits than a float holds: only one of a counter's size is compared as one
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 63:
+        return f"{value:.9g}"
+    if isinstance(value, float) and math.isfinite(value):
         return f"{value:.9g}"
     raise PayloadError("status", f"status message whose {name} is {str(value)[:80]!r}: no number, text or null")

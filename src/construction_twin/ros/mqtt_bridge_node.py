@@ -19,6 +19,7 @@ from construction_twin.mqtt.client import Broker, make_client, received_pairs, s
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
+from construction_twin.mqtt.status_values import status_values
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
 from construction_twin.msg import Feedback, Link
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
@@ -61,6 +62,8 @@ class MqttBridgeNode:
         self._sequence = 0
         self._state_check = StateCheck(settings.max_state_age)
         self._states = 0
+        # what the gateway's last status says beside its counters; changed together with the supervisor's status
+        self._gateway_values: dict[str, str] = {}
         self._reported: tuple = ()
         self._reported_at = 0.0
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
@@ -116,7 +119,7 @@ class MqttBridgeNode:
     # -- MQTT to ROS
 
     def _connect(self, broker: Broker):
-        client = make_client(broker, unique_id(self._topics.robot, "bridge"), self._topics.bridge_status)
+        client = make_client(broker, unique_id(self._topics.robot, "bridge"), self._topics.bridge_status, direct=True)
         self._connection = report_of(broker)
         self._connection.watch(client)
         client.on_connect = self._on_connect
@@ -179,6 +182,7 @@ class MqttBridgeNode:
     def _on_status(self, client, userdata, message) -> None:
         try:
             status = parse_status(message.payload)
+            values = status_values(status)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
@@ -186,6 +190,7 @@ class MqttBridgeNode:
             self._state_check.restart()
         with self._lock:
             self._supervisor.on_status(status, now_ns())
+            self._gateway_values = values
 
     def _on_answer(self, client, userdata, message) -> None:
         try:
@@ -232,13 +237,13 @@ class MqttBridgeNode:
         with self._lock:
             supervisor = self._supervisor
             state = (supervisor.state, self._reason(), supervisor.session)
-            status = dict(supervisor.status)
+            status, values = dict(supervisor.status), self._gateway_values
         now = time.monotonic()
         changed = state != self._reported
         if not changed and now - self._reported_at < 1.0:
             return
         self._reported, self._reported_at = state, now
-        self._link.publish(self._link_message(*state, status))
+        self._link.publish(self._link_message(*state, status, values))
         if changed:
             rospy.loginfo("%s: %s", state[0].name, state[1])
             self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
@@ -248,7 +253,7 @@ class MqttBridgeNode:
         reason, why = self._supervisor.reason, self._connection.sentence
         return f"{reason}: {why}" if why and self._supervisor.state is LinkState.DISCONNECTED else reason
 
-    def _link_message(self, state: LinkState, reason: str, session: str, status: dict) -> Link:
+    def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
         message = Link(state=state.value, text=state.name, reason=reason, session=session)
         message.header.stamp = rospy.Time.now()
         message.gateway_state = str(status.get("state", "offline"))
@@ -260,7 +265,7 @@ class MqttBridgeNode:
         message.states_refused = sum(
             count for name, count in self._diagnostics.refused.items() if name.startswith("stat")
         )
-        counters = dict(status.get("counters", {}))
+        counters = status.get("counters", {}) | values
         counters["decimals"] = status.get("decimals", "")
         reply = status.get("reply_us", {})
         counters["reply_us_max"] = reply.get("max", 0)
@@ -274,7 +279,8 @@ class MqttBridgeNode:
         supervisor = self._supervisor
         level = OK if supervisor.state is LinkState.ARMED else WARN
         values = {"session": supervisor.session, "commands sent": self._sequence, "states received": self._states}
-        values |= {f"gateway {key}": value for key, value in sorted(supervisor.status.get("counters", {}).items())}
+        gateway = supervisor.status.get("counters", {}) | self._gateway_values
+        values |= {f"gateway {key}": value for key, value in sorted(gateway.items())}
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
         return level, f"{supervisor.state.name}: {self._reason()}", values

@@ -16,6 +16,8 @@ ARRIVAL_SMOOTHING = 16_384
 ARRIVAL_BLOCK = 250
 #: Sequence numbers behind the newest of which it is remembered whether they were taken.
 REMEMBERED = 64
+#: Sequence numbers that one command may be ahead of the last one taken: more than are sent while a stream survives.
+FARTHEST = 10_000
 _ALL = (1 << REMEMBERED) - 1
 
 
@@ -75,7 +77,7 @@ class CommandStream:
         ------
         PayloadError
             ``properties``, ``session``, ``duplicate`` (was taken), ``reordered`` (comes behind a newer one), ``sequence`` (too far
-            behind to tell, as a replayed one is), ``stale``, or a reason of the codec.
+            behind to tell, as a replayed one is, or too far ahead), ``stale``, or a reason of the codec.
         """
         if not self._config.properties:
             q = self._codec.decode(payload)
@@ -87,6 +89,9 @@ class CommandStream:
         step = properties.seq - self._sequence
         if step <= 0:
             raise self._why_behind(properties.seq, -step)
+        if step > FARTHEST and self.last_stamp:
+            # nor would the count of what was lost mean anything
+            raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}: no stream loses so many")
         q = self._codec.decode(payload)
         self._check_age(now - properties.stamp, now)
         self._sequence = properties.seq

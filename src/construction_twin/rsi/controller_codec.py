@@ -165,7 +165,7 @@ class SensorDecoder:
         root = read_document(data, "Sen")
         if root.get("Type") != self._sentype:
             raise TelegramError(
-                "sentype", f"the reply's Type is {root.get('Type')!r}; expected the SENTYPE {self._sentype!r}"
+                "sentype", f"the reply's Type is {root.get('Type', '')[:64]!r}; expected the SENTYPE {self._sentype!r}"
             )
         found = find_children(root, self._wanted)
         for element, _ in self._slots:
@@ -181,7 +181,7 @@ class SensorDecoder:
         if element is None or self._stop_ignored:
             return None
         if element.text not in ("0", "1"):
-            raise TelegramError("number", f"Stop is {element.text!r}; expected 0 or 1")
+            raise TelegramError("number", f"Stop is {(element.text or '')[:32]!r}; expected 0 or 1")
         return element.text == "1"
 
 

@@ -14,8 +14,6 @@ import signal
 import socket
 import sys
 import time
-from logging.handlers import QueueHandler, QueueListener
-from queue import SimpleQueue
 
 from paho.mqtt import client as paho
 
@@ -37,11 +35,12 @@ from construction_twin.mqtt.client import (
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
-from construction_twin.realtime import request_realtime
+from construction_twin.realtime import lock_memory, request_realtime
 from construction_twin.rsi.codec import RobotDecoder, RobotTelegram, SensorEncoder
 from construction_twin.rsi.config import GatewayConfig, load_config
 from construction_twin.rsi.ethernet_xml import controller_sends_to
 from construction_twin.rsi.histogram import Histogram
+from construction_twin.rsi.log import log_beside_the_loop
 from construction_twin.rsi.mode import NOTES, Mode
 from construction_twin.rsi.session import Gateway, State
 from construction_twin.rsi.trace import TraceWriter
@@ -323,17 +322,6 @@ def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
     return host, port or config.layout.port
 
 
-def _log_beside_the_loop() -> QueueListener:
-    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (design, law 1)."""
-    handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
-    records: SimpleQueue = SimpleQueue()
-    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[QueueHandler(records)])
-    listener = QueueListener(records, handler)
-    listener.start()
-    return listener
-
-
 def _run(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config)
@@ -359,7 +347,7 @@ def _run(arguments: argparse.Namespace) -> int:
         log.warning("the Ethernet XML tells the controller to send to address %s, not %s", told, address[0])
     if service.gateway.mode is not Mode.NORMAL:
         log.warning("mode %s%s", service.gateway.mode.value, NOTES[service.gateway.mode])
-    log.info(request_realtime(arguments.realtime))
+    log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()
     service.run()
@@ -371,7 +359,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def main(argv: list[str] | None = None) -> int:
     """Run the gateway until SIGINT or SIGTERM; return the exit code."""
     arguments = _arguments(sys.argv[1:] if argv is None else argv)
-    listener = _log_beside_the_loop()
+    listener = log_beside_the_loop()
     try:
         return _run(arguments)
     finally:

@@ -26,6 +26,8 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. A single missed telegram is less of a
 #: blow when the motion goes on at its speed than when it starts over [ns].
 STANDSTILL = 2 * CYCLE_NS
+#: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
+LONGEST_REFUSAL = 300
 
 
 class Gateway:
@@ -108,6 +110,7 @@ class Gateway:
             self._find_origin(telegram)
         controller.note(telegram)
         if player.follower is None:
+            self.counters["telegrams_unanswered" if self.state is State.JOINED else "telegrams"] += 1
             return None if self.state is State.JOINED else (0.0,) * len(self.config.axes)
         self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
@@ -223,7 +226,7 @@ class Gateway:
 
     def _note_refusal(self, reason: str, error: Exception) -> None:
         self.counters[f"refused_{reason}"] += 1
-        self._last_refusal = f"{reason}: {error}"
+        self._last_refusal = f"{reason}: {error}"[:LONGEST_REFUSAL]
 
     def _note_stranger(self, session: str | None, now: int) -> None:
         if session is not None and self.session and not self._owners.knows(session):
@@ -250,7 +253,8 @@ class Gateway:
             self._begin_stream(stamp, q)
             self._player.learn_from_stall(self.session if self.config.properties else None, now)
         else:
-            lead = self._player.lead(stamp)
+            # without what a controller that was not heard owes: playout time stands still for so long
+            lead = self._player.lead(stamp) - (now - self._controller.heard_at) / NANOSECONDS
             if lead > self.config.max_age:
                 # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
                 raise MotionRefused("lead", "", lead, self.config.max_age, "s")
@@ -295,7 +299,7 @@ class Gateway:
         ok, reason = verbs[control.verb](control)
         if not ok:
             self.counters[f"refused_{control.verb}"] += 1
-            self._last_refusal = f"{control.verb}: {reason}"
+            self._last_refusal = f"{control.verb}: {reason}"[:LONGEST_REFUSAL]
         return ok, reason
 
     def _arm(self, control: Control) -> tuple[bool, str]:

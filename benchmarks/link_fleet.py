@@ -1,0 +1,240 @@
+"""Several robots on one machine, each with bridge, gateway and mock controller: processor time, latency, late replies.
+
+``python benchmarks/link_fleet.py --robots 4 --output FILE`` measures one number of robots. One process plays every gate; an observer on the
+broker, another process, sees what passes there. Stamps are the monotonic clock, which all share. The latency is that of both
+directions together: a command from its publication on ROS to a subscriber on the broker, and a state from the gateway's reply to
+`physical/feedback`. With one robot the file also says how long it takes from a command to the RSI packet and from there to ROS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import multiprocessing
+import os
+import select
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import rospy
+from construction_twin.msg import Feedback
+from link_cell import Cell, pose_at, reply_spread
+from link_mqtt import MqttEnd, read_publish
+from link_routes import bridge_parameters
+from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end_in_order, spread_ms, wait_for
+
+from construction_twin.mqtt.messages import read_command_properties, read_state_properties
+from construction_twin.realtime import release_realtime, request_realtime
+from construction_twin.robot import read_robot_files
+from construction_twin.ros.joint_stream import QUEUE, JointPublisher
+from construction_twin.rsi.export import gateway_config
+from construction_twin.units import CYCLE, CYCLE_NS
+
+PREFIX = "fleet"
+#: Between the first command and the measurement [s].
+SETTLE = 2.0
+
+
+class Observer:
+    """Sees commands, states and statuses of all robots on the broker; the target of a process."""
+
+    def __init__(self, port: int):
+        self._end = MqttEnd(port, "link-observer", [f"{PREFIX}/+/{name}" for name in ("command", "state", "status")])
+        self.statuses: dict[str, dict] = {}
+        self.commands: list[tuple[str, int, int]] = []
+        self.states: list[tuple[str, int, int, int]] = []
+
+    def serve(self, pipe) -> None:
+        """Listen; answer ``"statuses"`` with the newest, ``"taken"`` with all since the last time, None ends."""
+        while True:
+            ready, _, _ = select.select([self._end.socket, pipe], [], [])
+            if self._end.socket in ready:
+                self._receive()
+            if pipe not in ready:
+                continue
+            order = pipe.recv()
+            if order is None:
+                return
+            if order == "taken":
+                pipe.send((self.commands, self.states))
+                self.commands, self.states = [], []
+            else:
+                pipe.send(self.statuses)
+
+    def _receive(self) -> None:
+        for body in self._end.receive():
+            topic, payload, pairs = read_publish(body)
+            _, robot, kind = topic.split("/")
+            now = time.monotonic_ns()
+            if kind == "command":
+                self.commands.append((robot, read_command_properties(pairs).stamp, now))
+            elif kind == "state":
+                state = read_state_properties(pairs)
+                self.states.append((robot, state.seq, state.stamp, state.command_stamp))
+            else:
+                self.statuses[robot] = json.loads(payload)
+
+
+def observe(pipe, port: int) -> None:
+    """Run an observer."""
+    Observer(port).serve(pipe)
+
+
+class Gates:
+    """Publishes every robot's command on one grid, and receives every robot's feedback."""
+
+    def __init__(self, robots: list[str], joint_names: tuple[str, ...], home: tuple[float, ...]):
+        rospy.init_node("link_gates", disable_signals=True, disable_rosout=True)
+        self._home, self.moves = home, False
+        self._publishers = {name: JointPublisher(f"/{name}/command/joint_states", joint_names) for name in robots}
+        self._cycle, self._due = 0, time.monotonic_ns()
+        self.sent: dict[tuple[str, int], int] = {}
+        self.received: dict[tuple[str, int], int] = {}
+        for name in robots:
+            rospy.Subscriber(
+                f"/{name}/physical/feedback", Feedback, self._receive, name, queue_size=QUEUE, tcp_nodelay=True
+            )
+
+    def _receive(self, message: Feedback, robot: str) -> None:
+        self.received[robot, message.seq] = time.monotonic_ns()
+
+    def stream(self, seconds: float) -> None:
+        """Publish for a time [s]; what cannot be published in time is late, not left out."""
+        for _ in range(round(seconds / CYCLE)):
+            time.sleep(max(0, self._due - time.monotonic_ns()) / 1e9)
+            pose = pose_at(self._home, self._cycle)
+            self._cycle += self.moves
+            for name, publisher in self._publishers.items():
+                self.sent[name, self._due] = time.monotonic_ns()
+                publisher.publish(self._due, pose)
+            self._due += CYCLE_NS
+
+
+class Fleet:
+    """A number of robots, and what looks at them."""
+
+    def __init__(self, world: World, count: int, realtime: int):
+        self._world = world
+        model = read_robot_files(XACRO, ROBOT_YAML)
+        self.names = [f"robot{k}" for k in range(1, count + 1)]
+        port = world.start_broker(realtime)
+        os.environ |= {"ROS_MASTER_URI": world.start_master(), "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": str(world.folder)}
+        self._pipe, far = multiprocessing.Pipe()
+        context = multiprocessing.get_context("fork")  # rospy has no thread in here yet
+        self._observer = context.Process(target=observe, args=(far, port), daemon=True)
+        self._observer.start()
+        self.pids: list[int] = []
+        shared = bridge_parameters(port, realtime, PREFIX)
+        shared["mqtt_bridge"]["gate"] = "/link_gates"
+        for name in self.names:
+            parameters = shared | {"robot": shared["robot"] | {"name": name}}
+            rospy.set_param(f"/{name}", parameters)
+            config = gateway_config(dataclasses.replace(model, name=name), parameters["gateway"])
+            bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
+            self.pids.append(world.start(f"{name}-bridge", bridge, ROS_NAMESPACE=name).pid)
+            self.pids += Cell(world, config, realtime, PREFIX).pids
+        request_realtime(realtime)
+        self.gates = Gates(self.names, model.joint_names, tuple(model.home))
+
+    def start(self, timeout: float) -> bool:
+        """Arm all robots and begin to move; False when not all were armed in time: then some do not move."""
+
+        def following() -> bool:
+            self.gates.stream(0.2)
+            states = [status["state"] for status in self.ask("statuses").values()]
+            return states.count("following") == len(self.names)
+
+        armed = True
+        try:
+            wait_for(following, timeout, "a fleet that follows")
+        except TimeoutError:
+            armed = False
+        self.gates.moves = True
+        self.gates.stream(SETTLE)
+        return armed
+
+    def ask(self, order: str):
+        """Ask the observer."""
+        self._pipe.send(order)
+        return self._pipe.recv()
+
+    def dismiss(self) -> None:
+        """Send the observer home, before the broker goes."""
+        self._pipe.send(None)
+        self._observer.join(5.0)
+
+    def measure(self, seconds: float) -> dict:
+        """Return the figures of a time [s]."""
+        self.ask("taken")
+        self.gates.sent.clear()
+        self.gates.received.clear()
+        before, cpu, begin = self.ask("statuses"), sum(map(cpu_seconds, self.pids)), time.monotonic()
+        self.gates.stream(seconds)
+        took = time.monotonic() - begin
+        cpu = sum(map(cpu_seconds, self.pids)) - cpu
+        self.gates.stream(1.2)  # a status later
+        after = self.ask("statuses")
+        commands, states = self.ask("taken")
+        sent, received = self.gates.sent, self.gates.received
+        out = [at - sent[robot, stamp] for robot, stamp, at in commands if (robot, stamp) in sent]
+        back = [received[state[:2]] - state[2] for state in states if state[:2] in received]
+        heard = [name for name in self.names if name in before]
+        replies = [reply_spread(before[name], after[name]) for name in heard]
+        return {
+            "robots": len(self.names),
+            "cpu_per_robot": round(cpu / took / len(self.names), 4),
+            "p99_ms": spread_ms(out + back)["p99_ms"],
+            "late": sum(reply["late"] for reply in replies),
+            "reply_p99_us": max((reply["p99"] or 0 for reply in replies), default=None),
+            "following": sum(after[name]["state"] == "following" for name in heard),
+        } | (
+            {"end_to_end": end_to_end(out, back, states, after[self.names[0]], replies[0])} if len(replies) == 1 else {}
+        )
+
+
+def command_to_rsi(states: list) -> list[int]:
+    """Return how long after a command's stamp its target went out in a reply, for the states of one robot [ns].
+
+    A state carries the playout time of the reply before the one it was sent with: that reply went out when the state before was sent.
+    """
+    return [
+        earlier[2] - later[3] for earlier, later in zip(states, states[1:]) if later[1] == earlier[1] + 1 and later[3]
+    ]
+
+
+def end_to_end(out: list[int], back: list[int], states: list, status: dict, reply: dict) -> dict:
+    """Return the ways from a command to the RSI packet and from there to ROS, of one robot."""
+    return {
+        "command_to_rsi_packet": spread_ms(command_to_rsi(states)),
+        "playout": status["playout"],
+        "command_to_broker": spread_ms(out),
+        "rsi_packet_to_reply_us": reply,
+        "rsi_reply_to_ros": spread_ms(back),
+    }
+
+
+def main() -> None:
+    """Measure one number of robots."""
+    parser = argparse.ArgumentParser(description="Several robots on one machine.")
+    parser.add_argument("--robots", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=10.0, help="[%(default)s]")
+    parser.add_argument("--timeout", type=float, default=60.0, help="to start and arm all [s] [%(default)s]")
+    parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
+    parser.add_argument("--output", type=Path, required=True, help="JSON")
+    options = parser.parse_args()
+    end_in_order()
+    with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
+        fleet = Fleet(world, options.robots, options.realtime)
+        armed = fleet.start(options.timeout)
+        result = fleet.measure(options.seconds) | {"armed_in_time": armed}
+        options.output.write_text(json.dumps(result))
+        fleet.dismiss()
+        rospy.signal_shutdown("measured")
+        release_realtime()
+
+
+if __name__ == "__main__":
+    main()

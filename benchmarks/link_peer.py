@@ -1,0 +1,184 @@
+"""The MQTT side of a route measurement, in a process of its own: sends states, receives commands, echoes, plays the gateway.
+
+Stamps are the monotonic clock, which both ends share on one machine: a message carries the time at which it was sent.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import struct
+import time
+from dataclasses import dataclass, field
+from io import BytesIO
+
+from construction_twin.msg import Feedback
+from link_mqtt import MqttEnd, publish_packet, read_publish
+
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.messages import StateProperties, Topics, read_command_properties
+
+_PERIOD_OF_STATUS = 1.0
+
+
+class JointStrings:
+    """Messages as the system sends them: joint strings with user properties, for the bridge."""
+
+    def __init__(self, topics: Topics, pose: tuple[float, ...], decimals: int):
+        self._topic, self._seq = topics.state, 0
+        self._payload = JointStringCodec(len(pose), decimals).encode(pose)
+
+    def state(self, command_stamp: int) -> bytes:
+        """Return the packet of a state."""
+        self._seq += 1
+        pairs = StateProperties(self._seq, time.monotonic_ns(), command_stamp).pairs()
+        return publish_packet(self._topic, self._payload, pairs)
+
+    def stamp(self, payload: bytes, pairs: list[tuple[str, str]]) -> int:
+        """Return when a command was sent."""
+        return read_command_properties(pairs).stamp
+
+
+class RosBytes:
+    """Messages as ROS serialises them, for the floor."""
+
+    def __init__(self, topics: Topics, names: tuple[str, ...], pose: tuple[float, ...]):
+        self._topic = topics.state
+        message = Feedback(name=list(names), position=pose)
+        message.command_stamp.secs, message.command_stamp.nsecs = 0x01020304, 0x05060708
+        buffer = BytesIO()
+        message.serialize(buffer)
+        self._bytes = bytearray(buffer.getvalue())
+        self._at = self._bytes.index(struct.pack("<II", 0x01020304, 0x05060708))
+
+    def state(self, command_stamp: int) -> bytes:
+        """Return the packet of a state."""
+        struct.pack_into("<II", self._bytes, self._at, *divmod(command_stamp, 1_000_000_000))
+        return publish_packet(self._topic, bytes(self._bytes))
+
+    def stamp(self, payload: bytes, pairs: list[tuple[str, str]]) -> int:
+        """Return when a command was sent: the stamp of its header."""
+        seconds, nanoseconds = struct.unpack_from("<II", payload, 4)
+        return seconds * 1_000_000_000 + nanoseconds
+
+
+class FakeGateway:
+    """What the bridge needs to hear to be armed and to stay so."""
+
+    def __init__(self, topics: Topics, config_hash: str, decimals: int):
+        self._topics = topics
+        self._status = {"state": "ready", "reason": "benchmark", "session": "", "fault": False, "mode": "normal"}
+        self._status |= {"hash": config_hash, "decimals": decimals, "counters": {}}
+
+    def status(self) -> bytes:
+        """Return the packet of the status."""
+        return publish_packet(self._topics.status, json.dumps(self._status).encode(), retain=True)
+
+    def answer(self, payload: bytes) -> list[bytes]:
+        """Return the packets that answer a control message."""
+        control = json.loads(payload)
+        armed = control["verb"] == "arm"
+        self._status |= {"state": "following" if armed else "ready", "session": control["session"] if armed else ""}
+        answer = {"id": control["id"], "verb": control["verb"], "ok": True, "reason": "", "session": control["session"]}
+        return [self.status(), publish_packet(self._topics.control_ack, json.dumps(answer).encode())]
+
+
+@dataclass
+class Task:
+    """What to do in one measurement.
+
+    Attributes
+    ----------
+    rate : float
+        States per second; 0: none.
+    count : int
+        How many states.
+    echo : bool
+        Answer each command with a state that carries its stamp.
+    """
+
+    rate: float = 0.0
+    count: int = 0
+    echo: bool = False
+
+
+@dataclass
+class Heard:
+    """What a measurement yields: arrivals as (stamp, time of arrival) and stamps of what was sent [ns]."""
+
+    arrivals: list[tuple[int, int]] = field(default_factory=list)
+    sent: list[int] = field(default_factory=list)
+
+
+class Peer:
+    """Runs tasks that come through a pipe; between them it keeps the bridge content."""
+
+    def __init__(self, port: int, topics: Topics, messages: JointStrings | RosBytes, gateway: FakeGateway | None):
+        self._topics, self._messages, self._gateway = topics, messages, gateway
+        self._end = MqttEnd(port, "link-peer", [topics.command, topics.control])
+        self._status_at = 0.0
+        self._task, self._heard = Task(), Heard()
+
+    def run(self, pipe) -> None:
+        """Serve until the pipe says None: a Task begins a measurement, ``"result"`` ends it."""
+        due, period = 0, 0
+        while True:
+            self._report()
+            left = len(self._heard.sent) < self._task.count
+            wait = max(0, due - time.monotonic_ns()) / 1e9 if left else 0.1
+            ready, _, _ = select.select([self._end.socket, pipe], [], [], min(wait, 0.1))
+            if self._end.socket in ready:
+                self._receive()
+            if left and time.monotonic_ns() >= due:
+                self._send()
+                due += period
+            if pipe not in ready:
+                continue
+            order = pipe.recv()
+            if order is None:
+                self._end.close()
+                return
+            if isinstance(order, Task):
+                self._task, self._heard = order, Heard()
+                period = round(1e9 / order.rate) if order.rate else 0
+                due = time.monotonic_ns()
+                pipe.send("begun")
+            elif order == "count":
+                pipe.send(len(self._heard.arrivals))
+            else:
+                self._task = Task()
+                pipe.send(self._heard)
+
+    def _send(self) -> None:
+        now = time.monotonic_ns()
+        self._end.publish(self._messages.state(now))
+        self._heard.sent.append(now)
+
+    def _receive(self) -> None:
+        for body in self._end.receive():
+            topic, payload, pairs = read_publish(body)
+            if topic == self._topics.command:
+                stamp = self._messages.stamp(payload, pairs)
+                if self._task.echo:
+                    self._end.publish(self._messages.state(stamp))
+                self._heard.arrivals.append((stamp, time.monotonic_ns()))
+            elif self._gateway is not None:
+                for packet in self._gateway.answer(payload):
+                    self._end.publish(packet)
+
+    def _report(self) -> None:
+        now = time.monotonic()
+        if self._gateway is not None and now >= self._status_at:
+            self._status_at = now + _PERIOD_OF_STATUS
+            self._end.publish(self._gateway.status())
+
+
+def serve(pipe, port: int, topics: Topics, subject: str, robot, config) -> None:
+    """Be the peer of one subject; the target of a process."""
+    pose = tuple(robot.home)
+    if subject == "ours":
+        messages = JointStrings(topics, pose, config.decimals)
+        gateway = FakeGateway(topics, config.hash, config.decimals)
+    else:
+        messages, gateway = RosBytes(topics, robot.joint_names, pose), None
+    Peer(port, topics, messages, gateway).run(pipe)

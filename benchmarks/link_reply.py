@@ -1,0 +1,46 @@
+"""How long the gateway takes to answer the controller: from the kernel's time of arrival to the reply, idle and with all cores busy."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from link_cell import Cell, Commander, reply_spread, shipped_config
+from link_world import REALTIME, World
+
+#: Time from arming to the beginning of the measurement [s].
+SETTLE = 2.0
+_BUSY = "while True: pass"
+
+
+def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dict, str]:
+    """Return the spread of the reply time [us], late replies and cycles while a motion is streamed, and the gateway's state at the end.
+
+    On a machine that does not run the mock controller in time the stream gets ahead of it, and the gateway brakes: it goes on answering.
+
+    Parameters
+    ----------
+    seconds : float
+    loaded : bool
+        With one busy loop per core beside it, at normal priority.
+    realtime : int, optional
+        SCHED_FIFO priority of the 250 Hz path, 0 for none.
+    """
+    config, home = shipped_config()
+    with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
+        world.start_broker(realtime)
+        Cell(world, config, realtime)
+        commander = Commander(world.broker_port, config, home)
+        commander.arm()
+        commander.stream(SETTLE)
+        if loaded:
+            for core in range(os.cpu_count()):
+                world.start(f"busy{core}", [sys.executable, "-c", _BUSY])
+            commander.stream(SETTLE)
+        before = commander.next_status()
+        commander.stream(seconds)
+        result = reply_spread(before, commander.next_status())
+        commander.close()
+        return result, commander.status["state"]

@@ -1,0 +1,248 @@
+"""Latency of the routes through the bridge, and through the floor: the ROS side of the measurement, run once per subject and round.
+
+``python benchmarks/link_routes.py --subject ours`` prints the JSON that `link.py` reads. The subject is a process of its own, so that
+its processor time is only its own; both ends stamp with the clock they share. The ROS side is the node that the bridge takes
+commands from, the gate; the MQTT side (`link_peer.py`) plays the gateway. A state counts as arrived with `physical/feedback`,
+which is what the gate compares by, and which leaves the bridge after `physical/joint_states`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import rospy
+import yaml
+from construction_twin.msg import Feedback
+from link_cell import gateway_settings
+from link_peer import Heard, Task, serve
+from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end_in_order, wait_for
+
+from construction_twin.mqtt.messages import Topics
+from construction_twin.realtime import release_realtime, request_realtime
+from construction_twin.robot import expand_xacro, read_robot_files
+from construction_twin.ros.joint_stream import QUEUE, JointPublisher, from_time
+from construction_twin.rsi.export import gateway_config
+
+#: Of the routes [Hz].
+RATE = 250.0
+#: Tried for the highest sustained rate, until one fails [Hz].
+RATES = (500, 1000, 1500, 2000, 2500, 3000, 4000, 5000)
+#: The second sender of a duplex route is slower by this share: in 20 s the phase of the two passes four times through every value.
+SLIDE = 1 / 1250
+#: What arrives later than this after the last one was sent is a backlog [s].
+BACKLOG = 0.1
+NAMESPACE = "kr120"
+ROUTES = ("ros_to_mqtt", "mqtt_to_ros", "round_trip", "duplex")
+
+
+@dataclass
+class Outcome:
+    """One measurement: latencies of what arrived [ns], counts, and the subject's processor time [s] per 1000 messages."""
+
+    latencies: list[int]
+    sent: int
+    lost: int
+    cpu_s_per_1000: float
+
+
+class RosEnd:
+    """Publishes commands and receives feedback, as the gate does."""
+
+    def __init__(self, names: tuple[str, ...], pose: tuple[float, ...]):
+        rospy.init_node("pca_monitor", disable_signals=True, disable_rosout=True)
+        self._pose = pose
+        self._publisher = JointPublisher(f"/{NAMESPACE}/command/joint_states", names)
+        self.heard = Heard()
+        topic = f"/{NAMESPACE}/physical/feedback"
+        rospy.Subscriber(topic, Feedback, self._receive, queue_size=QUEUE, tcp_nodelay=True)
+
+    def _receive(self, message: Feedback) -> None:
+        self.heard.arrivals.append((from_time(message.command_stamp), time.monotonic_ns()))
+
+    def send(self, rate: float, count: int) -> None:
+        """Send commands on a grid; one that is late is sent at once."""
+        due = time.monotonic_ns()
+        for _ in range(count):
+            time.sleep(max(0, due - time.monotonic_ns()) / 1e9)
+            now = time.monotonic_ns()
+            self._publisher.publish(now, self._pose)
+            self.heard.sent.append(now)
+            due += round(1e9 / rate)
+
+
+class Bench:
+    """Both ends and the subject between them.
+
+    Parameters
+    ----------
+    end : RosEnd
+    pipe : Connection
+        To the peer.
+    pid : int
+        The subject's process.
+    """
+
+    def __init__(self, end: RosEnd, pipe, pid: int):
+        self._end, self._pipe, self._pid = end, pipe, pid
+
+    def warm_up(self, count: int = 100) -> None:
+        """Run both ways until everything is connected and armed."""
+        self._begin(Task(250.0, 10_000_000))
+
+        def flows() -> bool:
+            self._end.send(250.0, 50)
+            return self._peer_count() >= count and len(self._end.heard.arrivals) >= count
+
+        wait_for(flows, 30.0, "messages in both directions")
+        self._ask("result")
+
+    def measure(self, route: str, count: int, rate: float = RATE) -> Outcome:
+        """Run one route with `count` messages each way."""
+        out, back = route != "mqtt_to_ros", route in ("mqtt_to_ros", "duplex")
+        slower = rate * (1 - SLIDE) if route == "duplex" else rate
+        cpu = cpu_seconds(self._pid)
+        self._begin(Task(slower, count if back else 0, route == "round_trip"))
+        begin = time.monotonic()
+        if out:
+            self._end.send(rate, count)
+        if back:
+            time.sleep(max(0.0, begin + count / slower - time.monotonic()))
+        expected = count * (out + back)
+        peer_counts, ros_counts = out and route != "round_trip", back or route == "round_trip"
+
+        def arrived() -> int:
+            return (self._peer_count() if peer_counts else 0) + (len(self._end.heard.arrivals) if ros_counts else 0)
+
+        settle(arrived, expected)
+        cpu = cpu_seconds(self._pid) - cpu
+        peer, ros = self._ask("result"), self._end.heard
+        # a round trip is sent and comes back here
+        pairs = [(ros, peer.arrivals)] if peer_counts else []
+        pairs += [(ros if route == "round_trip" else peer, ros.arrivals)] if ros_counts else []
+        messages = expected * (2 if route == "round_trip" else 1)
+        return _outcome(pairs, cpu / messages * 1000)
+
+    def sustains(self, route: str, rate: float, seconds: float) -> bool:
+        """Return whether this rate [Hz] passes without loss and without a backlog, sent at no less than 99 % of it."""
+        begin = time.monotonic()
+        outcome = self.measure(route, round(rate * seconds), rate)
+        took = time.monotonic() - begin
+        return not outcome.lost and outcome.latencies[-1] <= BACKLOG * 1e9 and took <= seconds * 1.01 + BACKLOG
+
+    def _begin(self, task: Task) -> None:
+        self._end.heard = Heard()
+        self._ask(task)
+
+    def _peer_count(self) -> int:
+        return self._ask("count")
+
+    def _ask(self, order: object):
+        self._pipe.send(order)
+        return self._pipe.recv()
+
+
+def settle(arrived, expected: int, quiet: float = 1.0) -> None:
+    """Wait until `expected` messages have arrived, or none for `quiet` [s]."""
+    last, at = -1, time.monotonic()
+    while (count := arrived()) < expected and time.monotonic() < at + quiet:
+        if count != last:
+            last, at = count, time.monotonic()
+        time.sleep(0.02)
+
+
+def _outcome(pairs: list, cpu: float) -> Outcome:
+    latencies, sent, lost = [], 0, 0
+    for sender, arrivals in pairs:
+        stamps = set(sender.sent)
+        known = {stamp: at for stamp, at in reversed(arrivals) if stamp in stamps}
+        latencies += [known[stamp] - stamp for stamp in sender.sent if stamp in known]
+        sent, lost = sent + len(sender.sent), lost + len(sender.sent) - len(known)
+    return Outcome(latencies, sent, lost, cpu)
+
+
+def bridge_parameters(port: int, realtime: int, prefix: str = "twin") -> dict:
+    """Return the parameters of a bridge in its robot's namespace, as launch/link.launch loads them."""
+    bridge = yaml.safe_load((ROOT / "config" / "mqtt_bridge.yaml").read_text())
+    bridge |= {"host": "127.0.0.1", "port": port, "protocol": "5", "prefix": prefix, "account": ""}
+    return {
+        "robot_description": expand_xacro(XACRO),
+        "robot": yaml.safe_load(ROBOT_YAML.read_text()),
+        "gateway": gateway_settings(),
+        "mqtt_bridge": bridge | {"realtime_priority": realtime},
+    }
+
+
+def subject_command(subject: str, port: int, topics: Topics, realtime: int) -> list:
+    """Return the command that starts the bridge or the floor."""
+    if subject == "ours":
+        return [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
+    return [sys.executable, ROOT / "benchmarks/link_floor.py", port, f"{topics.prefix}/{topics.robot}", realtime]
+
+
+def run(subject: str, seconds: float, rate_seconds: float, realtime: int = REALTIME) -> dict:
+    """Measure one subject; return the outcomes by route, and the highest sustained rates when `rate_seconds` is not 0."""
+    robot = read_robot_files(XACRO, ROBOT_YAML)
+    topics = Topics("twin", robot.name)
+    with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
+        port = world.start_broker(realtime)
+        os.environ |= {"ROS_MASTER_URI": world.start_master(), "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": folder}
+        parameters = bridge_parameters(port, realtime)
+        config = gateway_config(robot, parameters["gateway"])
+        parameters["mqtt_bridge"]["gate"] = "/pca_monitor"  # this process, outside of the namespace
+        rospy.set_param(f"/{NAMESPACE}", parameters)
+        process = world.start(subject, subject_command(subject, port, topics, realtime), ROS_NAMESPACE=NAMESPACE)
+        request_realtime(realtime)  # both ends; after the master, which has no part in the path
+        near, far = multiprocessing.Pipe()
+        context = multiprocessing.get_context("fork")  # rospy has no thread in here yet
+        peer = context.Process(target=serve, args=(far, port, topics, subject, robot, config), daemon=True)
+        peer.start()
+        far.close()  # so that the end of the peer ends the waiting for it
+        bench = Bench(RosEnd(robot.joint_names, tuple(robot.home)), near, process.pid)
+        try:
+            bench.warm_up()
+        except TimeoutError as error:
+            raise SystemExit(f"{subject}: {error}\n{world.said(subject)}") from error
+        result = {route: asdict(bench.measure(route, round(RATE * seconds))) for route in ROUTES}
+        result["max_rate_hz"] = {route: highest(bench, route, rate_seconds) for route in ROUTES[:2] if rate_seconds}
+        near.send(None)
+        peer.join(5.0)
+        rospy.signal_shutdown("measured")
+        release_realtime()
+        return result
+
+
+def highest(bench: Bench, route: str, seconds: float) -> float:
+    """Return the highest of RATES that passes [Hz]; 0 for none. One failure may be the machine's, two in a row are not."""
+    best = 0.0
+    for rate in RATES:
+        if not any(bench.sustains(route, rate, seconds) for _ in range(2)):
+            return best
+        best = float(rate)
+    return best
+
+
+def main() -> None:
+    """Measure one subject."""
+    parser = argparse.ArgumentParser(description="Routes through the bridge or the floor, at 250 Hz.")
+    parser.add_argument("--subject", choices=("ours", "floor"), default="ours")
+    parser.add_argument("--seconds", type=float, default=20.0, help="per route [%(default)s]")
+    parser.add_argument(
+        "--rate-seconds", type=float, default=0.0, help="per rate tried for the highest; 0: none [%(default)s]"
+    )
+    parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
+    parser.add_argument("--output", type=Path, required=True, help="JSON with every latency [ns]")
+    options = parser.parse_args()
+    end_in_order()
+    options.output.write_text(json.dumps(run(options.subject, options.seconds, options.rate_seconds, options.realtime)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,137 @@
+"""What every part of the link benchmark starts: a broker, a ROS master and processes on free ports of the loopback interface."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+#: SCHED_FIFO priority of the 250 Hz path where the system permits it, as launch/bringup.launch asks for.
+REALTIME = 40
+XACRO, ROBOT_YAML = ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml"
+
+
+def free_port(kind: int = socket.SOCK_STREAM) -> int:
+    """Return a port of the loopback interface that nobody uses."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_for(condition: Callable[[], object], timeout: float, what: str) -> object:
+    """Return the first true value of `condition()`; TimeoutError after `timeout` [s]."""
+    deadline = time.monotonic() + timeout
+    while not (value := condition()):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{what} did not happen within {timeout:g} s")
+        time.sleep(0.01)
+    return value
+
+
+def listens(port: int) -> bool:
+    """Return whether somebody accepts TCP connections on this port of the loopback interface."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def cpu_seconds(pid: int) -> float:
+    """Return the processor time that a process has used, all its threads [s] (Linux: the process's own CPU clock)."""
+    return time.clock_gettime((~pid << 3) | 2)
+
+
+def resident_mb(pid: int) -> float:
+    """Return a process's resident memory [MB]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class World(ExitStack):
+    """Processes that end with the block; their output goes to files in `folder`.
+
+    Parameters
+    ----------
+    folder : Path
+        For logs, configuration files and ROS_HOME.
+    """
+
+    def __init__(self, folder: Path):
+        super().__init__()
+        self.folder = folder
+        self.broker_port = 0
+        self.environment = dict(os.environ, ROS_HOME=str(folder), ROS_LOG_DIR=str(folder / "log"))
+
+    def start(self, name: str, command: Sequence[object], **environment: str) -> subprocess.Popen:
+        """Start a program; it is interrupted, and after 5 s killed, at the end of the block."""
+        log = self.enter_context(open(self.folder / f"{name}.log", "ab"))
+        process = subprocess.Popen(
+            [str(part) for part in command], stdout=log, stderr=log, env=self.environment | environment
+        )
+        self.callback(end, process)
+        return process
+
+    def start_broker(self, realtime: int = REALTIME) -> int:
+        """Start mosquitto with the project's configuration; return its port."""
+        self.broker_port = free_port()
+        command = [sys.executable, ROOT / "nodes/broker", "--config", ROOT / "config/mosquitto.conf"]
+        self.start("mosquitto", [*command, "--port", self.broker_port, "--realtime", realtime])
+        wait_for(lambda: listens(self.broker_port), 10.0, "mosquitto listening")
+        return self.broker_port
+
+    def start_master(self) -> str:
+        """Start a ROS master; return its URI, which is also in the environment of what is started later."""
+        port = free_port()
+        self.environment |= {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
+        self.environment.pop("ROS_HOSTNAME", None)
+        self.start("rosmaster", ["rosmaster", "--core", "-p", port])
+        wait_for(lambda: listens(port), 20.0, "the ROS master listening")
+        return self.environment["ROS_MASTER_URI"]
+
+    def said(self, name: str) -> str:
+        """Return the last lines of what a program printed."""
+        return "\n".join((self.folder / f"{name}.log").read_text(errors="replace").splitlines()[-5:])
+
+
+def end_in_order() -> None:
+    """Make SIGTERM end this program as an exception does, so that what it started ends too; for the main thread."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+
+
+def end(process: subprocess.Popen) -> None:
+    """Interrupt a process; kill it when that does not end it within 5 s."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    try:
+        process.wait(5.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def spread_ms(latencies: Sequence[int]) -> dict:
+    """Return the percentiles of latencies in ns, in ms; None without any."""
+    names = ("p50_ms", "p99_ms", "p99_9_ms", "max_ms")
+    if not len(latencies):
+        return dict.fromkeys(names)
+    values = np.percentile(latencies, (50, 99, 99.9, 100)) / 1e6
+    return {name: round(float(value), 4) for name, value in zip(names, values)}
+
+
+def environment() -> dict:
+    """Return what the figures depend on."""
+    cpu = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+    return {
+        "cpu": cpu[0].partition(": ")[2] if cpu else "unknown",
+        "cores": os.cpu_count(),
+        "kernel": os.uname().release,
+        "python": sys.version.split()[0],
+        "load": [round(value, 2) for value in os.getloadavg()],
+    }

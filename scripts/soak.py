@@ -1,0 +1,150 @@
+"""Runs the whole loop of one robot for an hour and says whether it drifts, grows or loses anything: `make soak`.
+
+Gateway, mock controller, bridge, broker and a commander on ROS that moves the arm all the time. Every minute a line: resident memory per
+process, late replies, lost commands and states, and the distance from a command to its RSI packet beyond the playout's delay.
+`python scripts/soak.py --minutes 5` is a shorter run. The exit code is 0 when the verdict is good.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+import rospy  # noqa: E402
+from link_fleet import Fleet, command_to_rsi  # noqa: E402
+from link_world import REALTIME, World, end_in_order, environment, resident_mb  # noqa: E402
+
+from construction_twin.realtime import release_realtime  # noqa: E402
+
+#: Growth of a process's memory and drift of the distance up to here are noise [MB], [ms].
+MAX_GROWTH, MAX_DRIFT = 2.0, 4.0
+PROCESSES = ("bridge", "gateway", "mock")
+#: Counters of the gateway that say that a cycle went wrong.
+CYCLES = (
+    "late_replies",
+    "telegrams_skipped",
+    "ipoc_steps_irregular",
+    "sessions_by_ipoc_jump",
+    "stops_silence",
+    "stops_refused",
+)
+
+
+@dataclass(frozen=True)
+class Minute:
+    """What one interval showed: memory [MB] per process, counts, distance [ms], the gateway's state."""
+
+    memory: tuple[float, ...]
+    late: int
+    lost: int
+    distance: float | None
+    state: str
+
+
+@dataclass
+class Soak:
+    """The loop and what has been seen of it."""
+
+    fleet: Fleet
+    minutes: list[Minute] = field(default_factory=list)
+
+    def __post_init__(self):
+        self._counts = self._counters()
+
+    def run(self, interval: float) -> Minute:
+        """Let the loop run for an interval [s]; return what it showed."""
+        self.fleet.ask("taken")
+        self.fleet.gates.sent.clear()
+        self.fleet.gates.received.clear()
+        self.fleet.gates.stream(interval)
+        commands, states = self.fleet.ask("taken")
+        status = self._status()
+        distances = command_to_rsi(states)
+        playout = status["playout"]["delay_ms"]
+        distance = statistics.median(distances) / 1e6 - playout if distances else None
+        before, self._counts = self._counts, self._counters()
+        late, lost = (now - then for now, then in zip(self._counts, before))
+        lost += sum(later[1] - earlier[1] - 1 for earlier, later in zip(states, states[1:]))
+        lost += max(0, len(self.fleet.gates.sent) - len(commands) - 1)  # one may be on its way
+        memory = tuple(round(resident_mb(pid), 1) for pid in self.fleet.pids)
+        self.minutes.append(Minute(memory, late, lost, distance, status["state"]))
+        return self.minutes[-1]
+
+    def _status(self) -> dict:
+        return self.fleet.ask("statuses")[self.fleet.names[0]]
+
+    def _counters(self) -> tuple[int, int]:
+        counters = self._status()["counters"]
+        return sum(counters.get(name, 0) for name in CYCLES), counters.get("commands_lost", 0)
+
+
+def verdict(minutes: list[Minute]) -> list[str]:
+    """Return what is wrong, one sentence each; nothing: no drift, no growth, no lost cycle.
+
+    Growth and drift compare the medians of the first and the last third; with six minutes or more the first one, in which everything
+    warms up, does not count.
+    """
+    wrong = []
+    late, lost = sum(minute.late for minute in minutes), sum(minute.lost for minute in minutes)
+    if late:
+        wrong.append(f"{late} cycles late, skipped or irregular")
+    if lost:
+        wrong.append(f"{lost} commands or states lost")
+    odd = [minute.state for minute in minutes if minute.state != "following"]
+    if odd:
+        wrong.append(f"the gateway was {odd[0]} at the end of {len(odd)} minutes")
+    settled = minutes[1:] if len(minutes) >= 6 else minutes
+    third = max(1, len(settled) // 3)
+    for k, name in enumerate(PROCESSES):
+        first, last = (statistics.median(m.memory[k] for m in part) for part in (settled[:third], settled[-third:]))
+        if last - first > MAX_GROWTH:
+            wrong.append(f"{name} grew from {first:.1f} to {last:.1f} MB")
+    distances = [minute.distance for minute in settled if minute.distance is not None]
+    if distances:
+        first, last = statistics.median(distances[:third]), statistics.median(distances[-third:])
+        if abs(last - first) > MAX_DRIFT:
+            wrong.append(
+                f"from command to RSI packet: {first:+.2f} ms beyond the playout's delay at first, {last:+.2f} at last"
+            )
+    return wrong
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the loop; return the exit code."""
+    parser = argparse.ArgumentParser(description="The loop of one robot for an hour: drift, growth, lost cycles.")
+    parser.add_argument("--minutes", type=float, default=60.0, help="[%(default)s]")
+    parser.add_argument("--interval", type=float, default=60.0, help="of a line [s] [%(default)s]")
+    parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
+    options = parser.parse_args(arguments)
+    end_in_order()
+    with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
+        fleet = Fleet(world, 1, options.realtime)
+        if not fleet.start(60.0):
+            print("[soak] the gateway was not armed within 60 s")
+            return 1
+        soak = Soak(fleet)
+        columns = "".join(f"{name + ' MB':>12s}" for name in PROCESSES)
+        print(f"{'minute':>7s}{columns}{'late':>6s}{'lost':>6s}{'beyond delay':>14s}  state", flush=True)
+        for number in range(max(1, round(options.minutes * 60.0 / options.interval))):
+            minute = soak.run(options.interval)
+            memory = "".join(f"{value:12.1f}" for value in minute.memory)
+            distance = "-" if minute.distance is None else f"{minute.distance:+.2f} ms"
+            print(f"{number + 1:7d}{memory}{minute.late:6d}{minute.lost:6d}{distance:>14s}  {minute.state}", flush=True)
+        fleet.dismiss()
+        rospy.signal_shutdown("done")
+        release_realtime()
+    wrong = verdict(soak.minutes)
+    print(f"load {environment()['load']}")
+    print("verdict: " + ("; ".join(wrong) if wrong else "no drift, no growth, no lost cycle"))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

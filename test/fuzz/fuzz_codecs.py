@@ -1,0 +1,109 @@
+"""The codecs alone: whatever comes in, they return a value that stands for exactly that, or refuse with a typed error."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from collections import Counter
+from collections.abc import Callable
+
+from mqtt_mutations import Message, Target, message, mutate
+from rsi_mutations import mutate as mutate_telegram
+
+from construction_twin.errors import PayloadError, TelegramError
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.messages import (
+    parse_control,
+    parse_status,
+    read_command_properties,
+    read_state_properties,
+)
+from construction_twin.mqtt.review import parse_review
+from construction_twin.mqtt.status_values import status_values
+from construction_twin.rsi.codec import RobotDecoder, SensorDecoder
+
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+STATUS = {
+    "state": "armed", "decimals": 3, "counters": {"telegrams": 7}, "mode": "normal", "last_refusal": "arm: no",
+    "playout": {"delay_ms": 20.0, "drift_ppm": None}, "intruder": {"session": "x", "count": 1},
+    "reply_us": {"bins": [50, 100], "counts": [1, 2, 3], "max": 80},
+}  # fmt: skip
+REVIEW = {"plan_id": "p1", "plan_hash": "0" * 64, "verdict": "approved", "reviewer": "Ada", "reason": ""}
+#: Largest datagram of UDP.
+LARGEST = 65_507
+SENSOR = (
+    b'<Sen Type="CTWIN"><Stop>0</Stop><AK A1="0.1" A2="0.0" A3="0.0" A4="0.0" A5="0.0" A6="-0.2"/><IPOC>42</IPOC></Sen>'
+)
+
+
+class Tally(Counter):
+    """How many inputs ended how; "accepted" and the reasons of refusals."""
+
+    def run(self, parse: Callable[[], object], errors: type[Exception]) -> object:
+        """Count what `parse` makes of an input; return its value, None when it refused. Any other exception is a crash."""
+        try:
+            value = parse()
+        except errors as error:
+            # a counter's name and a status carry it: neither may grow with what was sent
+            assert error.reason.isidentifier() and len(error.reason) < 32
+            assert len(str(error)) < 2000, len(str(error))
+            self[error.reason] += 1
+            return None
+        self["accepted"] += 1
+        return value
+
+
+def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda done: None) -> Tally:
+    """Feed `count` payloads and property sets to everything that reads MQTT."""
+    rng, codec, tally = random.Random(seed), JointStringCodec(6), Tally()
+    target = Target("owner", "ended", "0" * 64, codec.encode((0.5,) * 6), codec.encode((0.0,) * 6))
+    others = [
+        (json.dumps(STATUS).encode(), lambda data: status_values(parse_status(data))),
+        (json.dumps(REVIEW).encode(), lambda data: parse_review(data, False)),
+    ]
+    for done in range(count):
+        if rng.random() < 0.2:
+            sample, parse = rng.choice(others)
+            tally.run(lambda: parse(mutate(rng, sample)), PayloadError)
+        else:
+            _read_message(message(rng, target), codec, tally)
+        progress(done + 1)
+    return tally
+
+
+def _read_message(sent: Message, codec: JointStringCodec, tally: Tally) -> None:
+    if sent.topic == "control":
+        control = tally.run(lambda: parse_control(sent.payload), PayloadError)
+        assert control is None or json.loads(sent.payload)["verb"] == control.verb
+        return
+    q = tally.run(lambda: _command(sent, codec), PayloadError)
+    # what was accepted stands for exactly what was sent; -000.000 is 0
+    assert q is None or codec.encode(q) == sent.payload.replace(b"-000.000", b"+000.000")
+
+
+def _command(sent: Message, codec: JointStringCodec) -> tuple[float, ...]:
+    if sent.pairs and sent.pairs[0][0] == "seq":
+        read_state_properties(sent.pairs)
+    else:
+        read_command_properties(sent.pairs)
+    return codec.decode(sent.payload)
+
+
+def rsi_codecs(telegram: bytes, count: int, seed: int, progress: Callable[[int], None] = lambda done: None) -> Tally:
+    """Feed `count` changed telegrams and replies to the gateway's and the mock's decoder."""
+    robot, sensor, tally = (
+        RobotDecoder(AXES),
+        SensorDecoder("CTWIN", AXES, ("Stop", *(f"AK.{a}" for a in AXES))),
+        Tally(),
+    )
+    for done in range(count):
+        if done % 4:
+            read = tally.run(lambda: robot.parse(mutate_telegram(telegram, seed + done)[:LARGEST]), TelegramError)
+            values = () if read is None else (*(read.measured or ()), *(read.setpoint or ()), read.ipoc)
+        else:
+            read = tally.run(lambda: sensor.parse(mutate_telegram(SENSOR, seed + done)[:LARGEST]), TelegramError)
+            values = () if read is None else (*read.correction, read.ipoc)
+        assert all(map(math.isfinite, values))
+        progress(done + 1)
+    return tally

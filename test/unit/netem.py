@@ -1,0 +1,110 @@
+"""Two network namespaces with a line between them, and the kernel's `netem` on it where it exists. Needs root; for tests only."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import secrets
+import subprocess
+from contextlib import contextmanager
+
+from impairment import Profile
+
+#: Addresses of the two ends: the ROS PC and the cell PC. Nobody but the two namespaces sees them.
+ROS_PC, CELL_PC = "10.197.0.1", "10.197.0.2"
+_CLONE_NEWNET = 0x40000000
+
+
+def netem_arguments(profile: Profile) -> list[str]:
+    """Return a profile as arguments of ``tc qdisc ... netem``; ValueError for stalls, cuts and rates, which are no steady state."""
+    if profile.stall or profile.cut or profile.rate:
+        raise ValueError(f"{profile}: netem has no stalls, cuts or rates here; switch the loss to 100 % for as long")
+    words = ["limit", "10000"]
+    if profile.delay or profile.jitter:
+        words += ["delay", f"{profile.delay * 1e3:g}ms", f"{profile.jitter * 1e3:g}ms"]
+    if profile.loss:
+        words += ["loss", f"{profile.loss * 100:g}%"]
+    if profile.duplication:
+        words += ["duplicate", f"{profile.duplication * 100:g}%"]
+    if profile.reordering:
+        # netem lets the share overtake the rest, which must have a delay for it
+        delay = profile.delay or profile.held_back
+        words[2:4] = ["delay", f"{delay * 1e3:g}ms", *words[4:5]]
+        words += ["reorder", f"{profile.reordering * 100:g}%"]
+    return words
+
+
+class Namespaces:
+    """Two namespaces, `ros` and `cell`, joined by a veth pair; gone when the ``with`` block ends."""
+
+    def __init__(self):
+        name = secrets.token_hex(3)
+        self.ros, self.cell = f"ctr{name}", f"ctc{name}"
+
+    def __enter__(self) -> Namespaces:
+        for space in (self.ros, self.cell):
+            run("ip", "netns", "add", space)
+            self.inside(space, "ip", "link", "set", "lo", "up")
+        self.inside(self.ros, "ip", "link", "add", "line", "type", "veth", "peer", "name", "line", "netns", self.cell)
+        for space, address in ((self.ros, ROS_PC), (self.cell, CELL_PC)):
+            self.inside(space, "ip", "address", "add", f"{address}/24", "dev", "line")
+            self.inside(space, "ip", "link", "set", "line", "up")
+        return self
+
+    def __exit__(self, *_) -> None:
+        for space in (self.ros, self.cell):
+            subprocess.run(["ip", "netns", "delete", space], capture_output=True)
+
+    def apply(self, profile: Profile) -> None:
+        """Put a profile on both ends of the line."""
+        for space in (self.ros, self.cell):
+            self.inside(space, "tc", "qdisc", "replace", "dev", "line", "root", "netem", *netem_arguments(profile))
+
+    @contextmanager
+    def entered(self):
+        """Let this thread, and what it starts, live on the ROS PC."""
+        setns = ctypes.CDLL(None, use_errno=True).setns
+        with open("/proc/thread-self/ns/net") as before, open(f"/run/netns/{self.ros}") as inside:
+            if setns(inside.fileno(), _CLONE_NEWNET):
+                raise OSError(ctypes.get_errno(), "setns")
+            try:
+                yield
+            finally:
+                setns(before.fileno(), _CLONE_NEWNET)
+
+    @staticmethod
+    def prefix(space: str) -> tuple[str, ...]:
+        """Return the words that run a program inside."""
+        return ("ip", "netns", "exec", space)
+
+    def inside(self, space: str, *command: str) -> None:
+        """Run a program inside; CalledProcessError when it fails."""
+        run(*self.prefix(space), *command)
+
+
+def run(*command: str) -> None:
+    """Run a program; CalledProcessError, with what it said, when it fails."""
+    subprocess.run(command, check=True, capture_output=True, text=True)
+
+
+def why_no_namespaces() -> str:
+    """Return why namespaces cannot be made here; "" when they can."""
+    if os.name != "posix" or os.geteuid() != 0:
+        return "network namespaces need root"
+    return _why_not(lambda spaces: None)
+
+
+def why_no_netem() -> str:
+    """Return why `netem` cannot be used here; "" when it can. Tried in a namespace of its own."""
+    return why_no_namespaces() or _why_not(lambda spaces: spaces.apply(Profile(delay=0.02)))
+
+
+def _why_not(action) -> str:
+    try:
+        with Namespaces() as spaces:
+            action(spaces)
+    except FileNotFoundError as error:
+        return f"{error.filename} is not installed"
+    except subprocess.CalledProcessError as error:
+        return f"`{' '.join(error.cmd)}`: {(error.stderr or '').strip() or error}"
+    return ""
