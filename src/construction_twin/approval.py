@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 
@@ -35,6 +36,8 @@ class Approval:
         self._executor = executor
         self._record = record
         self._lock = lock
+        # one verdict after the other: the record must not tell another order than what happened
+        self._verdict = threading.RLock()
         self._seen: tuple[str, int] = ("", 0)
 
     def review(
@@ -54,21 +57,24 @@ class Approval:
         RecordError
             When it cannot be recorded; then nothing happens.
         """
-        try:
-            with self._lock:
-                verdict = self._executor.examine(plan_id, plan_hash, approve, reviewer, reason)
-        except ReviewError as error:
-            self._refuse(plan_id, plan_hash, approve, reviewer, str(error))
-            raise
-        self._record(verdict)
-        try:
-            with self._lock:
-                return verdict, self._executor.carry_out(verdict)
-        except ReviewError as error:
-            # something happened while it was written down
-            if verdict.approved:
-                self._record(Ending(verdict.plan, "dropped", f"not started: {error}"))
-            raise
+        with self._verdict:
+            try:
+                with self._lock:
+                    verdict = self._executor.examine(plan_id, plan_hash, approve, reviewer, reason)
+            except ReviewError as error:
+                self._refuse(plan_id, plan_hash, approve, reviewer, str(error))
+                raise
+            self._record(verdict)
+            try:
+                with self._lock:
+                    return verdict, self._executor.carry_out(verdict)
+            except ReviewError as error:
+                # something happened while it was written down: the record is corrected
+                if verdict.approved:
+                    self._record(Ending(verdict.plan, "dropped", f"not started: {error}"))
+                else:
+                    self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, f"not rejected: {error}", verdict.plan))
+                raise
 
     def approve_by_itself(self, now: int) -> tuple[Verdict, str] | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.

@@ -158,7 +158,7 @@ class Executor:
     def ready_to_approve(self) -> bool:
         """Return whether a plan is on the desk and neither state nor missing scene stands against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
-        return ready and self.desk.plan is not None and bool(self.desk.scene)
+        return ready and self.desk.plan is not None and bool(self.desk.scene) and self.desk.scene_alive
 
     def withdraw(self, plan_id: str, reason: str) -> None:
         """Take a plan off the desk, if it still lies there."""

@@ -192,6 +192,42 @@ class DurationError(PlanningError):
         )
 
 
+class PlanSizeError(PlanningError):
+    """A plan would be larger than this planner makes.
+
+    Attributes
+    ----------
+    quantity : str
+        ``duration`` [s], ``waypoints`` or ``length of the tool's path`` [m].
+    value, limit : float
+    """
+
+    def __init__(self, quantity: str, value: float, limit: float, unit: str, to_do: str):
+        self.quantity, self.value, self.limit = quantity, value, limit
+        super().__init__(
+            f"the plan's {quantity} would be {value:.6g}{unit}; this planner takes at most {limit:.6g}{unit}, {to_do}"
+        )
+
+
+class FarWaypointError(PlanningError):
+    """A tool path leads to a place so far beyond the arm that it must be a mistake.
+
+    Attributes
+    ----------
+    waypoint : int
+        Its number, from 0.
+    distance, reach : float
+        From the arm's first turning joint, and how far the arm reaches from there [m].
+    """
+
+    def __init__(self, waypoint: int, what: str, distance: float, reach: float):
+        self.waypoint, self.distance, self.reach = waypoint, distance, reach
+        super().__init__(
+            f"waypoint {waypoint}: {what} is {distance:.6g} m from the arm, which reaches {reach:.3f} m; expected metres "
+            "in the frame of the request"
+        )
+
+
 class NoSceneError(PlanningError):
     """It is not known what surrounds the arm, so nothing can be planned.
 

@@ -61,11 +61,14 @@ class ReviewDesk:
         On the desk.
     scene : str
         Hash of the present scene; empty while none is known.
+    scene_alive : bool
+        Whether somebody is there who would tell that the scene changes.
     """
 
     def __init__(self):
         self.plan: Plan | None = None
         self.scene = ""
+        self.scene_alive = True
         self._decided: set[str] = set()
         self._void_before = 0
 
@@ -148,6 +151,10 @@ class ReviewDesk:
         if not self.scene:
             raise ReviewError(
                 f"plan {plan.id} cannot be approved: no scene is known yet; check that the scene node runs"
+            )
+        if not self.scene_alive:
+            raise ReviewError(
+                f"plan {plan.id} cannot be approved: nobody publishes the scene any more; check that the scene node runs"
             )
         if plan.scene != self.scene:
             raise ReviewError(

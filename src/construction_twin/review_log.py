@@ -230,16 +230,20 @@ def _plan_fields(plan: Plan | None) -> dict:
     if plan is None:
         return {}
     clearance = plan.report.clearance
-    distance = clearance.distance if math.isfinite(clearance.distance) else None
     return {
         "scene": plan.scene,
         "source": plan.source,
         "planner": plan.planner,
         "duration": plan.trajectory.duration,
-        "clearance": distance,
+        "clearance": _number(clearance.distance),
         "clearance_between": list(clearance.between),
-        "clearance_time": clearance.time,
+        "clearance_time": _number(clearance.time),
     }
+
+
+def _number(value: float) -> float | None:
+    """Return what JSON can hold: None for a distance that is infinite because there is nothing to touch."""
+    return value if math.isfinite(value) else None
 
 
 def _execution_without_end(content: bytes) -> dict | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import rospy
 import rostest
-from construction_twin.msg import CartesianWaypoint, Execution, PlanOutcome, Scene, SceneObject
+from construction_twin.msg import CartesianWaypoint, Execution, Plan, PlanOutcome, Scene, SceneObject
 from construction_twin.srv import (
     AddObject,
     AttachObject,
@@ -19,6 +19,7 @@ from construction_twin.srv import (
     PlanToPose,
     PreviewPlan,
     RemoveObject,
+    ReviewPlan,
 )
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -188,6 +189,22 @@ class MotionTest(unittest.TestCase):
         np.testing.assert_allclose(
             (tool.pose.position.x, tool.pose.position.y, tool.pose.position.z), expected, atol=1e-4
         )
+
+    def test_a_plan_of_anybody_but_the_planner_is_refused(self):
+        self.client.plan_to(LEFT)
+        forged = self.client.plans[-1]
+        self.assertTrue(self.client.review(forged.id, forged.hash, approve=False).success)
+        forged.id = "forged"
+        before = int(self.client.diagnostics("executor").get("refused publisher", 0))
+        publisher = rospy.Publisher("plan", Plan, queue_size=1)
+        wait(lambda: publisher.get_num_connections() >= 3, "executor, gate and preview to listen")
+        publisher.publish(forged)
+        self.client.wait(
+            lambda: int(self.client.diagnostics("executor").get("refused publisher", 0)) > before,
+            "the forged plan to be counted",
+        )
+        answer = rospy.ServiceProxy("review_plan", ReviewPlan)("forged", forged.hash, True, "tester", "")
+        self.assertIn("not under review", answer.message)
 
     # -- along lines, and paths from elsewhere
 

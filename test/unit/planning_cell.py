@@ -28,6 +28,7 @@ QUICK = dict(
     goals=8,
     speed_scale=1.0,
     max_waypoints=2000,
+    max_duration=600.0,
     seed=1,
 )
 #: Between RIGHT and LEFT: the straight joint motion goes through it, the arm can go over it.

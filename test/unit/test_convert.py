@@ -99,6 +99,14 @@ def test_a_pose_is_position_and_rotation():
     assert np.array_equal(same.position, pose.position) and np.array_equal(same.rotation, pose.rotation)
 
 
+@pytest.mark.parametrize("field", ["clearance", "clearance_time", "jerk_use"])
+def test_a_plan_whose_measurements_are_no_numbers_is_refused(field):
+    msg = convert.plan_to_msg(plan(), "base_link", np.zeros((50, 3)))
+    setattr(msg, field, [math.nan, 0.1] if field == "jerk_use" else math.nan)
+    with pytest.raises(TrajectoryError, match="measured"):
+        convert.plan_from_msg(msg)
+
+
 @pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.002), (0.0, 0.0, 0.0, math.nan)])
 def test_a_quaternion_that_is_none_is_refused(quaternion):
     with pytest.raises(KinematicsError, match="norm 1"):

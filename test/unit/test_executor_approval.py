@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
 
@@ -198,9 +200,50 @@ class TestScene:
         bench.executor.on_scene(SCENE)
         assert bench.executor.desk.plan is not None and bench.executor.take_events() == []
 
+    def test_not_while_nobody_tells_of_the_scene(self, bench):
+        bench.executor.offer(make_plan())
+        bench.executor.desk.scene_alive = False
+        assert bench.approval.approve_by_itself(bench.stamp) is None
+        with pytest.raises(ReviewError, match="nobody publishes the scene"):
+            bench.review("p", "", True, "Ada")
+        bench.executor.desk.scene_alive = True
+        assert "approved" in bench.review("p", "", True, "Ada")
+
     def test_a_rejection_needs_no_scene(self, bench):
         bench.executor.offer(make_plan(scene="0ther"))
         assert "rejected" in bench.review("p", "", False, "Ada")
+
+
+class TestOrder:
+    @pytest.mark.parametrize("others", [(True, True), (False,), (True, False, True)])
+    def test_the_record_tells_of_verdicts_that_come_together_in_the_order_in_which_they_were_carried_out(
+        self, bench, others
+    ):
+        """While the first verdict is being written to the disk, further ones arrive in threads of their own."""
+        plan = make_plan()
+        bench.executor.offer(plan)
+        started, threads = threading.Event(), []
+        write = bench.approval._record
+
+        def slow_disk(record):
+            if not threads:
+                for approve in others:
+                    threads.append(threading.Thread(target=judge, args=(approve,)))
+                    threads[-1].start()
+                started.set()
+            write(record)
+
+        def judge(approve: bool):
+            with pytest.raises(ReviewError):
+                bench.review("p", plan.hash, approve, "Carl")
+
+        bench.approval._record = slow_disk
+        bench.review("p", plan.hash, True, "Ada")
+        assert started.is_set()
+        for thread in threads:
+            thread.join(10.0)
+        assert bench.state is ExecutorState.PLAYING
+        assert [record.verdict for record in bench.records] == ["approved"] + ["refused"] * sum(others)
 
 
 class TestWithdrawn:

@@ -153,6 +153,35 @@ def test_arm_stretched_to_the_very_edge_of_its_reach(offset):
         assert_solves(CHAIN, INVERSE.nearest(pose, seed), pose, seed)
 
 
+@pytest.mark.parametrize("offset", [0.0, 1e-12, -1e-12, 1e-9, 1e-8, 1e-6])
+def test_stretched_elbow_is_kept_whatever_the_other_shoulder_reaches(offset):
+    rng = np.random.default_rng(1)
+    for q in rng.uniform(KR120.lower, KR120.upper, (80, 6)):
+        q[2] = stretched(offset)[2]
+        if abs(math.sin(q[4])) > 0.05:
+            assert INVERSE.nearest(CHAIN.forward(q), q).distance < 1e-3
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-9])
+def test_stretched_elbow_and_singular_wrist_at_once_are_kept(offset):
+    for q in np.random.default_rng(2).uniform(KR120.lower, KR120.upper, (40, 6)):
+        q[[2, 4]] = stretched(offset)[2], 0.0
+        assert INVERSE.nearest(CHAIN.forward(q), q).distance < 1e-3
+
+
+@pytest.mark.parametrize("a4, a6", list(itertools.product((350.0, -350.0, 0.0), repeat=2)))
+def test_singular_wrist_at_the_very_ends_of_a4_and_a6_is_kept(a4, a6):
+    for q in np.random.default_rng(3).uniform(KR120.lower, KR120.upper, (40, 6)):
+        q[3:] = np.radians([a4, 0.0, a6])
+        assert INVERSE.nearest(CHAIN.forward(q), q).distance < 1e-6
+
+
+def test_singular_wrist_on_axis_1_is_kept():
+    q = over_the_base()
+    q[4] = 0.0
+    assert INVERSE.nearest(CHAIN.forward(q), q).distance < 1e-3
+
+
 @pytest.mark.parametrize("seed_a1", [0.0, 1.0, -2.0, 3.0])
 def test_wrist_centre_on_axis_1_leaves_a1_near_the_seed(seed_a1):
     q = over_the_base()

@@ -95,3 +95,25 @@ def test_exactly_at_the_limits_passes():
         for name in ("velocity", "acceleration", "jerk")
     }
     assert max(check_limits(MOTION, dataclasses.replace(ROBOT, **exact)).velocity) == pytest.approx(1.0)
+
+
+def test_the_jerk_just_before_and_after_a_waypoint_counts():
+    # the jerk jumps at a waypoint between two samples: no sample of the quintics shows its largest values
+    times = np.array([0.0, 1.0021, 2.0])
+    positions = HOME + np.array([[0.0], [0.1], [0.2]]) * [1, 0, 0, 0, 0, 0]
+    rates = np.zeros((3, 6))
+    rates[1, 0] = 0.3
+    motion = Trajectory(ROBOT.joint_names, times, positions, rates, np.zeros((3, 6)))
+    sides = np.abs(motion.sample_many(np.array([1e-9, 1.0021 - 1e-9, 1.0021 + 1e-9, 2.0 - 1e-9]))[3][:, 0])
+    assert check_limits(motion, ROBOT).jerk[0] * ROBOT.jerk[0] == pytest.approx(np.max(sides), rel=1e-5)
+
+
+def test_the_jerk_of_the_samples_differences_counts():
+    # a tick of the acceleration that is over before the next sample: seen in the positions only
+    times = np.array([0.0, 1.0, 1.004, 1.008, 1.012, 2.0])
+    positions = np.tile(HOME, (6, 1))
+    positions[3:, 0] += 2e-6
+    motion = Trajectory(ROBOT.joint_names, times, positions, np.zeros((6, 6)), np.zeros((6, 6)))
+    q = motion.sample_many(np.arange(0.0, 2.02, CYCLE))[0]
+    third = np.max(np.abs(np.diff(q[:, 0], 3))) / CYCLE**3
+    assert check_limits(motion, dataclasses.replace(ROBOT, jerk=(1e6,) * 6)).jerk[0] * 1e6 >= third * (1 - 1e-9)

@@ -32,11 +32,16 @@ ENDS = [(-185, 185), (-140, -5), (-120, 155), (-350, 350), (-125, 125), (-350, 3
 COMBINED = [(0, -140, -120, 0, 0, 0), (0, -140, 155, 0, 0, 0), (0, -5, -120, 0, 0, 0), (0, -5, -120, 0, 90, 0)]
 
 
-def test_the_shipped_file_is_what_the_command_writes(tmp_path, capsys):
+@pytest.mark.parametrize("xacro, robot", [("kr120r2500", "kr120"), ("kr120_track", "kr120_track")])
+def test_the_shipped_file_is_what_the_command_writes(xacro, robot, tmp_path, capsys):
     written = tmp_path / "pairs.yaml"
-    main([str(XACRO), str(ROBOT_YAML), str(written)])
-    assert written.read_bytes() == SHIPPED.read_bytes()
-    assert "13 pairs" in capsys.readouterr().out
+    main([str(ROOT / f"urdf/{xacro}.urdf.xacro"), str(ROOT / f"config/{robot}.yaml"), str(written)])
+    assert written.read_bytes() == (ROOT / f"config/{robot}_self_collision.yaml").read_bytes()
+    assert f"geometry {read_self_collision_hash(written)[:12]} of {robot}" in capsys.readouterr().out
+
+
+def read_self_collision_hash(path) -> str:
+    return yaml.safe_load(path.read_text())["geometry"]
 
 
 def test_other_samples_give_another_file_and_the_same_one_twice(capsys):

@@ -48,8 +48,14 @@ def check_motion(motion: Trajectory, start: np.ndarray, goal: np.ndarray, share:
     assert np.all(np.abs(qd) <= velocity) and np.all(np.abs(np.diff(q, axis=0)) / CYCLE <= velocity)
     assert np.all(np.abs(qdd) <= acceleration)
     assert np.all(np.abs(np.diff(q, n=2, axis=0)) / CYCLE**2 <= acceleration + 1e-9)
-    jerk = motion.sample_many(np.arange(0.0, motion.duration + 2 * CYCLE, CYCLE))[3]
-    assert np.all(np.abs(jerk) <= np.array(ROBOT.jerk) * (1 + 1e-6))
+    limit = np.array(ROBOT.jerk) * (1 + 1e-6)
+    at_rest = np.concatenate((q[:1], q, q[-1:], q[-1:]))
+    assert np.all(np.abs(np.diff(at_rest, n=3, axis=0)) / CYCLE**3 <= limit)
+    # also between the samples: the jerk is largest at the waypoints, just before or after them
+    for just in (-1e-9, 1e-9):
+        times = np.clip(motion.times + just, 1e-9, motion.duration - 1e-9)
+        assert np.all(np.abs(motion.sample_many(times)[3]) <= limit + 1e-3)
+    assert np.all(np.abs(motion.sample_many(np.arange(0.0, motion.duration + 2 * CYCLE, CYCLE))[3]) <= limit)
 
 
 @settings(max_examples=80, deadline=None, derandomize=True)

@@ -22,6 +22,7 @@ from construction_twin.kinematics.solution import (
     IkSolution,
     InverseKinematics,
     check_pose,
+    distinct,
     refine,
     residual,
 )
@@ -40,6 +41,8 @@ SLOTS = tuple(
     for wrist in ("positive", "negative")
     for shoulder, elbow in (("front", "up"), ("front", "down"), ("back", "down"), ("back", "up"))
 )
+#: Slots of each shoulder, front and back.
+_SIDES = ((0, 1, 4, 5), (2, 3, 6, 7))
 #: Joint 5 nearer than this to where axes 4 and 6 are in line: there only the sum of their turns counts [rad].
 _WRIST_SINGULAR = 5e-7
 #: The package loses the branches of an exactly singular wrist; turned by this much the target has them [rad].
@@ -48,14 +51,14 @@ _TILT = 2e-7
 _EDGE = 1e-7
 #: Within the reach by less than this, rounding decides whether the branches exist [m].
 _ROUNDING = 1e-12
-#: How far beside: well within the tolerance of a solution, well above the rounding of the branches.
+#: How far within the edge of the reach it is solved instead: the elbow is less than 1e-6 rad from stretched there [m].
+_INSIDE = 1e-13
+#: How far beside axis 1: well within the tolerance of a solution, well above the rounding of the branches [m].
 _NUDGE = 3e-7
 #: Limits that no joint angle is within [rad].
 _NO_LIMITS = [(9.0, 10.0)] * 6
 #: Directions compared where the wrist centre is on axis 1.
 _HEADINGS = 72
-#: Solutions nearer to each other than this are one [rad].
-_SAME = 1e-5
 #: Candidates that miss the pose by less than this are refined, others are no solutions [m], [rad].
 _REFINABLE = 1e-3
 
@@ -96,13 +99,18 @@ class ClosedFormInverse(InverseKinematics):
         """See `InverseKinematics.nearest`."""
         self.chain.robot.check_range(seed)
         seed = [float(value) for value in seed]
+        best = self.find(pose, seed, configuration)
+        if best is None:
+            self._explain(pose, seed, configuration)
+        return best
+
+    def find(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None) -> IkSolution | None:
+        """Return what `nearest` does, but None where it would raise an error; the seed is not checked."""
         best = None
         for branches, wrist in self._solve(self.flange(pose), seed):
             found = self._nearest_of(branches, wrist, pose, seed, configuration)
             if found is not None and (best is None or found.distance < best.distance):
                 best = found
-        if best is None:
-            self._explain(pose, seed, configuration)
         return best
 
     def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
@@ -123,7 +131,7 @@ class ClosedFormInverse(InverseKinematics):
             self._explain(pose, seed, configuration)
         found.sort(key=lambda solution: solution.distance)
         # only singular poses and those solved beside themselves find a solution twice
-        return _distinct(found) if families > 1 else found
+        return distinct(found) if families > 1 else found
 
     def configuration(self, q: Sequence[float]) -> Configuration:
         """See `InverseKinematics.configuration`."""
@@ -150,11 +158,21 @@ class ClosedFormInverse(InverseKinematics):
         Once for the target; where rounding or a singularity loses branches, also for targets a hair beside it, at which
         they exist.
         """
-        branches, wrist, extension = self.branches(flange)
+        branches, wrist, _ = self.branches(flange)
         yield branches[0], wrist[0]
-        for moved in self._besides(flange, wrist[0], float(extension[0]), seed):
-            others, wrist, _ = self.branches(moved)
-            yield others[0], wrist[0]
+        x, y, z = self.model.wrist_centre(flange)
+        margins = [min(both) for both in self.model.margins(x, y, z)]
+        others = [self._tilted(flange)] if _is_lost(wrist[0], margins) else []
+        if math.hypot(x, y) < _EDGE:
+            others += self._headings(flange, seed)
+        else:
+            # each shoulder has its own edge: the other one may reach with ease
+            for side, margin in enumerate(margins):
+                if -_EDGE < margin < _ROUNDING:
+                    others += self._within(flange, side)
+        for other in others:
+            branches, wrist, _ = self.branches(other)
+            yield branches[0], wrist[0]
 
     def branches(self, flanges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return all branches of targets, whatever the ranges.
@@ -178,25 +196,22 @@ class ClosedFormInverse(InverseKinematics):
         q, _, extension, _, wrist = self._solver.reach(flanges.reshape(-1, 16), _NO_LIMITS, None, 1)
         return q, wrist, extension
 
-    def _besides(
-        self, flange: np.ndarray, wrist: np.ndarray, extension: float, seed: Sequence[float]
-    ) -> list[np.ndarray]:
-        """Return targets beside one at which branches are missing that it should have; normally none."""
-        x, y, z = self._wrist_centre(flange)
-        if math.hypot(x, y) < _EDGE:
-            return [_shifted(flange, direction) for direction in self._headings(flange, seed)]
-        if -_EDGE < extension < _ROUNDING:
-            return [_shifted(flange, direction) for direction in np.vstack([np.eye(3), -np.eye(3)])]
-        # each shoulder within whose reach the wrist centre is has four branches, unless the wrist is singular
-        shoulders = sum(min(margins) > 0.0 for margins in self._margins(x, y, z))
-        if sum(value == value for value in wrist.tolist()) < 4 * shoulders:
-            return [self._tilted(flange)]
-        return []
+    def _within(self, flange: np.ndarray, side: int) -> list[np.ndarray]:
+        """Return a target just within a shoulder's edge beside one that is at it; and with the wrist tilted, if singular."""
+        centre = self.model.wrist_centre(flange)
+        outer, inner = self.model.margins(*centre)[side]
+        # away from the edge that is near, out of the outer or into the inner
+        length = outer - _INSIDE if outer < inner else _INSIDE - inner
+        moved = flange.copy()
+        moved[:3, 3] += length * self.model.outwards(*centre)[side]
+        lost = _is_lost(self.branches(moved)[1][0], [_INSIDE if other == side else 0.0 for other in (0, 1)])
+        return [moved, self._tilted(moved)] if lost else [moved]
 
     def _headings(self, flange: np.ndarray, seed: Sequence[float]) -> list[np.ndarray]:
-        """Return in which directions the arm may best face if its wrist centre is on axis 1: one for each shoulder.
+        """Return targets beside one with the wrist centre on axis 1, in the directions that the arm may best face.
 
-        Any angle of joint 1 will do; the wrist makes up for it. The seed's own and even steps are compared.
+        Any angle of joint 1 will do; the wrist makes up for it. The seed's own is there, and the best of even steps for each
+        shoulder. Each once more with the wrist tilted.
         """
         model = self.model
         start = model.signs[0] * seed[0] - model.offsets[0]
@@ -209,7 +224,9 @@ class ClosedFormInverse(InverseKinematics):
                 candidate = self._nearest_turn(branch, seed)
                 if candidate is not None:
                     best[have.shoulder] = min(best.get(have.shoulder, (math.inf, 0)), (candidate[0], number))
-        return [directions[number] for _, number in best.values()]
+        chosen = {0, *(number for _, number in best.values())}
+        moved = [_shifted(flange, directions[number]) for number in sorted(chosen)]
+        return moved + [self._tilted(target) for target in moved]
 
     def _tilted(self, flange: np.ndarray) -> np.ndarray:
         """Return a target turned by a hair about its X, with the wrist centre in place, so that axes 4 and 6 part."""
@@ -220,22 +237,6 @@ class ClosedFormInverse(InverseKinematics):
         tilted[:3, :3] = flange[:3, :3] @ turn
         tilted[:3, 3] += self.model.c4 * (tilted[:3, 2] - flange[:3, 2])
         return tilted
-
-    def _margins(self, x: float, y: float, z: float) -> list[tuple[float, float]]:
-        """Return for each shoulder, front and back, by how much a wrist centre is inside its outer and inner reach [m]."""
-        model = self.model
-        square = x * x + y * y - model.b**2
-        if square < 0.0:
-            return [(math.inf, -math.inf)] * 2
-        forearm = math.hypot(model.a2, model.c3)
-        distances = (math.hypot(math.sqrt(square) - side * model.a1, z - model.c1) for side in (1, -1))
-        return [(model.c2 + forearm - distance, distance - abs(model.c2 - forearm)) for distance in distances]
-
-    def _wrist_centre(self, flange: np.ndarray) -> tuple[float, float, float]:
-        """Return the wrist centre of a target in the OPW base [m]."""
-        (_, _, gx, x), (_, _, gy, y), (_, _, gz, z), _ = flange.tolist()
-        c4 = self.model.c4
-        return x - c4 * gx, y - c4 * gy, z - c4 * gz
 
     def _nearest_of(
         self,
@@ -366,7 +367,7 @@ class ClosedFormInverse(InverseKinematics):
 
     def is_too_close(self, flange: np.ndarray) -> bool:
         """Return whether an unreachable target, shape (4, 4), is inside what the arm can fold to, not beyond its stretch."""
-        outer, inner = max(self._margins(*self._wrist_centre(flange)), key=min)
+        outer, inner = max(self.model.margins(*self.model.wrist_centre(flange)), key=min)
         return inner < outer
 
     def _best_residual(self, branches: np.ndarray, pose: Pose) -> tuple[float, float]:
@@ -374,17 +375,22 @@ class ClosedFormInverse(InverseKinematics):
         return min(found, key=max, default=(math.inf, math.inf))
 
 
+def _is_lost(wrist: np.ndarray, margins: Sequence[float]) -> bool:
+    """Return whether branches are missing of a shoulder within whose reach the wrist centre is: the wrist is singular.
+
+    `wrist`, shape (8,), as `ClosedFormInverse.branches` gives it; `margins`: how far within reach it is [m].
+    """
+    values = wrist.tolist()
+    if not math.isnan(sum(values)):
+        return False
+    for margin, slots in zip(margins, _SIDES):
+        if margin > 0.0 and any(values[slot] != values[slot] for slot in slots):
+            return True
+    return False
+
+
 def _shifted(flange: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return a target a hair beside another."""
     moved = flange.copy()
     moved[:3, 3] += _NUDGE * direction
     return moved
-
-
-def _distinct(solutions: list[IkSolution]) -> list[IkSolution]:
-    """Return solutions without repetitions."""
-    kept: list[IkSolution] = []
-    for solution in solutions:
-        if all(math.dist(solution.q, other.q) > _SAME for other in kept):
-            kept.append(solution)
-    return kept

@@ -1,7 +1,8 @@
 """Inverse kinematics of any serial chain: KDL's Levenberg-Marquardt solver from many starting points, in a time budget.
 
-The nearest solution it returns is the nearest it found: likely, not proven. Arms with more joints than a pose has degrees of
-freedom are moved along their self-motion towards the seed, within the ranges.
+The nearest solution it returns is the nearest it found: likely, not proven (`benchmarks/ik.py` measures how often it is). Arms
+with more joints than a pose has degrees of freedom, and others where they are singular, are moved along their self-motion
+towards the seed, within the ranges.
 """
 
 from __future__ import annotations
@@ -75,11 +76,17 @@ class NumericInverse(InverseKinematics):
         self._end = PyKDL.JntArray(len(self._lower))
 
     def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
-        """See `InverseKinematics.nearest`: of the solutions found, until several in a row bring nothing nearer."""
+        """See `InverseKinematics.nearest`: of the solutions found, until `patience` in a row bring nothing nearer.
+
+        Likely the nearest there is, not proven: `all` with the same settings may find one that is nearer, or miss it.
+        """
         return _Search(self, pose, seed, configuration).nearest()
 
     def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
-        """See `InverseKinematics.all`: those found, until several starting points in a row bring nothing new."""
+        """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new.
+
+        Likely all there are, not proven.
+        """
         return _Search(self, pose, seed, configuration).all()
 
     def configuration(self, q: Sequence[float]) -> None:
@@ -130,8 +137,13 @@ class NumericInverse(InverseKinematics):
         """Return by how much each joint is out of range, shape (n,); 0 or less: it is not."""
         return np.maximum(self._lower - q, q - self._upper)
 
+    def is_singular(self, q: np.ndarray) -> bool:
+        """Return whether there are directions in which the tip cannot move: an arm of six joints then moves within itself."""
+        values = np.linalg.svd(self.chain.jacobian(q), compute_uv=False)
+        return bool(values[-1] < _RANK * values[0])
+
     def towards(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
-        """Move a redundant arm along its self-motion to where it is nearest to the seed, within the ranges.
+        """Move a redundant or singular arm along its self-motion to where it is nearest to the seed, within the ranges.
 
         Parameters
         ----------
@@ -182,6 +194,7 @@ class _Search:
         self._target = to_frame(pose)
         self._seed = np.array(seed, dtype=float)
         self._outside: list[np.ndarray] = []
+        self._isolated: list[np.ndarray] = []
         self._residual = (math.inf, math.inf)
         self._tried = 0
         self._check_reach()
@@ -241,7 +254,7 @@ class _Search:
             # on an arm of metres a radian is about a metre
             self._residual = min(self._residual, error, key=lambda error: math.hypot(*error))
             return None
-        if inverse._redundant:
+        if inverse._redundant or self._is_free(q):
             moved = inverse.towards(q, self._seed, self._pose)
             moved_error = residual(inverse.chain, moved, self._pose)
             if self._is_solved(moved_error):
@@ -250,6 +263,15 @@ class _Search:
             self._outside.append(q)
             return None
         return IkSolution(q, *error, math.dist(q, self._seed), None)
+
+    def _is_free(self, q: np.ndarray) -> bool:
+        """Return whether a singular solution leaves the arm free to move; those known not to are not looked at again."""
+        if any(math.dist(q, other) < _SAME for other in self._isolated):
+            return False
+        if self._inverse.is_singular(q):
+            return True
+        self._isolated.append(q)
+        return False
 
     def _is_solved(self, error: tuple[float, float]) -> bool:
         return error[0] <= self._settings.tolerance_m and error[1] <= self._settings.tolerance_rad

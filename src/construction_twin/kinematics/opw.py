@@ -71,6 +71,33 @@ class OpwModel:
         model = py_opw_kinematics.KinematicModel(**lengths, offsets=self.offsets, flip_axes=flips)
         return py_opw_kinematics.Robot(model, degrees=False)
 
+    def wrist_centre(self, flange: np.ndarray) -> tuple[float, float, float]:
+        """Return the wrist centre of a target ``opw_T_flange``, shape (4, 4), in the OPW base [m]."""
+        (_, _, gx, x), (_, _, gy, y), (_, _, gz, z), _ = flange.tolist()
+        c4 = self.c4
+        return x - c4 * gx, y - c4 * gy, z - c4 * gz
+
+    def margins(self, x: float, y: float, z: float) -> list[tuple[float, float]]:
+        """Return for each shoulder, front and back, by how much a wrist centre is inside its outer and inner reach [m]."""
+        square = x * x + y * y - self.b**2
+        if square < 0.0:
+            return [(math.inf, -math.inf)] * 2
+        forearm = math.hypot(self.a2, self.c3)
+        distances = (math.hypot(math.sqrt(square) - side * self.a1, z - self.c1) for side in (1, -1))
+        return [(self.c2 + forearm - distance, distance - abs(self.c2 - forearm)) for distance in distances]
+
+    def outwards(self, x: float, y: float, z: float) -> list[np.ndarray]:
+        """Return for each shoulder, front and back, in which direction a wrist centre leaves axis 2 fastest, shape (3,).
+
+        Not for one nearer to axis 1 than b, or on it.
+        """
+        across = math.sqrt(x * x + y * y - self.b**2)
+        directions = (
+            np.array([x * (1.0 - side * self.a1 / across), y * (1.0 - side * self.a1 / across), z - self.c1])
+            for side in (1, -1)
+        )
+        return [direction / np.linalg.norm(direction) for direction in directions]
+
 
 @dataclass(frozen=True, eq=False)
 class _Axis:

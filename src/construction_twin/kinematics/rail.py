@@ -2,7 +2,9 @@
 
 The seventh joint leaves one degree of freedom: where the carriage stands. The axis is divided into places, the arm's
 branches are solved at all of them at once, and the neighbourhood of the best ones is divided again until the place is exact.
-Where that finds nothing, the search of `numeric` has the last word.
+Where the wrist comes close to singular on the way, joints 4 and 6 turn far within micrometres: there the places are as dense
+as that takes (`swings`); not so within one spacing of where the arm is stretched, too. Where the wrist is singular, and where
+the carriage stands now, the arm is solved by itself. Where all that finds nothing, the search of `numeric` has the last word.
 """
 
 from __future__ import annotations
@@ -24,8 +26,10 @@ from construction_twin.kinematics.solution import (
     IkSolution,
     InverseKinematics,
     check_pose,
+    distinct,
     residual,
 )
+from construction_twin.kinematics.swings import find_swings
 from construction_twin.motion_errors import BranchError, KinematicsError, UnreachableError
 from construction_twin.robot import chain_joints, parse_urdf
 
@@ -33,6 +37,12 @@ from construction_twin.robot import chain_joints, parse_urdf
 _PLACES = 301
 #: Divisions of a neighbourhood, and places in each: the last are some 1e-7 of the axis apart.
 _ZOOMS, _ZOOM_PLACES = 3, 33
+#: Angles by which a wrist near its singularity has turned joint 4 at the places looked at there [rad].
+_SWUNG = np.linspace(-1.5, 1.5, 25)
+#: Wrist nearer to singular than this at its nearest: its joints 4 and 6 share their turn [rad].
+_SINGULAR = 4e-7
+#: Solutions of single branches with a wrist this near to singular belong to the family of a singular place [rad].
+_OF_FAMILY = 1e-3
 #: A place further than this from the best solution so far is not worth a division [rad].
 _PROMISING = 0.3
 #: Where a branch is out of range by less, the part of the axis on which it is in range may lie between two places [rad].
@@ -98,7 +108,10 @@ class RailInverse(InverseKinematics):
         """See `InverseKinematics.nearest`: over all places of the carriage."""
         seed = self._checked(pose, seed)
         wanted = self._wanted(configuration)
-        found = list(self._best(pose, seed, wanted, np.zeros(6), _CANDIDATES))
+        places, branches, singular = self._look(pose, seed)
+        found = list(self._best(pose, seed, places, branches, wanted, np.zeros(6), _CANDIDATES))
+        for place in (seed[0], *singular):
+            found += self._nearest_at(place, pose, seed, configuration)
         if found:
             return min(found, key=lambda solution: solution.distance)
         return self._last_word(pose, seed, configuration)
@@ -109,14 +122,21 @@ class RailInverse(InverseKinematics):
         wanted = self._wanted(configuration)
         robot = self.chain.robot
         turns = [(-1, 0, 1) if high - low > TURN else (0,) for low, high in zip(robot.lower[1:], robot.upper[1:])]
-        nearest: dict[tuple, IkSolution] = {}
+        places, branches, singular = self._look(pose, seed)
+        none = (0,) * 6
+        here = self._nearest_at(seed[0], pose, seed, configuration)
+        nearest: dict[tuple, IkSolution] = {(solution.configuration, none): solution for solution in here}
         for turn in product(*turns):
-            for solution in self._best(pose, seed, wanted, np.array(turn, dtype=float), None):
+            for solution in self._best(pose, seed, places, branches, wanted, np.array(turn, dtype=float), None):
                 family = (solution.configuration, turn)
                 if family not in nearest or solution.distance < nearest[family].distance:
                     nearest[family] = solution
-        if nearest:
-            return sorted(nearest.values(), key=lambda solution: solution.distance)
+        found = list(nearest.values())
+        if singular:
+            found = [solution for solution in found if self._wrist_angle(solution.q) > _OF_FAMILY]
+            found += self._families(pose, seed, configuration, singular)
+        if found:
+            return distinct(sorted(found, key=lambda solution: solution.distance))
         return [self._last_word(pose, seed, configuration)]
 
     def configuration(self, q: Sequence[float]) -> Configuration:
@@ -131,59 +151,122 @@ class RailInverse(InverseKinematics):
     def _wanted(self, configuration: Configuration | None) -> np.ndarray:
         return np.array([configuration is None or have.matches(configuration) for have in SLOTS])
 
+    def _look(self, pose: Pose, seed: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float]]:
+        """Return places along the axis, shape (m,), the arm's branches there, (m, 8, 6), and where the wrist is singular."""
+        low, high = self._lower[0], self._upper[0]
+        places = np.linspace(low, high, _PLACES)
+        branches, wrist, _ = self._branches(pose, places)
+        more, singular = [seed[:1]], []
+        for place, width, angle in find_swings(places, wrist[:, :4], lambda near: self._branches(pose, near)[1][:, :4]):
+            if angle > _SINGULAR:
+                more.append(place + width * np.tan(_SWUNG))
+            # a place beyond the end by rounding is at the end
+            elif low - _ROUNDING <= place <= high + _ROUNDING:
+                singular.append(min(max(place, low), high))
+        extra = np.unique(np.clip(np.concatenate(more), low, high))
+        order = np.argsort(np.concatenate([places, extra]), kind="stable")
+        return (
+            np.concatenate([places, extra])[order],
+            np.concatenate([branches, self._branches(pose, extra)[0]])[order],
+            singular,
+        )
+
     def _best(
-        self, pose: Pose, seed: np.ndarray, wanted: np.ndarray, turn: np.ndarray, most: int | None
+        self,
+        pose: Pose,
+        seed: np.ndarray,
+        places: np.ndarray,
+        branches: np.ndarray,
+        wanted: np.ndarray,
+        turn: np.ndarray,
+        most: int | None,
     ) -> Iterator[IkSolution]:
         """Yield the nearest solutions of so many neighbourhoods of places; None: of all there are."""
-        places = np.linspace(self._lower[0], self._upper[0], _PLACES)
-        _, squares, excess = self._at(pose, seed, places, wanted, turn)
+        _, squares, excess = self._turned(branches, seed, places, wanted, turn)
         cost = _cost(squares, excess)
         padded = np.pad(cost, ((1, 1), (0, 0)), constant_values=np.inf)
         valley = (cost <= padded[:-2]) & (cost <= padded[2:]) & (excess < _NEARLY)
         rows, slots = np.nonzero(valley)
         best = math.inf
         for index in squares[rows, slots].argsort():
-            if most is not None and (most == 0 or math.sqrt(squares[rows[index], slots[index]]) > best + _PROMISING):
+            row, slot = int(rows[index]), int(slots[index])
+            if most is not None and (most == 0 or math.sqrt(squares[row, slot]) > best + _PROMISING):
                 return
-            solution = self._zoomed(pose, seed, places, int(rows[index]), int(slots[index]), turn)
+            between = places[max(row - 1, 0)], places[row], places[min(row + 1, len(places) - 1)]
+            solution = self._zoomed(pose, seed, between, slot, turn)
             if solution is not None:
                 best = min(best, solution.distance)
                 yield solution
                 most = None if most is None else most - 1
 
     def _zoomed(
-        self, pose: Pose, seed: np.ndarray, places: np.ndarray, row: int, slot: int, turn: np.ndarray
+        self, pose: Pose, seed: np.ndarray, between: tuple[float, float, float], slot: int, turn: np.ndarray
     ) -> IkSolution | None:
-        """Return the nearest solution of one branch near one place, or None if forward kinematics says it is none."""
+        """Return the nearest solution of one branch near the middle one of three places, or None.
+
+        None: forward kinematics says it is none.
+        """
         only = np.arange(len(SLOTS)) == slot
         best, q = math.inf, None
-        place, apart = places[row], places[1] - places[0]
+        half = (_ZOOM_PLACES + 1) // 2
         for _ in range(_ZOOMS):
-            near = place + apart * np.linspace(-1.0, 1.0, _ZOOM_PLACES)
-            near = np.clip(near, self._lower[0], self._upper[0])
-            branches, squares, excess = self._at(pose, seed, near, only, turn)
+            low, place, high = between
+            near = np.concatenate([np.linspace(low, place, half), np.linspace(place, high, half)[1:]])
+            branches, squares, excess = self._turned(self._branches(pose, near)[0], seed, near, only, turn)
             cost = _cost(squares[:, slot], excess[:, slot])
             row = int(cost.argmin())
             if cost[row] < best:
-                best, place, q = cost[row], near[row], np.concatenate([[near[row]], branches[row, slot]])
-            apart *= 2.0 / (_ZOOM_PLACES - 1)
-        if best >= _OUTSIDE:
-            return None
+                best, q = cost[row], np.concatenate([[near[row]], branches[row, slot]])
+            between = near[max(row - 1, 0)], near[row], near[min(row + 1, len(near) - 1)]
+        return None if best >= _OUTSIDE else self._confirmed(q, pose, seed, SLOTS[slot])
+
+    def _confirmed(
+        self, q: np.ndarray, pose: Pose, seed: np.ndarray, configuration: Configuration | None
+    ) -> IkSolution | None:
         q = np.clip(q, self._lower, self._upper)
         error_m, error_rad = residual(self.chain, q, pose)
         if error_m > self.settings.tolerance_m or error_rad > self.settings.tolerance_rad:
             return None
-        return IkSolution(q, error_m, error_rad, math.dist(q, seed), SLOTS[slot])
+        return IkSolution(q, error_m, error_rad, math.dist(q, seed), configuration)
 
-    def _at(
-        self, pose: Pose, seed: np.ndarray, places: np.ndarray, wanted: np.ndarray, turn: np.ndarray
+    def _nearest_at(
+        self, place: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
+    ) -> list[IkSolution]:
+        """Return the nearest solution with the carriage at a place; [] if there is none."""
+        of_arm = self._arm.find(self._seen_from(pose, place), seed[1:].tolist(), configuration)
+        return [] if of_arm is None else self._lifted(place, of_arm, pose, seed)
+
+    def _lifted(self, place: float, of_arm: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
+        """Return the arm's solution at a place as one of the whole chain; [] if forward kinematics says it is none."""
+        solution = self._confirmed(np.concatenate([[place], of_arm.q]), pose, seed, of_arm.configuration)
+        return [] if solution is None else [solution]
+
+    def _families(
+        self, pose: Pose, seed: np.ndarray, configuration: Configuration | None, singular: Sequence[float]
+    ) -> Iterator[IkSolution]:
+        """Yield all solutions with a singular wrist."""
+        for place in singular:
+            try:
+                of_arm = self._arm.all(self._seen_from(pose, place), seed[1:], configuration)
+            except KinematicsError:
+                continue  # out of range there, or not in this configuration
+            for solution in of_arm:
+                for lifted in self._lifted(place, solution, pose, seed):
+                    if self._wrist_angle(lifted.q) <= _OF_FAMILY:
+                        yield lifted
+
+    def _wrist_angle(self, q: np.ndarray) -> float:
+        """Return |sin| of the angle by which axes 4 and 6 are out of line."""
+        return abs(math.sin(q[5] - self._arm.model.signs[4] * self._arm.model.offsets[4]))
+
+    def _turned(
+        self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, wanted: np.ndarray, turn: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the arm's branches at places of the carriage, shape (m, 8, 6), and two figures of each, shape (m, 8).
 
         Branches are turned as near to the seed as the ranges allow, and by `turn` further, shape (6,). The figures: squared
         distance from the seed, and by how much the worst joint is out of range [rad], inf for what is not wanted or nowhere.
         """
-        branches, _ = self._branches(pose, places)
         lower, upper, near = self._lower[1:], self._upper[1:], seed[1:]
         q = branches - TURN * np.rint((branches - near) / TURN)
         q = np.where(
@@ -195,14 +278,17 @@ class RailInverse(InverseKinematics):
         excess[~(wanted & np.isfinite(excess))] = np.inf
         return q, squares, excess
 
-    def _branches(self, pose: Pose, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the arm's branches at places of the carriage, shape (m, 8, 6), and how far within reach it is, shape (m,)."""
-        carriage_T_tip = Pose(self._rotation.T @ (pose.position - self._origin), self._rotation.T @ pose.rotation)
-        flanges = np.repeat(self._arm.flange(carriage_T_tip)[None], len(places), axis=0)
+    def _seen_from(self, pose: Pose, place: float) -> Pose:
+        """Return ``carriage_T_tip`` of a target with the carriage at a place."""
+        origin = self._origin + place * self._axis
+        return Pose(self._rotation.T @ (pose.position - origin), self._rotation.T @ pose.rotation)
+
+    def _branches(self, pose: Pose, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what `ClosedFormInverse.branches` does, with the carriage at places, shape (m,)."""
+        flanges = np.repeat(self._arm.flange(self._seen_from(pose, 0.0))[None], len(places), axis=0)
         travel = self._arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
         flanges[:, :3, 3] -= places[:, None] * travel
-        branches, _, extension = self._arm.branches(flanges)
-        return branches, extension
+        return self._arm.branches(flanges)
 
     def _last_word(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
         """Return what a search finds, or raise the error that says why there is no solution."""
@@ -223,11 +309,10 @@ class RailInverse(InverseKinematics):
     def _explain(self, pose: Pose) -> None:
         """Raise the error that says why there is no solution at any place."""
         places = np.linspace(self._lower[0], self._upper[0], _PLACES)
-        branches, extension = self._branches(pose, places)
+        branches, _, extension = self._branches(pose, places)
         best = int(extension.argmax())
         if extension[best] < 0.0:
-            at = self._origin + places[best] * self._axis
-            carriage_T_tip = Pose(self._rotation.T @ (pose.position - at), self._rotation.T @ pose.rotation)
+            carriage_T_tip = self._seen_from(pose, places[best])
             raise UnreachableError(-float(extension[best]), self._arm.is_too_close(self._arm.flange(carriage_T_tip)))
         rows = branches.reshape(-1, 6)
         self._arm.blame_range(rows[np.isfinite(rows).all(axis=1)])

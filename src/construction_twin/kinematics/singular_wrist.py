@@ -11,6 +11,9 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
 from construction_twin.kinematics.solution import TURN
 
+#: Out of range by less is rounding: a joint at its very end stays there [rad].
+_ROUNDING = 1e-7
+
 
 class SingularWrist:
     """Chooses joints 4 and 6 where axes 4 and 6 are in line.
@@ -42,7 +45,7 @@ class SingularWrist:
         Returns
         -------
         solutions : list of array, shape (6,)
-            Joints 4 and 6 within their ranges, whole turns included; the others as they are.
+            Joints 4 and 6 within their ranges but for rounding, whole turns included; the others as they are.
         """
         signs, offsets = self._model.signs, self._model.offsets
         theta = np.asarray(signs) * branch - offsets
@@ -62,7 +65,7 @@ class SingularWrist:
                 [[lower[0] * share[0], upper[0] * share[0]], [total - lower[1] * share[1], total - upper[1] * share[1]]]
             )
             low, high = float(ends[:, 0].max()), float(ends[:, 1].min())
-            if low <= high:
+            if low <= high + _ROUNDING:
                 t = min(max(0.5 * total, low), high)
                 solution = q.copy()
                 solution[[3, 5]] = start + share * (t, total - t)

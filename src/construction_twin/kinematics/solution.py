@@ -16,6 +16,8 @@ from construction_twin.motion_errors import BranchError, KinematicsError
 TURN = 2.0 * math.pi
 #: How far a target's rotation matrix may be from orthonormal; more would not pass as a residual anyway.
 _ORTHONORMAL = 5e-7
+#: Solutions nearer to each other than this are one [rad].
+_SAME = 1e-5
 _WORDS = {
     "front": "shoulder",
     "back": "shoulder",
@@ -98,7 +100,7 @@ class IkSettings:
     tolerance_m: float = 1e-6
     tolerance_rad: float = 1e-6
     budget_s: float = 0.04
-    patience: int = 20
+    patience: int = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +142,9 @@ class InverseKinematics(abc.ABC):
     @abc.abstractmethod
     def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
         """Return the solution nearest to a seed.
+
+        In closed form it is the nearest, along a linear axis the nearest up to how finely the axis is divided. By search it is
+        the nearest found: likely the nearest there is, not proven, and `all` may find one that is nearer.
 
         Parameters
         ----------
@@ -233,6 +238,15 @@ def residual(chain: Chain, q: Sequence[float], pose: Pose) -> tuple[float, float
     )  # fmt: skip
     error_m = math.hypot(f[0, 3] - x, f[1, 3] - y, f[2, 3] - z)
     return error_m, 2.0 * math.asin(min(1.0, chord / math.sqrt(8.0)))
+
+
+def distinct(solutions: Sequence[IkSolution]) -> list[IkSolution]:
+    """Return solutions without repetitions, in their order."""
+    kept: list[IkSolution] = []
+    for solution in solutions:
+        if all(math.dist(solution.q, other.q) > _SAME for other in kept):
+            kept.append(solution)
+    return kept
 
 
 def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8) -> np.ndarray:

@@ -15,8 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.solution import InverseKinematics
-from construction_twin.motion_errors import CollisionError, JointRangeError, PlanningError
+from construction_twin.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
+from construction_twin.planning.bounds import PlanBounds
 from construction_twin.planning.branch import Branch
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.limit_shares import cycle_times
@@ -38,6 +40,9 @@ REFINEMENTS = 10
 SPACINGS = (WAYPOINT_SPACING, WAYPOINT_SPACING / 2.0, CYCLE)
 #: Share of the tool speed that is planned with; what the quintics add to it is far less than the rest.
 SPEED_SHARE = 0.9998
+#: Within so many times the arm's reach a path that leaves the reach is followed as far as it can be; what is further away
+#: is refused at once (a position in millimetres, an arc that is almost a line).
+FAR = 2.0
 #: How often the speed is lowered where the tool is still too fast.
 SPEED_ROUNDS = 4
 
@@ -71,6 +76,7 @@ def plan_cartesian(
     speed: float | None = None,
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
 ) -> CartesianMotion:
     """Plan a motion along a tool path.
 
@@ -88,6 +94,8 @@ def plan_cartesian(
         the limits allow.
     speed_scale, acceleration_scale : float, optional
         As in `timing.time_path`.
+    bounds : PlanBounds, optional
+        Largest duration and number of waypoints. Default: any.
 
     Returns
     -------
@@ -99,6 +107,10 @@ def plan_cartesian(
         If `start` is out of range.
     CartesianPathError
         If the path cannot be followed to its end; where, and why.
+    FarWaypointError
+        If a waypoint, or an arc on the way to one, is more than `FAR` times as far away as the arm reaches.
+    PlanSizeError
+        If the path or the motion would be larger than `bounds`.
     PlanningError
         If the path or an argument does not make sense.
     """
@@ -107,9 +119,11 @@ def plan_cartesian(
     chain = inverse.chain
     chain.robot.check_range(start)
     q = np.array(start, dtype=float)
-    path = ToolPath(chain.forward(q), waypoints)
+    bounds.check(0.0, len(waypoints))
+    path = _path_in_reach(chain, chain.forward(q), waypoints)
+    bounds.check_tool_path(sum(piece.end - piece.begin for piece in path.pieces if not piece.turn), speed)
     branch = Branch(path, inverse, q)
-    scales = speed_scale, acceleration_scale
+    scales = speed_scale, acceleration_scale, bounds
     parts = []
     for piece in path.pieces:
         curve = _joint_curve(branch, piece, q)
@@ -117,13 +131,34 @@ def plan_cartesian(
         if world is not None:
             parts[-1].check_free(branch, world)
         q = parts[-1].timed.trajectory.positions[-1]
+        made = [part.timed.trajectory for part in parts]
+        bounds.check(sum(part.duration for part in made), sum(len(part.times) for part in made))
     return CartesianMotion(
-        _joined([part.timed.trajectory for part in parts]),
+        _joined(made),
         path,
         max(part.deviation_m for part in parts),
         max(part.deviation_rad for part in parts),
         max(part.top_speed for part in parts),
     )
+
+
+def _path_in_reach(chain: Chain, start: Pose, waypoints: Sequence[ToolWaypoint]) -> ToolPath:
+    """Return the path, unless it leads to places so far away that following it step by step would be in vain."""
+
+    def demand(number: int, what: str, points: np.ndarray) -> None:
+        with np.errstate(over="ignore"):
+            distance = float(np.max(np.linalg.norm(points - chain.shoulder, axis=1)))
+        if distance > FAR * chain.reach:  # not a number: refused by the path itself
+            raise FarWaypointError(number, what, distance, chain.reach)
+
+    for number, waypoint in enumerate(waypoints):
+        demand(number, "its position", waypoint.pose.position[None])
+        if waypoint.via is not None:
+            demand(number, "the via point of its arc", waypoint.via[None])
+    path = ToolPath(start, waypoints)
+    for number, points in path.arcs():
+        demand(number, "the arc that leads there", points)
+    return path
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,12 +233,15 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
         s = np.concatenate((s, middle[deviates]))[order]
         rows = np.concatenate((rows, between[deviates]))[order]
     at = float(middle[np.argmax(deviates)])
-    raise branch.end("deviation", at, f"the joints cannot follow within {DEVIATION_M * 1e3:.1f} mm there; use a blend")
+    found = f"the joints cannot follow within {DEVIATION_M * 1e3:.1f} mm there"
+    raise branch.end("deviation", at, f"{found}; the path bends too sharply, give the corner a larger blend")
 
 
-def _time(branch: Branch, piece: Piece, curve: JointCurve, speed: float, scales: tuple, spacing: float) -> TimedCurve:
+def _time(branch: Branch, piece: Piece, curve: JointCurve, speed: float, request: tuple, spacing: float) -> TimedCurve:
+    *scales, bounds = request
+    robot = branch.chain.robot
     try:
-        return time_curve(curve, branch.chain.robot, *scales, top_speed=speed, spacing=spacing)
+        return time_curve(curve, robot, *scales, top_speed=speed, spacing=spacing, bounds=bounds)
     except JointRangeError as error:
         # between samples that are all inside the range, but touch its edge
         raise branch.end("joint limit", piece.begin, f"{error}; move the path away from the limit", error) from error

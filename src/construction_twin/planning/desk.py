@@ -88,6 +88,12 @@ class PlanningDesk:
             self._scene, self._problem = None, problem
             self._news.notify_all()
 
+    def forget_scene(self, seen: Scene | None) -> None:
+        """Note that nobody answers for a scene any more; without effect when another one has come since it was `seen`."""
+        with self._news:
+            if self._scene is seen:
+                self._scene = None
+
     def wait_for_scene(self, timeout: float) -> None:
         """Wait for the first scene.
 
@@ -129,7 +135,8 @@ class PlanningDesk:
         """
 
         def make(world: CollisionWorld) -> Trajectory:
-            motion = plan_cartesian(start, waypoints, self._solver, world, speed, *self._scales(request))
+            bounds = self._settings.bounds
+            motion = plan_cartesian(start, waypoints, self._solver, world, speed, *self._scales(request), bounds)
             return motion.trajectory
 
         return self._in_scene(lambda world: self._checked(make, "cartesian", request, world))
@@ -147,7 +154,7 @@ class PlanningDesk:
         """
 
         def make(world: CollisionWorld) -> Trajectory:
-            return plan_waypoints(waypoints, present, self._robot, *self._scales(request))
+            return plan_waypoints(waypoints, present, self._robot, *self._scales(request), self._settings.bounds)
 
         return self._in_scene(lambda world: self._checked(make, "waypoints", request, world))
 
@@ -168,7 +175,7 @@ class PlanningDesk:
         with self._busy:
             plan = make(self._present_world())
             with self._news:
-                present = self._scene.hash if self._scene is not None else "unusable"
+                present = self._scene.hash if self._scene is not None else "unknown"
             if plan.scene != present:
                 raise SceneChangedError(plan.scene, present)
             return plan

@@ -1,7 +1,8 @@
 """How much of the robot's limits a trajectory uses, at every 4 ms sample.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. Velocity and acceleration are taken twice, from the
-quintics and from differences of the sampled positions (which is what gate and gateway check), and the larger counts.
+Joint vectors are in the order of `RobotModel.joint_names`, SI. Velocity, acceleration and jerk are taken twice, from the
+quintics and from differences of the sampled positions (which is what the controller sees), and the larger counts; of the
+jerk also what it is just before and after every waypoint, where it jumps.
 """
 
 from __future__ import annotations
@@ -45,8 +46,7 @@ def limit_use(trajectory: Trajectory, robot: RobotModel) -> LimitUse:
 def limit_shares(trajectory: Trajectory, robot: RobotModel) -> LimitShares:
     """Measure a trajectory at every controller cycle against the robot's limits.
 
-    Velocity and acceleration are taken twice, from the quintics and from differences of the sampled positions (which is
-    what gate and gateway check), and the larger counts.
+    See above for what is measured.
 
     Parameters
     ----------
@@ -87,14 +87,16 @@ def shares_over_time(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndar
     JointRangeError
         If a sample is out of range by more than rounding.
     """
-    samples = trajectory.sample_many(cycle_times(trajectory))
+    times = cycle_times(trajectory)
+    samples = trajectory.sample_many(times)
     check_range(samples[0], robot)
-    return _shares(*samples, robot)
+    return _shares(trajectory, times, samples, robot)
 
 
 def measured_shares(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the same as `shares_over_time`, also for a trajectory out of range."""
-    return _shares(*trajectory.sample_many(cycle_times(trajectory)), robot)
+    times = cycle_times(trajectory)
+    return _shares(trajectory, times, trajectory.sample_many(times), robot)
 
 
 def range_excess(trajectory: Trajectory, robot: RobotModel) -> np.ndarray:
@@ -104,13 +106,37 @@ def range_excess(trajectory: Trajectory, robot: RobotModel) -> np.ndarray:
     return np.where(excess > SAME_POINT, excess, 0.0)
 
 
-def _shares(q, qd, qdd, qddd, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shares(
+    trajectory: Trajectory, times: np.ndarray, samples: tuple, robot: RobotModel
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    q, qd, qdd, qddd = samples
     velocity, acceleration, jerk = np.abs(qd), np.abs(qdd), np.abs(qddd)
-    step = q[1:] - q[:-1]
-    bend = step[1:] - step[:-1]
+    # a difference belongs to the sample it ends at, or to the middle one; before and after the motion the arm rests
+    step = np.diff(q, axis=0)
+    bend = np.diff(step, axis=0, prepend=0.0, append=0.0)
+    swing = np.diff(bend, axis=0, prepend=0.0, append=0.0)
     np.maximum(velocity[1:], np.abs(step) / CYCLE, out=velocity[1:])
-    np.maximum(acceleration[1:-1], np.abs(bend) / CYCLE**2, out=acceleration[1:-1])
+    np.maximum(acceleration, np.abs(bend) / CYCLE**2, out=acceleration)
+    np.maximum(jerk, np.maximum(np.abs(swing[:-1]), np.abs(swing[1:])) / CYCLE**3, out=jerk)
+    rows = np.minimum(np.searchsorted(times, trajectory.times), len(times) - 1)
+    before, after = _knot_jerks(trajectory)
+    # a knot counts for the sample after it; there may be several between two samples
+    np.maximum.at(jerk, rows[:-1], after)
+    np.maximum.at(jerk, rows[1:], before)
     return velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk
+
+
+def _knot_jerks(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return the size of the jerk just before each waypoint but the first, and just after each but the last.
+
+    The jerk of the quintics jumps at the waypoints, and is largest there more often than between them.
+    """
+    h = np.diff(trajectory.times)[:, None]
+    step = 60.0 * np.diff(trajectory.positions, axis=0)
+    (v0, v1), (a0, a1) = ((rows[:-1], rows[1:]) for rows in (trajectory.velocities, trajectory.accelerations))
+    after = (step - (36.0 * v0 + 24.0 * v1) * h - (9.0 * a0 - 3.0 * a1) * h**2) / h**3
+    before = (step - (24.0 * v0 + 36.0 * v1) * h - (3.0 * a0 - 9.0 * a1) * h**2) / h**3
+    return np.abs(before), np.abs(after)
 
 
 def check_range(q: np.ndarray, robot: RobotModel) -> None:

@@ -17,6 +17,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.plan import Plan, PlanReport
+from construction_twin.planning.bounds import PlanBounds, check_request
 from construction_twin.planning.edges import CornerRounding, EdgeCheck, levers
 from construction_twin.planning.report import report
 from construction_twin.planning.search import find_path, planner_kinds
@@ -53,7 +54,9 @@ class PlannerSettings(pydantic.BaseModel):
     speed_scale : float
         Used by requests that give neither this nor a duration, in (0, 1].
     max_waypoints : int
-        Requests for more are refused.
+        A plan with more is refused.
+    max_duration : float
+        A longer plan is refused [s].
     seed : int
         0: different every time.
     """
@@ -66,6 +69,7 @@ class PlannerSettings(pydantic.BaseModel):
     goals: Annotated[int, pydantic.Field(ge=1)]
     speed_scale: Annotated[float, pydantic.Field(gt=0.0, le=1.0)]
     max_waypoints: Annotated[int, pydantic.Field(ge=2)]
+    max_duration: Annotated[float, pydantic.Field(gt=0.0, le=86400.0)]
     seed: Annotated[int, pydantic.Field(ge=0, lt=2**31)]
 
     @pydantic.field_validator("planner")
@@ -74,6 +78,11 @@ class PlannerSettings(pydantic.BaseModel):
         if name not in planner_kinds():
             raise ValueError(f"expected one of {', '.join(planner_kinds())}")
         return name
+
+    @property
+    def bounds(self) -> PlanBounds:
+        """The largest plan that is made, of any kind."""
+        return PlanBounds(self.max_duration, self.max_waypoints)
 
 
 @dataclass(frozen=True)
@@ -193,6 +202,8 @@ class Planner:
             If none was found within the budget.
         DurationError
             If the requested duration is shorter than the limits allow.
+        PlanSizeError
+            If the plan would have more waypoints, or last longer, than the settings allow.
         PlanningError
             If the request does not make sense: also a goal where the arm already is (`TrajectoryError`).
         """
@@ -257,9 +268,9 @@ class Planner:
         return q
 
     def _check_request(self, request: PlanRequest) -> None:
-        limit = self._settings.max_waypoints
-        if request.waypoints is not None and request.waypoints > limit:
-            raise PlanningError(f"{request.waypoints} waypoints are requested; this planner makes at most {limit}")
+        scale = request.speed_scale, request.acceleration_scale
+        check_request(request.duration, *(1.0 if value is None else value for value in scale), request.waypoints, None)
+        self._settings.bounds.check(request.duration or 0.0, request.waypoints or 0)
 
     def _plan(
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
@@ -320,7 +331,8 @@ class Planner:
             path = rounder.tightened(path)
             if path is None:
                 return None
-            trajectory = time_path(path, self._robot, request.duration, *scales, request.waypoints, corner_share=1.0)
+            asked = request.duration, *scales, request.waypoints
+            trajectory = time_path(path, self._robot, *asked, corner_share=1.0, bounds=self._settings.bounds)
             try:
                 return trajectory, report(trajectory, self._robot, world, self._clock)
             except CollisionError as error:

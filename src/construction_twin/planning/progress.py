@@ -29,6 +29,8 @@ JERK_RISE = 0.04
 JERK_SHARE = 0.96
 #: Shortest first smoothing window [s].
 SHORTEST_WINDOW = 0.02
+#: Largest ds/dt, as a multiple of what the velocity limits allow in the middle of the curve.
+HURRY = 10.0
 #: How often a stage of the forward pass is repeated with less speed where rounding left no solution.
 SLOWER_TRIES = 10
 
@@ -163,7 +165,8 @@ class CurveProgress:
         self._first, self._second = curve(self._grid, 1), curve(self._grid, 2)
         with np.errstate(divide="ignore"):
             bound = np.min(limits.velocity / np.abs(self._first), axis=1)
-        self._top = np.minimum(bound, top_speed)
+        # where a curve stands still for a moment (a corner that it passes through) nothing else would bound ds/dt
+        self._top = np.minimum(np.minimum(bound, HURRY * np.median(bound)), top_speed)
         self._first_window = None
 
     def slow_down(self, at: np.ndarray, speed: np.ndarray) -> None:

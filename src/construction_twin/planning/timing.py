@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
+from construction_twin.motion_errors import DurationError, JointRangeError, PlanningError
+from construction_twin.planning.bounds import PlanBounds, check_path, check_request
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
-from construction_twin.planning.limit_shares import SAME_POINT, check_range, limit_use, shares_over_time
+from construction_twin.planning.limit_shares import check_range, limit_use, shares_over_time
 from construction_twin.planning.progress import (
     JERK_SHARE,
     CurveProgress,
@@ -61,6 +62,7 @@ def time_path(
     acceleration_scale: float | None = None,
     waypoints: int | None = None,
     corner_share: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
 ) -> Trajectory:
     """Time a joint path.
 
@@ -87,6 +89,8 @@ def time_path(
         In (0, 1]: keep to the straight lines between the points and round the corners, over this share of what is there
         (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
         `curves.monotone` where that would leave the range).
+    bounds : PlanBounds, optional
+        Largest duration and number of waypoints. Default: any.
 
     Returns
     -------
@@ -98,15 +102,18 @@ def time_path(
         If `duration` is shorter than the limits allow.
     JointRangeError
         If a point is out of range, or with so few waypoints the motion between them leaves it.
+    PlanSizeError
+        If the motion would be larger than `bounds`.
     TrajectoryError
         If the path ends where it starts, or its shape or a value does not make sense.
     PlanningError
         If another argument does not make sense, or the path cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
-    _check_request(duration, speed_scale, acceleration_scale, waypoints, corner_share)
-    path = _check_path(path, robot)
-    request = _Request(robot, duration, LIMIT_SHARE * speed_scale, LIMIT_SHARE * acceleration_scale, waypoints)
+    check_request(duration, speed_scale, acceleration_scale, waypoints, corner_share)
+    path = check_path(path, robot)
+    shares = LIMIT_SHARE * speed_scale, LIMIT_SHARE * acceleration_scale
+    request = _Request(robot, duration, *shares, waypoints, bounds)
     pace, ends, inside = np.array(robot.velocity), path[[0, -1]], _off_the_edge(path, robot)
     if corner_share is not None:
         return request.run(rounded(inside, pace, corner_share), ends)
@@ -126,6 +133,7 @@ def time_curve(
     acceleration_scale: float | None = None,
     top_speed: float = math.inf,
     spacing: float = WAYPOINT_SPACING,
+    bounds: PlanBounds = PlanBounds(),
 ) -> TimedCurve:
     """Time a given smooth joint curve from rest to rest, as fast as the limits allow.
 
@@ -140,6 +148,8 @@ def time_curve(
         Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
     spacing : float, optional
         Time between waypoints [s]; with a shorter one the motion stays closer to the curve.
+    bounds : PlanBounds, optional
+        As in `time_path`.
 
     Returns
     -------
@@ -151,16 +161,16 @@ def time_curve(
     JointRangeError
         If the curve leaves the range.
     PlanningError
-        If an argument does not make sense, or the curve cannot be timed.
+        If an argument does not make sense, the motion would be too large, or the curve cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
-    _check_request(None, speed_scale, acceleration_scale, None, None)
+    check_request(None, speed_scale, acceleration_scale, None, None)
     if not (top_speed > 0.0 and 0.0 < spacing < math.inf):
         raise PlanningError(
             f"the requested top speed is {top_speed}, the spacing {spacing} s; expected positive numbers"
         )
     shares = LIMIT_SHARE * speed_scale, LIMIT_SHARE * acceleration_scale
-    request = _Request(robot, None, *shares, None, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
+    request = _Request(robot, None, *shares, None, bounds, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
     return request.timed(curve, curve(np.array([0.0, curve.length])), top_speed)
 
 
@@ -243,6 +253,7 @@ class _Request:
     velocity_share: float
     acceleration_share: float
     waypoints: int | None
+    bounds: PlanBounds
     spacing: float = WAYPOINT_SPACING
     local_slowing: float = LOCAL_SLOWING
     local_rounds: int = LOCAL_ROUNDS
@@ -268,6 +279,7 @@ class _Request:
         search = CurveProgress(curve, limits, top_speed)
         progress = search.find()
         for rounds_left in range(self.local_rounds, -1, -1):
+            self.bounds.check(progress.duration)
             times = np.linspace(0.0, progress.duration, math.ceil(progress.duration / self.spacing) + 1)
             shares = _motion_shares(times, *_states(curve, progress, times)[1:], self.robot)
             factor = self._too_fast(*shares, JERK_SHARE)
@@ -307,7 +319,9 @@ class _Request:
     ) -> Trajectory:
         """Return the trajectory that plays a progress `stretch` times slower."""
         duration = stretch * progress.duration if duration is None else duration
+        self.bounds.check(duration)
         count = self.waypoints or max(MINIMUM_WAYPOINTS, math.ceil(duration / self.spacing) + 1)
+        self.bounds.check(duration, count)
         times = whole_nanoseconds(np.linspace(0.0, duration, count))
         s, velocities, accelerations = _states(curve, progress, times / stretch)
         velocities /= stretch
@@ -354,39 +368,6 @@ def _slower(progress: Progress, times: np.ndarray, factor: np.ndarray) -> tuple[
 def _between(knots: np.ndarray) -> np.ndarray:
     """Return four points of each piece and the end."""
     return np.concatenate([(knots[:-1, None] + np.diff(knots)[:, None] * [0.0, 0.25, 0.5, 0.75]).ravel(), knots[-1:]])
-
-
-def _check_request(
-    duration: float | None, speed: float, acceleration: float, waypoints: int | None, corner_share: float | None
-) -> None:
-    if duration is not None and not 0.0 < duration < math.inf:
-        raise PlanningError(f"the requested duration is {duration} s; expected a positive number")
-    for name, scale in (("speed", speed), ("acceleration", acceleration)):
-        if not 0.0 < scale <= 1.0:
-            raise PlanningError(f"the requested {name} scale is {scale}; expected a share of the limits in (0, 1]")
-    if waypoints is not None and waypoints < 2:
-        raise PlanningError(f"{waypoints} waypoints are requested; a motion needs at least 2")
-    if corner_share is not None and not 0.0 < corner_share <= 1.0:
-        raise PlanningError(f"the requested corner share is {corner_share}; expected a number in (0, 1]")
-
-
-def _check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
-    path = np.array(path, dtype=np.float64)
-    joints = len(robot.joint_names)
-    if path.ndim != 2 or path.shape[1] != joints or len(path) < 2:
-        raise TrajectoryError(f"the path has shape {path.shape}; expected at least 2 points of {joints} joints")
-    if not np.all(np.isfinite(path)):
-        row, joint = np.argwhere(~np.isfinite(path))[0]
-        name = robot.joint_names[joint]
-        raise TrajectoryError(f"point {row} of the path: {name} is {path[row, joint]}, not a finite number")
-    for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
-        robot.check_range(point)
-    apart = np.max(np.abs(np.diff(path, axis=0)), axis=1) > SAME_POINT
-    if not np.any(apart):
-        raise TrajectoryError("the arm is already there: the path's points are all the same; nothing to plan")
-    kept = path[np.concatenate(([True], apart))]
-    kept[-1] = path[-1]
-    return kept
 
 
 def _off_the_edge(path: np.ndarray, robot: RobotModel) -> np.ndarray:

@@ -23,6 +23,8 @@ from construction_twin.planning.sections import ArcLine, Blend, Section, Straigh
 TURN_LENGTH = 0.1
 #: Closer than this is the same place [m], the same orientation [rad].
 SAME_PLACE = 1e-7
+#: Points of an arc that show how far it leads away.
+_ARC_POINTS = 17
 #: Directions that differ by less go on smoothly: the tool need not stop.
 SMOOTH = 1e-6
 
@@ -131,6 +133,17 @@ class ToolPath:
         """Return the commanded pose at one place [m]."""
         positions, rotations = self.poses(np.array([s]))
         return Pose(positions[0], rotations[0])
+
+    def arcs(self) -> list[tuple[int, np.ndarray]]:
+        """Return a few points of each arc, shape (m, 3) [m], with the number of the waypoint that the tool is going to."""
+        places = (
+            (begin, section) for begin, section in zip(self._begins, self._sections) if isinstance(section, ArcLine)
+        )
+        along = np.linspace(0.0, 1.0, _ARC_POINTS)
+        return [
+            (self.waypoint_at(begin + 0.5 * section.length), section.at(section.length * along)[0])
+            for begin, section in places
+        ]
 
     def waypoint_at(self, s: float) -> int:
         """Return the number of the waypoint, from 0, that the tool is going to at `s` [m]."""

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from construction_twin.motion_errors import TrajectoryError, WaypointsError
+from construction_twin.planning.bounds import PlanBounds
 from construction_twin.planning.limit_shares import cycle_times, measured_shares, range_excess
 from construction_twin.planning.timing import time_path
 from construction_twin.robot import RobotModel
@@ -164,6 +165,7 @@ def plan_waypoints(
     robot: RobotModel,
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
 ) -> Trajectory:
     """Check waypoints against the robot's limits and make them a trajectory from the present pose.
 
@@ -179,6 +181,8 @@ def plan_waypoints(
     robot : RobotModel
     speed_scale, acceleration_scale : float, optional
         As in `timing.time_path`; only for waypoints without times.
+    bounds : PlanBounds, optional
+        Largest duration and number of waypoints. Default: any.
 
     Returns
     -------
@@ -189,15 +193,21 @@ def plan_waypoints(
     WaypointsError
         Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase, not
         at rest at an end, too fast.
+    PlanSizeError
+        If there are too many waypoints, or the motion would be larger than `bounds`.
     PlanningError
         If waypoints without times cannot be timed.
     """
+    bounds.check(0.0, len(waypoints.rows))
     robot.check_range(present)
     _check_ranges(waypoints, robot)
     positions = _from_present(waypoints, np.array(present, dtype=float), robot)
     if waypoints.times is None:
-        return time_path(positions, robot, speed_scale=speed_scale, acceleration_scale=acceleration_scale)
+        return time_path(
+            positions, robot, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
+        )
     _check_times(waypoints)
+    bounds.check(float(waypoints.times[-1] - waypoints.times[0]))
     _check_rest(waypoints, robot)
     times = waypoints.times - waypoints.times[0]
     velocities, accelerations = _derivatives(times, positions, waypoints)

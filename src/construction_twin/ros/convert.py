@@ -5,6 +5,8 @@ Numbers cross unchanged to the last bit: float64 fields as they are, times as wh
 
 from __future__ import annotations
 
+import math
+
 import genpy
 import numpy as np
 from geometry_msgs.msg import Point, Transform
@@ -13,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.frames import quaternion_to_rotation
 from construction_twin.kinematics.chain import Pose
+from construction_twin.motion_errors import TrajectoryError
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.plan import Clearance, LimitShares, Plan, PlanReport
 from construction_twin.trajectory import Trajectory
@@ -99,7 +102,7 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
     Raises
     ------
     TrajectoryError
-        If its trajectory is none, or its hash is another trajectory's.
+        If its trajectory is none, its hash is another trajectory's, or what was measured on it are not numbers.
     """
     return Plan(
         id=msg.id,
@@ -116,6 +119,11 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
 
 def _report_from_msg(msg: PlanMsg) -> PlanReport:
     point = msg.clearance_point
+    measured = (msg.clearance_time, point.x, point.y, point.z, *msg.velocity_use, *msg.acceleration_use, *msg.jerk_use)
+    # an infinite clearance is one: there is nothing to touch
+    if math.isnan(msg.clearance) or not all(map(math.isfinite, measured)):
+        found = f"clearance {msg.clearance} at {msg.clearance_time} s, limit shares {[*measured[4:]]}"
+        raise TrajectoryError(f"plan {msg.id} was measured as {found}; expected numbers")
     return PlanReport(
         Clearance(msg.clearance, tuple(msg.clearance_between), (point.x, point.y, point.z), msg.clearance_time),
         LimitShares(tuple(msg.velocity_use), tuple(msg.acceleration_use), tuple(msg.jerk_use)),

@@ -41,6 +41,7 @@ class Settings(NodeSettings):
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
     review_file: Annotated[str, pydantic.Field(min_length=1)]
+    planner: str = "planner"
 
 
 class ExecutorNode:
@@ -56,6 +57,7 @@ class ExecutorNode:
         self._lock = threading.Lock()
         self._approval = Approval(self._executor, self._log.append, self._lock)
         self._auto_approve = settings.auto_approve
+        self._planner = rospy.resolve_name(settings.planner)
         self._session: str | None = None
         self._sync_at = 0
         self._reported: tuple = ()
@@ -77,7 +79,7 @@ class ExecutorNode:
     def _subscribe(self, joint_names: tuple[str, ...], arm: str) -> None:
         JointSubscriber("twin/joint_states", joint_names, self._on_twin, self._diagnostics.refuse)
         rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
-        rospy.Subscriber("scene", Scene, self._on_scene, queue_size=5)
+        self._scene = rospy.Subscriber("scene", Scene, self._on_scene, queue_size=5)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
         if arm != "none":
             self._executor.on_link(False, "no report of the link yet")
@@ -103,15 +105,25 @@ class ExecutorNode:
             self._executor.on_twin(stamp, q, now_ns())
 
     def _on_sync(self, message: Sync) -> None:
+        try:
+            state = SyncState(message.state)
+        except ValueError:
+            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
+            return
         with self._lock:
             self._sync_at = now_ns()
-            self._executor.on_sync(SyncState(message.state), message.agreed)
+            self._executor.on_sync(state, message.agreed)
 
     def _on_scene(self, message: Scene) -> None:
         with self._lock:
             self._executor.on_scene(message.hash)
 
     def _on_plan(self, message: Plan) -> None:
+        caller = message._connection_header["callerid"]
+        if caller != self._planner:
+            # what a plan says about itself was measured by the planner; nobody else's word counts
+            self._diagnostics.refuse("publisher", f"plan from {caller}; only {self._planner} may publish plans")
+            return
         if message.header.stamp < self._started:
             rospy.logwarn("plan %s is older than this executor and will not be played; plan again", message.id)
             return
@@ -163,6 +175,8 @@ class ExecutorNode:
 
     def _on_timer(self, _event) -> None:
         self._write_records()
+        with self._lock:
+            self._executor.desk.scene_alive = self._scene.get_num_connections() > 0
         if not self._auto_approve:
             return
         try:

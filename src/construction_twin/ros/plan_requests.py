@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
+from construction_twin.files import read_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.motion_errors import PlanningError
 from construction_twin.planning.planner import PlanRequest
@@ -18,6 +19,9 @@ from construction_twin.robot import RobotModel
 from construction_twin.ros.convert import pose_from_msg
 from construction_twin.scene.objects import product
 from construction_twin.units import NANOSECONDS
+
+#: Largest CSV file [bytes]: 20000 waypoints with velocities, 15 columns of 20 characters, are 6 MiB.
+_LARGEST_FILE = 16 * 2**20
 
 
 def plan_request(request, plan_id: str, created_ns: int, source: str = "request") -> PlanRequest:
@@ -79,12 +83,14 @@ def read_waypoints(path: str, robot: RobotModel) -> Waypoints:
     if not Path(path).is_absolute():
         raise PlanningError(f"the file is {path!r}; expected an absolute path on the planner's machine")
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_file(path, _LARGEST_FILE).decode("utf-8")
     except OSError as error:
         message = f"{path} cannot be read: {error.strerror}; expected a CSV file on the planner's machine"
         raise PlanningError(message) from error
     except UnicodeDecodeError as error:
         raise PlanningError(f"{path} cannot be read: it is not text in UTF-8; save it as CSV") from error
+    except ValueError as error:  # a null character in the path
+        raise PlanningError(f"{path!r} cannot be read: {error}") from error
     return parse_waypoints(text, robot)
 
 

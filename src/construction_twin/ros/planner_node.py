@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import traceback
 import uuid
 from collections.abc import Callable
 from typing import Annotated
@@ -92,7 +93,7 @@ class PlannerNode:
         self._publisher = rospy.Publisher("plan", PlanMsg, queue_size=1, latch=True)
         self._outcome_publisher = rospy.Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
-        rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
+        self._scene_subscriber = rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
         rospy.Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, queue_size=10)
         rospy.Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
         rospy.Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
@@ -146,48 +147,69 @@ class PlannerNode:
         return PlanCartesianResponse(success, message, fraction, *plan_fields)
 
     def _on_plan_from_csv(self, request) -> PlanFromCsvResponse:
-        def plan(asked: PlanRequest) -> Plan:
-            return self._desk.through(read_waypoints(request.path, self._robot), self._present_pose(), asked)
+        def read() -> Callable[[PlanRequest], Plan]:
+            waypoints = read_waypoints(request.path, self._robot)
+            return lambda asked: self._desk.through(waypoints, self._present_pose(), asked)
 
-        return PlanFromCsvResponse(*self._answer(plan, self._request(request, request.path))[:5])
+        return PlanFromCsvResponse(*self._answer_read(read, self._request(request, request.path))[:5])
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
-        def plan(asked: PlanRequest) -> Plan:
-            return self._desk.through(trajectory_waypoints(msg, self._robot), self._present_pose(), asked)
+        def read() -> Callable[[PlanRequest], Plan]:
+            waypoints = trajectory_waypoints(msg, self._robot)
+            return lambda asked: self._desk.through(waypoints, self._present_pose(), asked)
 
         caller = msg._connection_header["callerid"]
-        self._answer(plan, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
+        self._answer_read(read, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
 
     def _request(self, request, source: str = "request") -> PlanRequest:
         return plan_request(request, str(uuid.uuid4()), now_ns(), source)
 
     def _answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> tuple:
-        """Make and publish a plan; the one place where a failure becomes an answer.
+        """Make and publish a plan; see `_answer_read`."""
+        return self._answer_read(lambda: make_plan, asked)
+
+    def _answer_read(self, read: Callable[[], Callable[[PlanRequest], Plan]], asked: PlanRequest) -> tuple:
+        """Read what a request refers to, then make and publish a plan; the one place where a failure becomes an answer.
 
         Returns success, sentence, plan id, plan hash, duration, and the share of a tool path that can be followed.
         """
-        with self._busy:
-            try:
-                self._desk.wait_for_scene(self._settings.scene_timeout)
-                plan = make_plan(asked)
-            except ConstructionTwinError as error:
-                return self._failed(error, asked)
-            tool_path = [self._chain.forward(q).position for q in plan.trajectory.positions]
-            self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
-            sentence = _sentence(plan)
-            self._plans += 1
-            self._last = sentence
-            rospy.loginfo("%s", sentence)
-            self._publish_outcome(True, asked, sentence, plan.id)
-            return True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0
+        try:
+            make_plan = read()  # before the lock: nobody waits for another one's disk
+            with self._busy:
+                self._demand_scene()
+                return self._published(make_plan(asked), asked)
+        except ConstructionTwinError as error:
+            return self._failed(error, asked, str(error))
+        except (ArithmeticError, MemoryError, ValueError) as error:
+            # a request that no check foresaw must not end without an answer
+            rospy.logerr("%s", traceback.format_exc())
+            kind = type(error).__name__
+            return self._failed(error, asked, f"the request cannot be computed ({kind}: {error}); please report it")
 
-    def _failed(self, error: ConstructionTwinError, asked: PlanRequest) -> tuple:
-        self._last = f"no plan: {error}"
+    def _demand_scene(self) -> None:
+        """Wait for a scene that somebody answers for: without its publisher, nobody knows what surrounds the arm now."""
+        seen = self._desk.scene
+        if not self._scene_subscriber.get_num_connections():
+            self._desk.forget_scene(seen)
+        self._desk.wait_for_scene(self._settings.scene_timeout)
+
+    def _published(self, plan: Plan, asked: PlanRequest) -> tuple:
+        tool_path = [self._chain.forward(q).position for q in plan.trajectory.positions]
+        self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
+        sentence = _sentence(plan)
+        self._plans += 1
+        self._last = sentence
+        rospy.loginfo("%s", sentence)
+        self._publish_outcome(True, asked, sentence, plan.id)
+        return True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0
+
+    def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> tuple:
+        self._last = f"no plan: {sentence}"
         self._diagnostics.refused[type(error).__name__] += 1
         rospy.logwarn("%s", self._last)
-        self._publish_outcome(False, asked, str(error), "")
+        self._publish_outcome(False, asked, sentence, "")
         fraction = error.fraction if isinstance(error, CartesianPathError) else 0.0
-        return False, str(error), "", "", 0.0, fraction
+        return False, sentence, "", "", 0.0, fraction
 
     def _publish_outcome(self, success: bool, asked: PlanRequest, message: str, plan_id: str) -> None:
         outcome = PlanOutcome(success=success, source=asked.source, message=message, plan_id=plan_id)

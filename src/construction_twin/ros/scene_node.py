@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from typing import Annotated
 
 import pydantic
+import rosgraph
 import rospy
 import tf2_ros
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
-from construction_twin.errors import ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.motion_errors import SceneError
 from construction_twin.msg import Scene as SceneMsg
@@ -20,8 +22,9 @@ from construction_twin.ros.convert import pose_from_msg, pose_from_transform_msg
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.params import read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
+from construction_twin.scene.edits import SceneFile
 from construction_twin.scene.objects import Scene, SceneObject, product, read_scene, relative
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.scene.world import CollisionWorld
@@ -74,7 +77,11 @@ class SceneNode:
         self._robot = robot_from_parameters()
         self._prefix = settings.tf_prefix.rstrip("/")
         self._base_frame = tf_frame(self._prefix, self._robot.base_link)
-        scene = read_scene(settings.scene) if settings.scene else Scene()
+        start = read_scene(settings.scene) if settings.scene else Scene()
+        self._file = _scene_file(start)
+        scene = self._file.load()
+        if scene.hash != start.hash:
+            rospy.logwarn("scene %s: goes on after the edits of this run, from %s", scene.hash[:12], self._file.path)
         self._world = CollisionWorld(self._robot, scene, read_self_collision(settings.self_collision, self._robot))
         # one edit or check at a time: the world works in buffers of its own
         self._busy = threading.Lock()
@@ -122,9 +129,8 @@ class SceneNode:
 
     def _add(self, request) -> tuple[Scene, str]:
         item = object_from_msg(request.object)
-        if item.link or item.touch:
-            found = {"link": item.link, "touch": list(item.touch)}
-            raise SceneError(f"object {item.name!r}", found, "empty link and touch; attach it once it is in the scene")
+        if item.link:
+            raise SceneError(f"object {item.name!r} link", item.link, "an empty one; attach it once it is in the scene")
         if request.frame_id not in ("", self._base_frame):
             item = item.moved(product(self._base_T(request.frame_id), item.pose))
         known = item.name in self._world.scene.names
@@ -152,7 +158,10 @@ class SceneNode:
         with self._busy:
             try:
                 scene, sentence = change()
-                self._world = self._world.with_scene(scene)
+                world = self._world.with_scene(scene)
+                # kept before anybody hears of it: a node that is started anew must not forget what others plan with
+                self._file.save(scene)
+                self._world = world
             except ConstructionTwinError as error:
                 self._diagnostics.refuse(type(error).__name__, str(error))
                 return response(success=False, message=str(error), hash=self._world.scene.hash)
@@ -211,6 +220,15 @@ class SceneNode:
         gone, self._shown = sorted(self._shown - names), names
         markers = scene_markers(self._world.scene, gone, touching, self._robot.base_link, self._prefix)
         self._marker_publisher.publish(markers)
+
+
+def _scene_file(start: Scene) -> SceneFile:
+    """Return the file of this run's edits: one per node and ROS master, so that two masters of one user do not meet in it."""
+    run = rospy.get_param("/run_id", "")
+    if not run:
+        raise ConfigurationError("/run_id", run, "the id of this run, as roscore and roslaunch set it")
+    name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
+    return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
 
 def main() -> None:

@@ -5,7 +5,8 @@ Metres; poses in the root of the URDF's tree, where Pinocchio has its world (`Ro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import coal
@@ -16,7 +17,8 @@ from construction_twin.errors import ConfigurationError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.motion_errors import SceneError
 from construction_twin.robot import RobotModel
-from construction_twin.scene.objects import SceneObject, mesh_digest
+from construction_twin.scene.mesh_file import parse_mesh
+from construction_twin.scene.objects import SceneObject, read_mesh_file
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this share of its size.
 _CONVEX_TOLERANCE = 1e-6
@@ -119,20 +121,28 @@ class RobotBodies:
         base_T_link = self.root_T_base.inverse() * frame
         return Pose(base_T_link.translation.copy(), base_T_link.rotation.copy())
 
-    def place(self, item: SceneObject) -> Body:
+    def place(self, item: SceneObject, objects: Collection[str] = ()) -> Body:
         """Return the body of a scene object.
+
+        Parameters
+        ----------
+        item : SceneObject
+        objects : collection of str, optional
+            Names of the objects of its scene, which it may name in `touch`.
 
         Raises
         ------
         SceneError
-            If it names a link that the robot does not have, has a link's name, or its mesh cannot be used.
+            If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
         """
-        for key, links in (("link", (item.link,) if item.link else ()), ("touch", item.touch)):
-            for link in links:
-                if link not in self.link_joints:
-                    raise SceneError(
-                        f"object {item.name!r} {key}", link, f"a link of the robot: {sorted(self.link_joints)}"
-                    )
+        links = sorted(self.link_joints)
+        if item.link and item.link not in links:
+            raise SceneError(f"object {item.name!r} link", item.link, f"a link of the robot: {links}")
+        others = sorted(set(objects) - {item.name})
+        for name in item.touch:
+            if name not in links and name not in others:
+                expected = f"a link of the robot: {links}, or another object of the scene: {others}"
+                raise SceneError(f"object {item.name!r} touch", name, expected)
         if item.name in self.link_joints:
             raise SceneError("an object's name", item.name, "a name that no link of the robot has")
         pose = pinocchio.SE3(item.pose.rotation, item.pose.position)
@@ -151,7 +161,7 @@ def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
     Raises
     ------
     SceneError
-        If its mesh file has changed since the object was made, or holds no triangles.
+        If its mesh file has changed since the object was made, or cannot be used: see `mesh_file.parse_mesh`.
     """
     if item.shape == "box":
         return coal.Box(*item.size)
@@ -164,18 +174,23 @@ def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
 
 def _mesh(item: SceneObject) -> coal.CollisionGeometry:
     where = f"object {item.name!r} mesh"
-    if mesh_digest(item.name, item.mesh) != item.mesh_digest:
+    contents = read_mesh_file(item.name, item.mesh)
+    if hashlib.sha256(contents).hexdigest() != item.mesh_digest:
         raise SceneError(
             where, item.mesh, "the file that the object was made with; it has changed, add the object again"
         )
-    try:
-        mesh = coal.MeshLoader(coal.BV_OBBRSS).load(item.mesh, np.array(item.size))
-    except (ValueError, RuntimeError) as error:
-        raise SceneError(where, item.mesh, f"a mesh file that can be read ({error})") from error
-    if not mesh.num_tris:
-        raise SceneError(where, item.mesh, "a mesh with triangles")
+    vertices, triangles = parse_mesh(where, item.mesh, contents, item.size)
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), len(vertices))
+    mesh.addVertices(vertices)
+    mesh.addTriangles(triangles)
+    mesh.endModel()
     if is_convex(*mesh_triangles(mesh)):
-        mesh.buildConvexHull(True, "Qt")
+        try:
+            mesh.buildConvexHull(True, "Qt")
+        except RuntimeError as error:
+            # Qhull's own message is about its source
+            raise SceneError(where, item.mesh, "a closed convex mesh that has a volume") from error
         return mesh.convex
     return mesh
 

@@ -20,6 +20,7 @@ import pydantic
 import yaml
 from scipy.spatial.transform import Rotation
 
+from construction_twin.files import read_file
 from construction_twin.frames import quaternion_to_rotation, rotation_to_quaternion
 from construction_twin.kinematics.chain import Pose
 from construction_twin.motion_errors import SceneError
@@ -29,7 +30,11 @@ SIZES = {"box": (3, "x y z"), "cylinder": (2, "radius length"), "sphere": (1, "r
 #: How far a quaternion's norm may be from 1 before it is refused, and before it is normalised. Between the two it is
 #: normalised once; a normalised one stays as it is to the last bit, so that a scene sent as a message keeps its hash.
 _QUATERNION_REFUSED, _QUATERNION_EXACT = 1e-3, 1e-12
+#: Largest coordinate, size and padding [m]: with numbers far beyond a hall the distances of Coal overflow.
+_FARTHEST = 1e4
 _MESH_SUFFIXES = (".stl", ".obj")
+#: Largest mesh file [bytes]: enough for the triangles that `mesh_file` takes.
+_LARGEST_MESH = 32 * 2**20
 
 
 def product(a_T_b: Pose, b_T_c: Pose) -> Pose:
@@ -42,22 +47,22 @@ def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
     return Pose(a_T_b.rotation.T @ (a_T_c.position - a_T_b.position), a_T_b.rotation.T @ a_T_c.rotation)
 
 
-def mesh_digest(name: str, mesh: str) -> str:
-    """Return the SHA-256 of an object's mesh file.
+def read_mesh_file(name: str, mesh: str) -> bytes:
+    """Return the contents of an object's mesh file; what is in them is `mesh_file`'s question.
 
     Raises
     ------
     SceneError
-        If the path is not absolute, the format not STL or OBJ, or the file not readable.
+        If the path is not absolute, the format not STL or OBJ, or the file not readable, regular and of limited size.
     """
     path = Path(mesh)
     where = f"object {name!r} mesh"
     if not path.is_absolute() or path.suffix.lower() not in _MESH_SUFFIXES:
         raise SceneError(where, mesh, "the absolute path of an STL or OBJ file")
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise SceneError(where, mesh, f"a readable file ({error.strerror})") from error
+        return read_file(path, _LARGEST_MESH)
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        raise SceneError(where, mesh, f"a readable file ({getattr(error, 'strerror', error)})") from error
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,8 @@ class SceneObject:
     link : str
         Link that carries it; empty: it stands in the world.
     touch : tuple of str
-        Links that may touch it, besides the one that carries it; sorted.
+        Links and other objects of the scene that may touch it, besides the link that carries it; sorted. A link's name
+        also stands for what that link carries. Enough if one of two objects names the other.
     fixed : bool
         It stays when the scene is cleared. No part of the hash.
     mesh_digest : str
@@ -115,16 +121,21 @@ class SceneObject:
             raise self._wrong("shape", self.shape, f"one of {list(SIZES)}")
         size = self.size or ((1.0, 1.0, 1.0) if self.shape == "mesh" else ())
         count, meaning = SIZES[self.shape]
-        self._set("size", self._numbers("size", size, count, f"{meaning} [m], above 0", lambda value: value > 0))
-        self._set("position", self._numbers("position", self.position, 3, "x y z [m]"))
+        most = f"at most {_FARTHEST:g}"
+        positive = f"{meaning} [m], above 0, {most}"
+        self._set("size", self._numbers("size", size, count, positive, lambda value: 0 < value <= _FARTHEST))
+        near = f"x y z [m], {most}"
+        self._set("position", self._numbers("position", self.position, 3, near, lambda value: abs(value) <= _FARTHEST))
         self._set("quaternion", self._unit_quaternion())
-        (padding,) = self._numbers("padding", (self.padding,), 1, "0 or more [m]", lambda value: value >= 0)
+        (padding,) = self._numbers(
+            "padding", (self.padding,), 1, f"0 or more [m], {most}", lambda value: 0 <= value <= _FARTHEST
+        )
         self._set("padding", padding)
         self._set("touch", tuple(sorted(set(self.touch))))
         if (self.shape == "mesh") != bool(self.mesh):
             raise self._wrong("mesh", self.mesh, "a file for the shape mesh, nothing for the others")
         if self.mesh:
-            self._set("mesh_digest", mesh_digest(self.name, self.mesh))
+            self._set("mesh_digest", hashlib.sha256(read_mesh_file(self.name, self.mesh)).hexdigest())
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
@@ -197,8 +208,8 @@ class Scene:
     padding: float = 0.0
 
     def __post_init__(self):
-        if not (math.isfinite(self.padding) and self.padding >= 0.0):
-            raise SceneError("the scene's padding", self.padding, "0 or more [m]")
+        if not 0.0 <= self.padding <= _FARTHEST:
+            raise SceneError("the scene's padding", self.padding, f"0 or more [m], at most {_FARTHEST:g}")
         object.__setattr__(self, "padding", float(self.padding) + 0.0)
         object.__setattr__(self, "objects", tuple(self.objects))
         names = [item.name for item in self.objects]
@@ -250,9 +261,12 @@ class Scene:
         return self._with(replace(item, fixed=self.get(item.name).fixed))
 
     def remove(self, name: str) -> Scene:
-        """Return the scene without the object of that name; raises like `get`."""
+        """Return the scene without the object of that name; raises like `get`.
+
+        Nothing may touch it any more, either: an object that takes the name later is another one.
+        """
         gone = self.get(name)
-        return replace(self, objects=tuple(item for item in self.objects if item is not gone))
+        return self._only(tuple(item for item in self.objects if item is not gone))
 
     def attach(self, name: str, link: str, pose: Pose, touch: Iterable[str] = ()) -> Scene:
         """Return the scene with the object carried by a link.
@@ -265,7 +279,7 @@ class Scene:
         pose : Pose
             Of the object in `link`.
         touch : iterable of str, optional
-            Links it may touch besides `link`.
+            Links and objects it may touch besides `link`; replaces what it might touch before.
 
         Raises
         ------
@@ -292,8 +306,13 @@ class Scene:
         return self._with(item.moved(pose))
 
     def clear(self) -> Scene:
-        """Return the scene with its fixed objects only."""
-        return replace(self, objects=tuple(item for item in self.objects if item.fixed))
+        """Return the scene with its fixed objects only; see `remove`."""
+        return self._only(tuple(item for item in self.objects if item.fixed))
+
+    def _only(self, kept: tuple[SceneObject, ...]) -> Scene:
+        gone = set(self.names) - {item.name for item in kept}
+        forgotten = (replace(item, touch=tuple(name for name in item.touch if name not in gone)) for item in kept)
+        return replace(self, objects=tuple(forgotten))
 
     def _with(self, changed: SceneObject) -> Scene:
         return replace(self, objects=tuple(changed if item.name == changed.name else item for item in self.objects))

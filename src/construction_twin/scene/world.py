@@ -45,9 +45,9 @@ class CollisionWorld:
 
     Checked are: links against links, without the pairs that `self_collision` leaves out (contact: distance 0 or less);
     moving links against objects, and carried objects against standing ones (contact: distance within the scene's padding
-    plus the larger padding of the objects); carried objects against links, without those that move with them and those
-    that they may touch. Links and objects that do not move are not checked against each other: the pedestal stands on
-    the floor.
+    plus the larger padding of the objects); carried objects against links, without those that move with them. Not
+    checked are an object and what it names in `touch`. Links and objects that do not move are not checked against each
+    other: the pedestal stands on the floor.
 
     Not for use from several threads at once: it works in buffers of its own.
 
@@ -69,7 +69,7 @@ class CollisionWorld:
     ConfigurationError
         If the robot's shapes cannot be read.
     SceneError
-        If the scene names links that the robot does not have, or a mesh cannot be used.
+        If the scene names links or objects that do not exist, or a mesh cannot be used.
     """
 
     def __init__(self, robot: RobotModel, scene: Scene, self_collision: SelfCollision):
@@ -86,7 +86,7 @@ class CollisionWorld:
         self.scene = scene
         self.self_collision = self_collision
         self._robot_bodies = robot_bodies
-        self._bodies = (*robot_bodies.bodies, *map(robot_bodies.place, scene.objects))
+        self._bodies = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
         self._pairs = pairs = checked_pairs(self._bodies, scene.padding, self_collision)
         self._names = [(self._bodies[first].owner, self._bodies[second].owner) for first, second, _ in pairs]
         self._model = robot_bodies.model
@@ -270,7 +270,7 @@ def checked_pairs(
                 if one.owner not in other.item.touch:
                     pair = (second, first) if other.link else (first, second)
                     pairs.append((*pair, padding + other.item.padding))
-            elif other.link not in one.item.touch and one.link not in other.item.touch:
+            elif not ({other.owner, other.link} & set(one.item.touch) or {one.owner, one.link} & set(other.item.touch)):
                 pair = (first, second) if one.link else (second, first)
                 pairs.append((*pair, padding + max(one.item.padding, other.item.padding)))
     return pairs
