@@ -98,6 +98,12 @@ def test_a_counter_appears_with_its_first_use():
     assert summary["commands_lost"] == 2 and summary["late_replies"] is None
 
 
+def test_what_was_never_counted_is_zero_once_the_gateway_reports():
+    first, last = link(0.5, 0), link(12.5, 3000)
+    del first.counters["commands_lost"], last.counters["commands_lost"]
+    assert summarise(evaluate(run(links=[first, last])))["commands_lost"] == 0
+
+
 @pytest.mark.parametrize(
     "counts, share, expected",
     [

@@ -46,10 +46,10 @@ def test_lost_late_repeated_and_reordered_datagrams(tmp_path):
                 ("held_back", profile.reordering),
                 ("duplicated", profile.duplication),
             ):
-                assert not share or cell.udp.counters[counter] > carried.get(counter, 0), (
-                    f"{name}: nothing was {counter}"
-                )
-        assert worst["loss_5"].missed > worst["loss_1"].missed > 0
+                happened = cell.udp.counters[counter] - carried.get(counter, 0)
+                assert not share or happened > 0, f"{name}: nothing was {counter}"
+                # packet or reply lost: either way the controller misses that cycle, beside those this machine is late in
+                assert counter != "lost" or worst[name].missed >= happened, f"{name}: {happened} datagrams were lost"
         assert worst["loss_5"].blow > 0.01
         assert cell.counter("telegrams_repeated") > 0, "duplicated telegrams are noticed"
         assert_recovered(cell)

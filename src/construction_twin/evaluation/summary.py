@@ -180,8 +180,8 @@ def _commands_sent(first: LinkSnapshot | None, last: LinkSnapshot | None) -> int
 def _increase(first: LinkSnapshot | None, last: LinkSnapshot | None, name: str) -> int | None:
     if first is None or last is None or first is last:
         return None
-    before, after = first.counter(name), last.counter(name)
-    if before is None and first.counters:
-        before = 0  # the gateway lists a counter from its first use on
-    # A counter that falls belongs to a gateway that was restarted in between.
+    if not first.counters or not last.counters or (name in first.counters and name not in last.counters):
+        return None
+    # The gateway lists a counter from its first use on; one that falls belongs to a gateway that was restarted in between.
+    before, after = (link.counter(name) if name in link.counters else 0 for link in (first, last))
     return None if before is None or after is None or after < before else int(after - before)
