@@ -1,6 +1,6 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo test bench fuzz soak clean
+.PHONY: help setup demo test bench fuzz scenarios soak screenshots clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
@@ -8,7 +8,9 @@ help:
 	@echo "make test             build and run every test"
 	@echo "make bench            measure inverse kinematics and planning; writes results/bench/*.json"
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
+	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
 	@echo "make soak             the whole loop for an hour: memory and late replies per minute"
+	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one track two_robots\""
 	@echo "make setup            only install and build"
 	@echo "make clean            remove the workspace and the venv (.ws)"
 
@@ -27,8 +29,14 @@ bench: setup
 fuzz: setup
 	@bash -c 'source .ws/env.bash && python scripts/fuzz.py $(ARGS)'
 
+scenarios: setup
+	@bash -c 'source .ws/env.bash && python scripts/scenarios.py $(ARGS)'
+
 soak: setup
 	@bash -c 'source .ws/env.bash && python scripts/soak.py $(ARGS)'
+
+screenshots: setup
+	@bash -c 'source .ws/env.bash && exec python scripts/screenshots.py "$$@"' screenshots $(ARGS)
 
 clean:
 	rm -rf .ws

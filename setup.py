@@ -5,12 +5,15 @@ setup(
     **generate_distutils_setup(
         packages=[
             "construction_twin",
+            "construction_twin.cli",
             "construction_twin.evaluation",
             "construction_twin.kinematics",
+            "construction_twin.model",
             "construction_twin.mqtt",
             "construction_twin.planning",
             "construction_twin.ros",
             "construction_twin.rsi",
+            "construction_twin.scenario",
             "construction_twin.scene",
         ],
         package_dir={"": "src"},

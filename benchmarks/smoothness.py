@@ -166,6 +166,7 @@ class Rig:
         self._cycles = 0
         self._sessions = 0
         self._controls = 0
+        self._now = 0
 
     @property
     def session(self) -> str:
@@ -174,7 +175,7 @@ class Rig:
 
     def cycle(self, now: int) -> None:
         """Let the controller send a telegram and carry out the answer."""
-        self._cycles += 1
+        self._cycles, self._now = self._cycles + 1, now
         telegram = RobotTelegram(4 * self._cycles, self._pose, self._origin, 0)
         correction = self.gateway.on_telegram(telegram, "controller", now)
         self._pose = tuple([start + value for start, value in zip(self._origin, correction)])
@@ -190,7 +191,7 @@ class Rig:
 
     def _control(self, verb: str, value: object = None) -> None:
         self._controls += 1
-        self.gateway.on_control(Control(str(self._controls), self.session, verb, value))
+        self.gateway.on_control(Control(str(self._controls), self.session, verb, value), self._now)
 
 
 def play(motion: np.ndarray, config: GatewayConfig, profile: Profile, seed: int = 1) -> Played:

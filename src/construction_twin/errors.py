@@ -63,6 +63,20 @@ class RecordError(ReviewError):
         super().__init__(f"{path}: {problem}; nothing is approved without a record, mend it and restart the executor")
 
 
+class TransitionLogError(ConstructionTwinError):
+    """A change of the monitor's state cannot be written down; it is kept and tried again.
+
+    Attributes
+    ----------
+    path : str
+        The log file.
+    """
+
+    def __init__(self, path: str, problem: str):
+        self.path = path
+        super().__init__(f"{path}: {problem}; transitions are kept in memory until the file can be written")
+
+
 class ExecutionError(ConstructionTwinError):
     """An execution cannot be paused or resumed at this moment."""
 
@@ -154,3 +168,43 @@ class EvaluationError(ConstructionTwinError):
 
 class ExperimentError(ConstructionTwinError):
     """The experiment cannot go on: something is not ready in time, or the task was not finished."""
+
+
+class RequestRefused(ConstructionTwinError):
+    """The running system has answered a request with no; the message is its own sentence."""
+
+
+class SilenceError(ConstructionTwinError):
+    """Nobody answers: the system is not running, or not under this name.
+
+    Attributes
+    ----------
+    where : str
+        The service, topic or master that was asked.
+    """
+
+    def __init__(self, where: str, problem: str, to_do: str):
+        self.where = where
+        super().__init__(f"{where}: {problem}; {to_do}")
+
+
+class FaultError(ConstructionTwinError):
+    """A fault of the mock controller cannot be switched on or off as asked.
+
+    Attributes
+    ----------
+    fault : str
+        Its name.
+    value : object
+        What was given.
+    expected : str
+        What would have been accepted.
+    """
+
+    def __init__(self, fault: str, value: object, expected: str):
+        self.fault, self.value, self.expected = fault, value, expected
+        super().__init__(f"{fault}: found {value!r}, expected {expected}")
+
+
+class ScenarioError(ConstructionTwinError):
+    """A scenario cannot be read, run or judged."""

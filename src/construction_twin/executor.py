@@ -5,15 +5,16 @@ Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles
 
 from __future__ import annotations
 
-from enum import Enum
-
 from construction_twin.errors import ExecutionError, ReviewError
-from construction_twin.gate import SyncState
+from construction_twin.executor_state import ACTIVE, MOVING, RESTING, SURVIVED, ExecutorState
+from construction_twin.gate import REPLAN, RESUME, SyncState
 from construction_twin.limits import outside_tolerance
+from construction_twin.neighbour_watch import NeighbourWatch
 from construction_twin.plan import Plan
-from construction_twin.progress import Progress
+from construction_twin.playback import Braking, Playback
 from construction_twin.review import APPROVED, EXECUTOR, REJECTED, WITHDRAWN, Ending, ReviewDesk, Verdict
 from construction_twin.robot import RobotModel
+from construction_twin.stopping import way_along
 from construction_twin.units import NANOSECONDS
 
 #: A plan may start this far from the present pose [rad]; rounding, not motion.
@@ -22,47 +23,62 @@ START_TOLERANCE = 1e-6
 TWIN_TIMEOUT = NANOSECONDS // 2
 
 
-class ExecutorState(Enum):
-    """What the executor is doing; values are those of `Execution.msg`."""
-
-    WAITING = 0
-    IDLE = 1
-    PLAYING = 2
-    STOPPING = 3
-    PAUSING = 4
-    PAUSED = 5
-
-
-_MOVING = (ExecutorState.PLAYING, ExecutorState.STOPPING, ExecutorState.PAUSING)
-#: States in which an approved plan is not at its end.
-_ACTIVE = (*_MOVING, ExecutorState.PAUSED)
-
-
 class Executor:
     """Plays approved plans as theta_next.
 
     Parameters
     ----------
     robot : RobotModel
+
+    Attributes
+    ----------
+    lag : float
+        How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
+    neighbour : NeighbourWatch
+        Says whether another arm stands in the way of a plan; by default there is none.
     """
 
     def __init__(self, robot: RobotModel):
         self._robot = robot
+        self.lag = 0.0
+        self.neighbour = NeighbourWatch()
         self.desk = ReviewDesk()
         self.state = ExecutorState.WAITING
         self.reason = "started; waits for twin and physical arm to agree"
         self.outcome = ""
-        self.plan: Plan | None = None
-        self.plan_start = 0
-        self._progress: Progress | None = None
-        self._rate_limit = 1.0
+        self._playback: Playback | None = None
+        self._after_hold = ExecutorState.PLAYING
+        self._rate_limit, self._limit_reason = 1.0, ""
+        self._standing = False
+        self._stopping: list[tuple[float, ...]] = []
         self._events: list[Verdict | Ending] = []
         self._sync = SyncState.WAITING
         self._agreed = False
+        self._policy, self._passed = "", 0
         self._unarmed = ""
         self._twin: tuple[int, tuple[float, ...], int] | None = None
         self._setpoint: tuple[float, ...] | None = None
         self._setpoint_stamp = 0
+
+    @property
+    def plan(self) -> Plan | None:
+        """The plan that is played, or the last one that was."""
+        return self._playback.plan if self._playback else None
+
+    @property
+    def plan_start(self) -> int:
+        """Nominal stamp of that plan's first setpoint [ns]; 0 when none was sent."""
+        return self._playback.start if self._playback else 0
+
+    @property
+    def rate(self) -> float:
+        """Present share of the planned speed, 0 to 1; 0 when nothing is played."""
+        return self._playback.rate if self.state in ACTIVE else 0.0
+
+    @property
+    def steady(self) -> bool:
+        """True when the rate does not change at the moment."""
+        return self.state not in ACTIVE or self._playback.steady
 
     # -- inputs
 
@@ -70,16 +86,33 @@ class Executor:
         """Take the twin's pose [rad], the stamp of the command it executes, and the time of reception [ns]."""
         self._twin = stamp, q, now
 
-    def on_sync(self, state: SyncState, agreed: bool) -> None:
-        """Take the monitor's state; on anything but IN_SYNC the rest of the plan is dropped."""
-        self._sync, self._agreed = state, agreed
-        if self.state in _ACTIVE and state is not SyncState.IN_SYNC:
+    def on_sync(self, state: SyncState, agreed: bool, policy: str = REPLAN, held_stamp: int = 0) -> None:
+        """Take the monitor's state; on anything but IN_SYNC the plan is held, or its rest is dropped.
+
+        Parameters
+        ----------
+        state : SyncState
+        agreed : bool
+        policy : str
+            What happens after a violation; only ``resume`` keeps the plan.
+        held_stamp : int
+            Nominal stamp of the last setpoint that passed the gate [ns]: there the plan waits, and goes on by itself.
+        """
+        self._sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
+        if self.state not in ACTIVE:
+            return
+        if state is SyncState.IN_SYNC:
+            if self.state is ExecutorState.HELD:
+                self._go_on()
+        elif policy != RESUME or state not in SURVIVED:
             self._finish("held", f"the gate holds ({state.name})")
+        elif self.state is not ExecutorState.HELD:
+            self._hold(state, held_stamp)
 
     def on_link(self, armed: bool, reason: str) -> None:
         """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played."""
         self._unarmed = "" if armed else reason
-        if not armed and self.state in _ACTIVE:
+        if not armed and self.state in ACTIVE:
             self._finish("dropped", f"the arm is no longer armed: {reason}")
 
     def on_scene(self, scene: str) -> None:
@@ -87,11 +120,18 @@ class Executor:
         before = self.desk.scene
         reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
         self._withdraw(self.desk.on_scene(scene), f"{reason}; plan again")
-        if self.state in _ACTIVE and scene != self.plan.scene:
+        if self.state in ACTIVE and scene != self.plan.scene:
             self._halt(reason)
 
-    def limit_rate(self, factor: float) -> None:
-        """Play at this share of the planned speed, 0 to 1, from now on; 0 stands still. The path stays the same.
+    def limit_rate(self, factor: float, reason: str = "") -> None:
+        """Play at most at this share of the planned speed from now on; 0 stands still until it is raised. The path stays.
+
+        Parameters
+        ----------
+        factor : float
+            0 to 1.
+        reason : str, optional
+            Why, for the operator.
 
         Raises
         ------
@@ -99,18 +139,18 @@ class Executor:
         """
         if not 0.0 <= factor <= 1.0:
             raise ExecutionError(f"a rate of {factor} was asked for; expected a share of the planned speed, 0 to 1")
-        self._rate_limit = factor
+        self._rate_limit, self._limit_reason = factor, reason
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
         self._withdraw(self.desk.void(now), reason)
-        if self.state in _ACTIVE:
+        if self.state in ACTIVE:
             self._finish("dropped", reason)
         self._wait(reason)
 
     def stall(self, reason: str) -> None:
         """Drop a moving plan because setpoints could not be produced in time; the arm is left to the gateway's braking."""
-        if self.state in _MOVING:
+        if self.state in MOVING and not self._standing:
             self._finish("dropped", reason)
 
     # -- review
@@ -149,16 +189,15 @@ class Executor:
         plan = self.desk.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         if not verdict.approved:
             return f"plan {plan.id} rejected by {verdict.reviewer}"
-        robot = self._robot
-        self.plan, self.plan_start, self.outcome = plan, 0, ""
-        self._progress = Progress(plan.trajectory, robot.acceleration, robot.jerk)
+        self._playback, self.outcome = Playback(plan, self._robot), ""
         self._enter(ExecutorState.PLAYING, f"approved by {verdict.reviewer}")
         return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
 
     def ready_to_approve(self) -> bool:
         """Return whether a plan is on the desk and neither state nor missing scene stands against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
-        return ready and self.desk.plan is not None and bool(self.desk.scene) and self.desk.scene_alive
+        ready = ready and self.desk.plan is not None and bool(self.desk.scene) and self.desk.scene_alive
+        return ready and not self.neighbour.problem(self.desk.plan.id)
 
     def withdraw(self, plan_id: str, reason: str) -> None:
         """Take a plan off the desk, if it still lies there."""
@@ -178,7 +217,7 @@ class Executor:
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
         self._withdraw(self.desk.void(now), "stop requested")
-        if self.state not in _ACTIVE:
+        if self.state not in ACTIVE:
             return f"nothing is playing ({self.state.name})"
         if self.state is ExecutorState.STOPPING:
             return f"plan {self.plan.id} is braking already"
@@ -186,6 +225,10 @@ class Executor:
             self._finish("stopped", "stopped before it began")
             return f"plan {self.plan.id} had not begun"
         return self._halt("stop requested")
+
+    def braking(self) -> Braking | None:
+        """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
+        return self._playback.braking(self.lag) if self.state is ExecutorState.STOPPING else None
 
     def pause(self) -> str:
         """Brake along the path smoothly and rest on it; return one sentence.
@@ -197,6 +240,9 @@ class Executor:
         """
         if self.state in (ExecutorState.PAUSING, ExecutorState.PAUSED):
             return f"plan {self.plan.id} is {self.state.name} already"
+        if self.state is ExecutorState.HELD:
+            self._after_hold = ExecutorState.PAUSED
+            return f"plan {self.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
         if self.state is not ExecutorState.PLAYING:
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
         self._enter(ExecutorState.PAUSING, "pause requested")
@@ -216,14 +262,20 @@ class Executor:
             raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
         if self._unarmed:
             raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
+        if problem := self.neighbour.problem(self.plan.id):
+            raise ExecutionError(f"plan {self.plan.id} may not go on: {problem}")
         self._enter(ExecutorState.PLAYING, "resumed")
-        rest = self.plan.trajectory.duration - self._progress.elapsed
+        rest = self.plan.trajectory.duration - self._playback.elapsed
         return f"plan {self.plan.id} goes on; {rest:.3f} s of it are left"
 
     # -- output
 
     def step(self, stamp: int, now: int) -> tuple[float, ...] | None:
         """Return the setpoint for the cycle with nominal stamp `stamp` [ns], or None when nothing may be sent."""
+        self.neighbour.now = now
+        if self.state in ACTIVE and self.state is not ExecutorState.STOPPING:
+            if problem := self.neighbour.problem(self.plan.id):
+                self._halt(problem)
         if self.state is ExecutorState.WAITING:
             self._try_to_begin(now)
         if self.state is ExecutorState.WAITING:
@@ -251,23 +303,37 @@ class Executor:
         return self._setpoint
 
     def _advance(self, stamp: int) -> tuple[float, ...]:
-        progress = self._progress
-        rate = self._rate_limit if self.state is ExecutorState.PLAYING else 0.0
-        if self.plan_start == 0:
-            self.plan_start = stamp
-            self._setpoint = progress.begin(rate)
-        elif self.state is ExecutorState.STOPPING:
-            self._setpoint = progress.brake()
+        playback = self._playback
+        if self.state is ExecutorState.STOPPING:
+            self._setpoint = playback.brake(stamp)
+            self._stopping.append(self._setpoint)
         else:
-            self._setpoint = progress.advance(rate)
+            rate = self._rate_limit if self.state is ExecutorState.PLAYING else 0.0
+            self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
-        if progress.finished:
-            self._finish("finished", "goal reached")
-        elif progress.at_rest and self.state is ExecutorState.STOPPING:
-            self._finish("stopped", self.reason)
-        elif progress.at_rest and self.state is ExecutorState.PAUSING:
-            self._enter(ExecutorState.PAUSED, f"at rest {progress.elapsed:.3f} s into the plan; resume goes on")
+        if playback.goal_stamp and self.state is not ExecutorState.HELD:
+            # a hold may still come that takes back the last setpoints: then the plan must be there to go on
+            if self._policy != RESUME or self._passed >= playback.goal_stamp:
+                self._finish("finished", "goal reached")
+        elif playback.at_rest:
+            self._on_rest()
+        elif self._standing:
+            self._standing = False
+            self.reason = f"goes on at {self._rate_limit:.0%} of the planned speed: {self._limit_reason}"
         return self._setpoint
+
+    def _on_rest(self) -> None:
+        if self.state is ExecutorState.STOPPING:
+            way = way_along(self._stopping)
+            self._finish("stopped", f"{self.reason}; at rest after {way.text(self._robot)}")
+        elif self.state is ExecutorState.PAUSING:
+            self._enter(ExecutorState.PAUSED, self._where_paused())
+        elif self.state is ExecutorState.PLAYING and not self._standing and self._rate_limit == 0.0:
+            self._enter(ExecutorState.PLAYING, f"stands still on the path, goes on by itself: {self._limit_reason}")
+            self._standing = True
+
+    def _where_paused(self) -> str:
+        return f"at rest {self._playback.elapsed:.3f} s into the plan; resume goes on"
 
     # -- plans
 
@@ -278,6 +344,8 @@ class Executor:
             raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
         if self._unarmed:
             raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
+        if problem := self.neighbour.problem(plan.id):
+            raise ReviewError(f"plan {plan.id} may not start: {problem}")
         self.desk.check_content()
         off = outside_tolerance(tuple(plan.trajectory.positions[0]), self._setpoint, START_TOLERANCE)
         if off is not None:
@@ -286,11 +354,32 @@ class Executor:
             raise ReviewError(f"plan {plan.id} starts {distance:.6f} rad from the present pose at {joint}; plan again")
 
     def _halt(self, reason: str) -> str:
-        if self.state is ExecutorState.PAUSED or self.plan_start == 0:
+        if self.state in RESTING or self.plan_start == 0:
             self._finish("stopped", reason)
             return f"plan {self.plan.id} ended at rest"
+        self._stopping = [self._setpoint]
         self._enter(ExecutorState.STOPPING, reason)
         return f"braking plan {self.plan.id}"
+
+    def _hold(self, state: SyncState, held_stamp: int) -> None:
+        cause = f"the gate holds ({state.name})"
+        if self.state is ExecutorState.STOPPING:
+            self._finish("stopped", f"{self.reason}; {cause}")
+        elif not self._playback.rest_where(held_stamp):
+            self._finish("held", f"{cause} at a setpoint that is not known to be of plan {self.plan.id}")
+        else:
+            paused = self.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
+            self._after_hold = ExecutorState.PAUSED if paused else ExecutorState.PLAYING
+            where = f"{self._playback.elapsed:.3f} s into the plan"
+            self._enter(ExecutorState.HELD, f"{cause} {where}; goes on by itself when twin and arm agree again")
+
+    def _go_on(self) -> None:
+        if self._after_hold is ExecutorState.PAUSED:
+            self._enter(ExecutorState.PAUSED, self._where_paused())
+        else:
+            self._enter(
+                ExecutorState.PLAYING, "twin and arm agree again; the same approval covers the rest of the path"
+            )
 
     def _withdraw(self, plan: Plan | None, reason: str) -> None:
         if plan is not None:
@@ -306,4 +395,4 @@ class Executor:
         self._enter(ExecutorState.WAITING, reason)
 
     def _enter(self, state: ExecutorState, reason: str) -> None:
-        self.state, self.reason = state, reason
+        self.state, self.reason, self._standing = state, reason, False

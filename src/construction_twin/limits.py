@@ -1,23 +1,24 @@
 """The motion check that the gate and the gateway share: what a stream of setpoints may do from one to the next.
 
-Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, stamps in ns.
+Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, linear joints in m, stamps in ns.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from construction_twin.errors import MotionRefused
-from construction_twin.units import CYCLE, NANOSECONDS, format_allowance
+from construction_twin.units import CYCLE, NANOSECONDS, format_allowance, last_digit
 
-#: Slack of the range check [rad]: what a conversion between degrees and radians may add at a range's end.
+#: Slack of the range check [rad], [m]: what a conversion of units may add at a range's end.
 RANGE_SLACK = 1e-9
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What each joint may do.
+    """What each joint may do. Units are those of a joint that turns; where `linear` is True, read m for rad.
 
     Attributes
     ----------
@@ -27,6 +28,8 @@ class MotionLimits:
         Range [rad].
     velocity, acceleration : tuple of float, shape (n,)
         [rad/s], [rad/s^2], both positive.
+    linear : tuple of bool, shape (n,), optional
+        Default: every joint turns.
     """
 
     names: tuple[str, ...]
@@ -34,25 +37,49 @@ class MotionLimits:
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
+    linear: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.linear:
+            object.__setattr__(self, "linear", (False,) * len(self.names))
 
     @classmethod
     def of(cls, robot) -> MotionLimits:
         """Return the limits of a `RobotModel`."""
-        return cls(robot.joint_names, robot.lower, robot.upper, robot.velocity, robot.acceleration)
+        return cls(robot.joint_names, robot.lower, robot.upper, robot.velocity, robot.acceleration, robot.linear)
+
+    def last_digits(self, decimals: int) -> tuple[float, ...]:
+        """Return what the last decimal on the wire is worth, per joint [rad], [m]."""
+        return tuple(last_digit(decimals, slides) for slides in self.linear)
+
+    def allowances(self, decimals: int) -> tuple[float, ...]:
+        """Return the format's allowance per joint [rad/s^2], [m/s^2]."""
+        return tuple(format_allowance(decimals, slides) for slides in self.linear)
+
+    def refused(self, reason: str, index: int, value: float, limit: float, per: str = "") -> MotionRefused:
+        """Return the refusal of joint `index`, in its unit; `per` is appended to it, e.g. ``/s``."""
+        unit = "m" if self.linear[index] else "rad"
+        return MotionRefused(reason, self.names[index], value, limit, unit + per)
 
     def check_range(self, q: tuple[float, ...]) -> None:
-        """Raise MotionRefused naming the first joint of `q` [rad] that is not a number inside its range."""
+        """Raise MotionRefused naming the first joint of `q` [rad], [m] that is not a number inside its range."""
         if len(q) != len(self.names) or not all(map(math.isfinite, q)):
             raise MotionRefused("values", "", math.nan, math.nan)
-        for name, value, lower, upper in zip(self.names, q, self.lower, self.upper):
+        for index, (value, lower, upper) in enumerate(zip(q, self.lower, self.upper)):
             if not lower - RANGE_SLACK <= value <= upper + RANGE_SLACK:
-                raise MotionRefused("range", name, value, upper if value > upper else lower)
+                raise self.refused("range", index, value, upper if value > upper else lower)
 
 
-def outside_tolerance(q: tuple[float, ...], reference: tuple[float, ...], tolerance: float) -> int | None:
-    """Return the index of the first joint further than `tolerance` [rad] from `reference`, or None."""
-    for index, (value, expected) in enumerate(zip(q, reference)):
-        if abs(value - expected) > tolerance:
+def outside_tolerance(
+    q: tuple[float, ...], reference: tuple[float, ...], tolerance: float | Sequence[float]
+) -> int | None:
+    """Return the index of the first joint further than `tolerance` [rad], [m] from `reference`, or None.
+
+    `tolerance` is one for all joints, or a sequence with one per joint.
+    """
+    tolerances = (tolerance,) * len(q) if isinstance(tolerance, float) else tolerance
+    for index, (value, expected, allowed) in enumerate(zip(q, reference, tolerances)):
+        if abs(value - expected) > allowed:
             return index
     return None
 
@@ -90,13 +117,13 @@ class MotionCheck:
     ----------
     limits : MotionLimits
     decimals : int
-        Decimals of a degree on the wire.
+        Decimals on the wire.
     """
 
     def __init__(self, limits: MotionLimits, decimals: int):
         self.limits = limits
-        self._allowance = format_allowance(decimals)
-        self._rounding = math.radians(10.0**-decimals)
+        self._allowance = limits.allowances(decimals)
+        self._rounding = limits.last_digits(decimals)
         self._stamp = 0
         self._period = CYCLE
         self._position: tuple[float, ...] = ()
@@ -142,18 +169,18 @@ class MotionCheck:
 
     def _check_joint(self, index: int, value: float, velocity: float, period: float, mean_period: float) -> None:
         limits = self.limits
-        noise = self._rounding / period
+        noise = self._rounding[index] / period
         if abs(velocity) > limits.velocity[index] + noise:
-            raise MotionRefused("velocity", limits.names[index], velocity, limits.velocity[index], "rad/s")
+            raise limits.refused("velocity", index, velocity, limits.velocity[index], "/s")
         acceleration = limits.acceleration[index]
-        budget = acceleration * mean_period + self._allowance * CYCLE * CYCLE / period
+        budget = acceleration * mean_period + self._allowance[index] * CYCLE * CYCLE / period
         last = self._velocity[index]
         if not min(0.0, last) - budget <= velocity <= max(0.0, last) + budget:
             measured = (velocity - last) / mean_period
-            raise MotionRefused("acceleration", limits.names[index], measured, acceleration, "rad/s^2")
+            raise limits.refused("acceleration", index, measured, acceleration, "/s^2")
         speed = abs(velocity) - noise
         if speed > 0.0:
             room = limits.upper[index] - value if velocity > 0.0 else value - limits.lower[index]
             needed = braking_distance(speed * CYCLE, acceleration * CYCLE * CYCLE)
             if needed > room + RANGE_SLACK:
-                raise MotionRefused("braking_room", limits.names[index], needed, room)
+                raise limits.refused("braking_room", index, needed, room)

@@ -9,11 +9,14 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+from construction_twin.lag import LagEstimate
 from construction_twin.rsi.interpolation import interpolate
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: Twin poses kept for comparison by command stamp: 2 s.
 HISTORY = 500
+#: Kinds of comparison: with the twin's pose for the same command, and with its present one.
+ALIGNED, INSTANT = "aligned", "instant"
 
 
 def next_pose(
@@ -99,11 +102,13 @@ class Comparison:
     at : int
         When the physical pose was received [ns].
     mode : str
-        ``command_stamp`` or ``instant``.
+        ``aligned`` or ``instant``.
     theta_virtual, theta_physical, threshold : tuple, shape (n,)
-        [rad]
+        [rad]; [m] for linear joints.
     round_trip : float
         Reception minus command stamp [s]; nan when unknown.
+    servo_lag : float
+        How long the arm trails what it is compared with [s]; nan until it has moved.
     """
 
     at: int
@@ -112,6 +117,7 @@ class Comparison:
     theta_physical: tuple[float, ...]
     threshold: tuple[float, ...]
     round_trip: float
+    servo_lag: float
 
     @property
     def error(self) -> tuple[float, ...]:
@@ -121,30 +127,61 @@ class Comparison:
     @property
     def agrees(self) -> bool:
         """True when Algorithm 1 lets the next pose pass."""
-        return not next_pose(self.theta_virtual, self.theta_physical, self.theta_virtual, self.threshold)[1]
+        return self.agrees_within(1.0)
+
+    def agrees_within(self, share: float) -> bool:
+        """Return whether Algorithm 1 would let the next pose pass with this share of the threshold, 0 to 1."""
+        threshold = self.threshold if share == 1.0 else tuple(share * limit for limit in self.threshold)
+        return not next_pose(self.theta_virtual, self.theta_physical, self.theta_virtual, threshold)[1]
 
     def worst(self) -> int:
-        """Index of the joint that uses most of its threshold."""
+        """Index of the joint that uses most of its threshold; one whose error is no number comes first."""
         shares = [error / limit for error, limit in zip(self.error, self.threshold)]
-        return shares.index(max(shares))
+        return max(range(len(shares)), key=lambda index: math.inf if math.isnan(shares[index]) else shares[index])
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """How poses are compared.
+
+    Attributes
+    ----------
+    threshold : tuple, shape (n,)
+        Agreement at rest, per joint [rad]; [m] for linear joints.
+    lag_allowance : float
+        Largest servo lag that is believed, and until the lag is known what is allowed for it at the commanded velocity [s].
+    lag_margin : float
+        Once the lag is known: what it may be wrong by [s].
+    aligned : bool
+        True compares by command stamp where there is one, False always with the twin's present pose.
+    """
+
+    threshold: tuple[float, ...]
+    lag_allowance: float = 0.05
+    lag_margin: float = 0.01
+    aligned: bool = True
 
 
 class PoseComparison:
-    """Compares each physical pose with the twin.
+    """Compares each physical pose with the twin's, the arm's lag taken out.
 
     Parameters
     ----------
-    threshold : float
-        Agreement at rest [rad]; the project's default is 0.01.
-    lag_allowance : float
-        Seconds of servo lag to allow for at the commanded velocity: adds `lag_allowance` times |velocity| [s].
+    settings : ComparisonSettings
     """
 
-    def __init__(self, threshold: float, lag_allowance: float):
-        self.threshold = threshold
-        self.lag_allowance = lag_allowance
+    def __init__(self, settings: ComparisonSettings):
         self.twin = TwinHistory()
         self.last: Comparison | None = None
+        # seen at the present moment the arm trails by the whole way to it and back
+        self._lags = {mode: LagEstimate(settings.lag_allowance) for mode in (ALIGNED, INSTANT)}
+        self.configure(settings)
+
+    def configure(self, settings: ComparisonSettings) -> None:
+        """Compare by other settings from the next pose on."""
+        self._settings = settings
+        for lag in self._lags.values():
+            lag.most = settings.lag_allowance
 
     def compare(self, q: tuple[float, ...], command_stamp: int, now: int) -> Comparison | None:
         """Compare a physical pose.
@@ -163,20 +200,28 @@ class PoseComparison:
         comparison : Comparison or None
             None when the twin's pose for that stamp is not known.
         """
-        mode = "command_stamp" if command_stamp else "instant"
-        if command_stamp:
-            reference = self.twin.at(command_stamp)
-        else:
-            reference = (self.twin.latest[1], self._present_velocity()) if self.twin.latest else None
+        settings = self._settings
+        mode = ALIGNED if command_stamp and settings.aligned else INSTANT
+        lag = self._lags[mode]
+        reference = self._reference(command_stamp if mode == ALIGNED else 0, lag.nanoseconds)
         if reference is None:
             return None
         virtual, velocity = reference
-        threshold = tuple(self.threshold + self.lag_allowance * abs(v) for v in velocity)
+        allowance = settings.lag_margin if lag.known else settings.lag_allowance
+        threshold = tuple(limit + allowance * abs(v) for limit, v in zip(settings.threshold, velocity))
         round_trip = (now - command_stamp) / NANOSECONDS if command_stamp else math.nan
-        self.last = Comparison(now, mode, virtual, q, threshold, round_trip)
+        self.last = Comparison(now, mode, virtual, q, threshold, round_trip, lag.seconds)
+        if self.last.agrees:
+            # what disagrees is not lag
+            lag.learn(tuple(p - v for p, v in zip(q, virtual)), velocity)
         return self.last
 
-    def _present_velocity(self) -> tuple[float, ...]:
-        stamp, q = self.twin.latest
+    def _reference(self, stamp: int, lag: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        latest = self.twin.latest
+        if latest is None:
+            return None
+        stamp = (stamp or latest[0]) - lag
+        if stamp != latest[0]:
+            return self.twin.at(stamp)
         before = self.twin.at(stamp - CYCLE_NS)
-        return before[1] if before else (0.0,) * len(q)
+        return latest[1], before[1] if before else (0.0,) * len(latest[1])

@@ -259,6 +259,22 @@ class SceneChangedError(PlanningError):
         )
 
 
+class NeighbourUnknownError(PlanningError):
+    """Nobody tells where the other arm is or what it is about to do; it is never taken to be absent.
+
+    Attributes
+    ----------
+    neighbour : str
+        Name of the other robot.
+    """
+
+    def __init__(self, neighbour: str, problem: str):
+        self.neighbour = neighbour
+        super().__init__(
+            f"where {neighbour} is, or goes, is not known: {problem}; start it, or start this robot without a neighbour"
+        )
+
+
 class LimitError(PlanningError):
     """A motion breaks a limit of the robot.
 

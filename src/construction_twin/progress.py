@@ -11,6 +11,7 @@ import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +84,34 @@ class Progress:
     def finished(self) -> bool:
         """True when the end of the trajectory is reached."""
         return self.elapsed >= self.trajectory.duration
+
+    @property
+    def elapsed_ns(self) -> float:
+        """Time along the trajectory [ns], to the last bit: what `rest_at` takes."""
+        return self._elapsed
+
+    @property
+    def rate(self) -> float:
+        """Present rate, 0 to 1."""
+        return self._now.rate
+
+    @property
+    def steady(self) -> bool:
+        """True when the rate is what was asked for last."""
+        return not self._ramp and self._now.rate == self._goal
+
+    def copy(self) -> Progress:
+        """Return an independent copy, to look ahead on."""
+        other = copy(self)
+        other._ramp = self._ramp.copy()
+        return other
+
+    def rest_at(self, elapsed: float) -> None:
+        """Stand still at a time along the trajectory [ns], as somebody else did: the joints rest there from now on."""
+        self._elapsed, self._now, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
+        self._ramp.clear()
+        pose = self._ahead(0.0)
+        self._poses = (pose, pose, pose)
 
     def begin(self, rate: float) -> tuple[float, ...]:
         """Return the trajectory's first setpoint [rad]; it goes on at `rate`, without a ramp, as it begins at rest."""

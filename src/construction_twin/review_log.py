@@ -159,7 +159,7 @@ class ReviewLog:
             self._append(self._clock(), fields | {"scene": last["scene"], "reason": reason})
 
     def _append(self, now: int, fields: dict) -> None:
-        fields = {"time": _iso(now), "time_ns": now} | fields | {"previous": self._state.head}
+        fields = {"time": iso_time(now), "time_ns": now} | fields | {"previous": self._state.head}
         line = json.dumps(fields, allow_nan=False).encode()
         state = LogState(self._state.lines + 1, hashlib.sha256(line).hexdigest())
         self._check_untouched()
@@ -257,8 +257,8 @@ def _execution_without_end(content: bytes) -> dict | None:
     return last
 
 
-def _iso(now: int) -> str:
-    """Return the time in ISO 8601, UTC, with all nine decimals."""
+def iso_time(now: int) -> str:
+    """Return a time since 1970 [ns] in ISO 8601, UTC, with all nine decimals."""
     seconds, nanoseconds = divmod(now, NANOSECONDS)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
 

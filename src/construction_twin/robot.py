@@ -226,13 +226,22 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path) -> RobotModel
         See `load_robot`; also for a file that cannot be read or parsed.
     """
     urdf = expand_xacro(urdf_path) if str(urdf_path).endswith(".xacro") else _read_text(urdf_path)
-    try:
-        description = yaml.safe_load(_read_text(yaml_path))
-    except yaml.YAMLError as error:
-        raise ConfigurationError(str(yaml_path), str(error), "a YAML file") from error
-    if not isinstance(description, dict):
-        raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
-    return load_robot(urdf, description)
+    return load_robot(urdf, _read_description(yaml_path))
+
+
+def home_positions(yaml_path: str | Path) -> dict[str, float]:
+    """Return the home pose of a robot YAML by joint name [rad], [m]; needs no URDF.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is not a robot YAML, as far as this can be told without the URDF.
+    """
+    parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
+    kinds = {name: _LinearJoint if "home_mm" in joint else _TurningJoint for name, joint in parsed.joints.items()}
+    return {
+        name: _validate(kinds[name], joint, f"robot/joints/{name}").si()[0] for name, joint in parsed.joints.items()
+    }
 
 
 def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
@@ -309,6 +318,16 @@ def _read_text(path: str | Path) -> str:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(str(path), str(error), "a readable text file") from error
+
+
+def _read_description(yaml_path: str | Path) -> dict:
+    try:
+        description = yaml.safe_load(_read_text(yaml_path))
+    except yaml.YAMLError as error:
+        raise ConfigurationError(str(yaml_path), str(error), "a YAML file") from error
+    if not isinstance(description, dict):
+        raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
+    return description
 
 
 def _validate(model: type[pydantic.BaseModel], values: Mapping, where: str):

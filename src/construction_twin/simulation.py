@@ -19,7 +19,7 @@ from construction_twin.approval import Approval
 from construction_twin.errors import PayloadError
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.executor import Executor, ExecutorState
-from construction_twin.gate import Gate, GateSettings
+from construction_twin.gate import REPLAN, Gate, GateSettings
 from construction_twin.limits import MotionLimits
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.freshness import StateCheck
@@ -31,7 +31,9 @@ from construction_twin.robot import RobotModel
 from construction_twin.rsi.codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.mock_controller import MockController
+from construction_twin.rsi.mock_faults import FaultBoard
 from construction_twin.rsi.session import Gateway
+from construction_twin.sync_table import SyncState, Transition
 from construction_twin.twin import VirtualRobot
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
@@ -73,6 +75,8 @@ class SimulatedChain:
     controller : MockController
     gate : GateSettings
     link : SimulatedLink
+    planner : callable, optional
+        Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
     """
 
     def __init__(
@@ -82,15 +86,21 @@ class SimulatedChain:
         controller: MockController,
         gate: GateSettings = GateSettings(),
         link: SimulatedLink = SimulatedLink(),
+        planner: Callable[[tuple[float, ...], tuple[float, ...]], Plan] | None = None,
     ):
         self.robot = robot
         self.now = EPOCH
         self.controller = controller
+        #: The arm's faults; those of its network have no effect here, where a link has no datagrams.
+        self.faults = FaultBoard(controller, 0)
         self.gateway = Gateway(config)
         self.executor = Executor(robot)
         self.verdicts: list[Verdict] = []
         self.codec = JointStringCodec.of(robot, config.decimals)
-        self.gate = Gate(MotionLimits.of(robot), self.codec, gate)
+        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH)
+        #: Changes of the gate's state, oldest first.
+        self.transitions: list[Transition] = []
+        self.planner = planner
         self.twin = VirtualRobot(None)
         ids = map(str, itertools.count(1))
         self.supervisor = LinkSupervisor(config.hash, config.decimals, config.start_tolerance, lambda: next(ids))
@@ -98,6 +108,8 @@ class SimulatedChain:
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
+        #: Where the arm really was at the beginning of each of the controller's cycles [rad].
+        self.measured: list[tuple[int, tuple[float, ...]]] = []
         self.commands_sent = 0
         self.state_check = StateCheck(MAX_STATE_AGE)
         self.states_refused: Counter[str] = Counter()
@@ -170,15 +182,28 @@ class SimulatedChain:
         """One cycle of executor, gate, twin and the bridge's sending half."""
         stamp = self.now
         self._at(stamp + CYCLE_NS, self._execute)
-        self.executor.on_sync(self.gate.state, self.gate.agreed(stamp))
+        gate = self.gate
+        self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
         theta_next = self.executor.step(stamp, stamp)
-        command = None if theta_next is None else self.gate.pass_next(stamp, theta_next, stamp)
+        command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
+        self._note_transitions()
         if command is not None and self.twin.execute(stamp, command):
             self._send(stamp, command)
         if self.twin.pose is not None:
             self.twin_poses.append((stamp, self.twin.pose))
             self.executor.on_twin(stamp, self.twin.pose, stamp)
             self.gate.on_twin(stamp, self.twin.pose)
+
+    def _note_transitions(self) -> None:
+        """What the monitor does about each change: note it, and ask for a new plan, which then waits for review."""
+        for change in self.gate.take_transitions():
+            self.transitions.append(change)
+            asked = change.source is SyncState.IN_SYNC and self.executor.state is ExecutorState.PLAYING
+            if asked and self.gate.policy == REPLAN and self.planner is not None:
+                goal = tuple(self.executor.plan.trajectory.positions[-1].tolist())
+                if self.gate.on_replan("the planner was asked", self.now):
+                    self.executor.offer(self.planner(self.gate.held, goal))
+                    self.transitions += self.gate.take_transitions()
 
     def _send(self, stamp: int, command: tuple[float, ...]) -> None:
         if not self.supervisor.on_command(command, stamp):
@@ -195,7 +220,9 @@ class SimulatedChain:
         self._controller_cycles += 1
         elapsed = round(self._controller_cycles * CYCLE_NS * (1.0 + self._link.drift_ppm * 1e-6))
         self._at(self._first_cycle + elapsed, self._control)
+        self.faults.tick()
         packet = self.controller.begin_cycle()
+        self.measured.append((self.now, self.controller.measured))
         self.gateway.poll(self.now)
         if packet is None:
             return
@@ -215,23 +242,34 @@ class SimulatedChain:
             self.states_refused[error.reason] += 1
             return
         q = self.codec.decode(payload)
-        self.twin.take_over(q)
+        if not self.twin.follow(self.now, q):
+            self.twin.take_over(q)
         self.supervisor.on_pose(q, self.now)
         self.gate.on_physical(q, properties.command_stamp, self.now)
+        self._note_transitions()
         self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
 
     def _supervise(self) -> None:
         self._at(self.now + POLL, self._supervise)
         self.gate.watch(self.now)
+        self._note_transitions()
         self.supervisor.on_status(self.gateway.status(), self.now)
         control = self.supervisor.poll(self.now)
         if control is not None:
-            ok, reason = self.gateway.on_control(control)
+            ok, reason = self.gateway.on_control(control, self.now)
             self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
         if self.supervisor.session != self._session:
             if self._session:
                 self.executor.restart("new command session", self.now)
-                self.gate.restart("new command session")
-                self.twin.restart()
+                self.gate.restart("new command session", self.now)
+                self._note_transitions()
+                if self.supervisor.state is not LinkState.MIRROR:
+                    self.twin.restart()
             self._session = self.supervisor.session
+        mirrors = self.supervisor.state is LinkState.MIRROR
+        self.gate.mirror(mirrors, self.now)
+        if mirrors:
+            self.twin.begin_mirror(MotionLimits.of(self.robot))
+        else:
+            self.twin.end_mirror()
         self.executor.on_link(self.supervisor.state is LinkState.ARMED, self.supervisor.reason)

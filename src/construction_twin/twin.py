@@ -1,17 +1,19 @@
 """The kinematic twin: executes commands exactly, after it has taken over the arm's pose.
 
-Pure; angles in rad, stamps in ns.
+Pure; angles in rad, linear joints in m, stamps in ns.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from construction_twin.limits import outside_tolerance
+from construction_twin.limits import MotionLimits, outside_tolerance
+from construction_twin.mirror import MirrorTwin
 from construction_twin.units import NANOSECONDS
 
-#: The first command may differ this much from the pose taken over [rad] (design, law 5).
-START_TOLERANCE = math.radians(0.05)
+#: The first command may differ this much from the pose taken over (design, law 5): joints that turn [rad], linear ones [m].
+START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
 #: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
 SILENCE = NANOSECONDS // 4
 
@@ -22,17 +24,44 @@ class VirtualRobot:
     Parameters
     ----------
     home : tuple, shape (n,) or None
-        Pose to start at [rad]; None waits for `take_over`, so that a twin of a physical arm never shows a pose it made up.
+        Pose to start at [rad], [m]; None waits for `take_over`, so that a twin of a physical arm never shows a pose it made up.
+    linear : sequence of bool, shape (n,), optional
+        Which joints are linear; default: none.
     """
 
-    def __init__(self, home: tuple[float, ...] | None):
+    def __init__(self, home: tuple[float, ...] | None, linear: Sequence[bool] = ()):
+        tolerances = tuple(START_TOLERANCE_LINEAR if slides else START_TOLERANCE for slides in linear)
+        self._tolerance = tolerances if any(linear) else START_TOLERANCE
         self.pose: tuple[float, ...] | None = home
         self.stamp = 0
         self._executing = False
+        self._mirror: MirrorTwin | None = None
+
+    @property
+    def mirrors(self) -> bool:
+        """True while the arm leads and the twin follows it."""
+        return self._mirror is not None
 
     def restart(self) -> None:
         """Forget the pose and wait for the next `take_over`."""
-        self.pose, self.stamp, self._executing = None, 0, False
+        self.pose, self.stamp, self._executing, self._mirror = None, 0, False, None
+
+    def begin_mirror(self, limits: MotionLimits) -> None:
+        """Follow the arm from the present pose on; nothing while no pose is held. Commands are refused until the end."""
+        if self.pose is not None and self._mirror is None:
+            self._mirror, self._executing = MirrorTwin(limits, self.pose), False
+
+    def end_mirror(self) -> None:
+        """Stand still at the present pose; commands count again."""
+        self._mirror = None
+
+    def follow(self, stamp: int, q: tuple[float, ...]) -> bool:
+        """Follow the arm's measured pose [rad] with its stamp [ns]; return whether the twin took a step; only while it mirrors."""
+        pose = self._mirror and self._mirror.follow(stamp, q)
+        if not pose:
+            return False
+        self.pose = pose
+        return True
 
     def take_over(self, q: tuple[float, ...]) -> bool:
         """Take the physical arm's pose [rad] if none is held; return whether it was taken."""
@@ -47,9 +76,9 @@ class VirtualRobot:
         Refused is a command while no pose is held, one that is not newer than the last, and a first one away from the pose taken
         over: it belongs to the stream before the restart, still on its way.
         """
-        if self.pose is None or stamp <= self.stamp:
+        if self.pose is None or stamp <= self.stamp or self._mirror is not None:
             return False
-        if not self._executing and outside_tolerance(q, self.pose, START_TOLERANCE) is not None:
+        if not self._executing and outside_tolerance(q, self.pose, self._tolerance) is not None:
             return False
         self.pose, self.stamp, self._executing = q, stamp, True
         return True

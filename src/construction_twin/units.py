@@ -6,6 +6,7 @@ Standard library only: the gateway on the cell PC imports it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 #: Length of a controller cycle [s] (`#IPO_FAST`, rsi.md section 1).
 CYCLE = 0.004
@@ -24,20 +25,50 @@ def radians(values) -> tuple[float, ...]:
     return tuple(math.radians(value) for value in values)
 
 
-def format_allowance(decimals: int) -> float:
-    """Return what rounding to `decimals` of a degree can add to an acceleration measured per cycle.
+def to_wire(values: Sequence[float], linear: Sequence[bool]) -> tuple[float, ...]:
+    """Convert joint values from rad to deg, and from m to mm where `linear` is True."""
+    return tuple(1e3 * value if slides else math.degrees(value) for value, slides in zip(values, linear, strict=True))
 
-    Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (design, law 3):
-    125 deg/s^2 at 3 decimals, 0.125 at 6.
+
+def from_wire(values: Sequence[float], linear: Sequence[bool]) -> tuple[float, ...]:
+    """Convert joint values from deg to rad, and from mm to m where `linear` is True; ValueError for another count."""
+    return tuple(value / 1e3 if slides else math.radians(value) for value, slides in zip(values, linear, strict=True))
+
+
+def last_digit(decimals: int, linear: bool = False) -> float:
+    """Return what one unit of the last decimal of a joint string's field is worth.
 
     Parameters
     ----------
     decimals : int
-        Decimals of a degree on the wire.
+        Decimals on the wire.
+    linear : bool, optional
+        True: of mm, for a linear joint; False: of deg.
+
+    Returns
+    -------
+    digit : float
+        [rad], or [m] for a linear joint.
+    """
+    return 10.0**-decimals / 1e3 if linear else math.radians(10.0**-decimals)
+
+
+def format_allowance(decimals: int, linear: bool = False) -> float:
+    """Return what rounding to `decimals` can add to an acceleration measured per cycle.
+
+    Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (design, law 3):
+    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a linear joint.
+
+    Parameters
+    ----------
+    decimals : int
+        Decimals on the wire.
+    linear : bool, optional
+        True: of mm, for a linear joint; False: of deg.
 
     Returns
     -------
     allowance : float
-        [rad/s^2]
+        [rad/s^2], or [m/s^2] for a linear joint.
     """
-    return math.radians(2 * 10.0**-decimals) / CYCLE**2
+    return 2 * last_digit(decimals, linear) / CYCLE**2

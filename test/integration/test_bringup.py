@@ -71,7 +71,7 @@ class BringupTest(unittest.TestCase):
     def test_sync_reports_every_joint(self):
         sync = rospy.wait_for_message("sync", Sync, 5.0)
         self.assertEqual(sync.text, "IN_SYNC")
-        self.assertEqual(sync.comparison, "command_stamp")
+        self.assertEqual(sync.comparison, "aligned")
         self.assertEqual(tuple(sync.name), self.client.robot.joint_names)
         self.assertEqual(len(sync.error), 6)
         self.assertTrue(0.0 < sync.round_trip < 0.25, sync.round_trip)

@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
-"""A stalled joint: the gate holds, the twin waits, the state says so; after the release a re-plan ends at the goal."""
+"""A stalled joint: the gate holds, the twin waits, states and transitions say so; after the release a re-plan ends at the goal."""
 
+import json
+import os
 import sys
 import unittest
+from pathlib import Path
 
 import numpy as np
 import rospy
 import rostest
-from construction_twin.msg import Sync
+from construction_twin.msg import Sync, Transition
 from twin_client import LEFT, Stream, TwinClient, wait
 
 from construction_twin.units import radians
@@ -25,6 +28,8 @@ class StallTest(unittest.TestCase):
         rospy.init_node("test_stall")
         cls.auto_approve = rospy.get_param("executor/auto_approve")
         cls.client = TwinClient()
+        cls.transitions: list[Transition] = []
+        rospy.Subscriber("transitions", Transition, cls.transitions.append)
 
     def setUp(self):
         self.client.wait_until_ready()
@@ -44,12 +49,14 @@ class StallTest(unittest.TestCase):
             with Stream("mock_rsi/joint_states") as blocked_arm:
                 missed = self.client.mock_counter("missed")
                 replan = self.assert_holds(plan, twin)
+                held = self.client.sync.held_stamp
                 self.client.stall(JOINT, False)
                 self.assert_finishes(replan, twin)
                 self.client.assert_at(LEFT, twin, physical, arm)
                 self.client.assert_within_limits(blocked_arm, missed)
         self.client.wait_until_ready()
-        self.assertEqual([sync.text for sync in self.client.syncs][-3:], ["IN_SYNC", "HOLDING", "IN_SYNC"])
+        self.assertEqual([sync.text for sync in self.client.syncs][-3:], ["IN_SYNC", "REPLANNING", "IN_SYNC"])
+        self.assert_reported(held)
 
     def assert_finishes(self, replan, twin: Stream):
         """Released, the arm catches up; the re-plan is executed, after a review where a person approves."""
@@ -64,13 +71,12 @@ class StallTest(unittest.TestCase):
     def assert_holds(self, plan, twin: Stream):
         """The gate holds, the plan is dropped, the twin stands still, a re-plan to the same goal lies there. Returns it."""
         client = self.client
-        client.wait(lambda: client.sync.state == Sync.HOLDING, "the gate to hold")
-        self.assertIn(JOINT, client.sync.reason)
+        client.wait(lambda: client.sync.state == Sync.REPLANNING, "the gate to hold")
         client.wait_for_outcome(plan.plan_id, "held")
         # what the gate let pass before it closed may still be on its way
         wait(lambda: twin.at_rest(3), "the twin to wait")
         self.assert_stands_still(twin)
-        self.assertEqual(client.sync.text, "HOLDING")
+        self.assertEqual((client.sync.text, client.sync.policy), ("REPLANNING", "replan"))
         client.wait(lambda: len(client.plans) > 1, "a re-plan")
         replan = client.plans[-1]
         self.assertEqual(len(client.plans), 2, "it is asked for once")
@@ -78,6 +84,37 @@ class StallTest(unittest.TestCase):
         np.testing.assert_allclose(replan.trajectory.points[0].positions, twin.positions(-1)[0], atol=1e-9)
         np.testing.assert_allclose(replan.trajectory.points[-1].positions, radians(LEFT), atol=1e-9)
         return replan
+
+    def assert_reported(self, held):
+        """Every change of state is on the topic, in the log and on /diagnostics, with reason, values and the held setpoint."""
+        closing = next(i for i, change in enumerate(self.transitions) if change.event == "pose_differs")
+        changes = self.transitions[closing:]
+        states = [(change.from_text, change.event, change.to_text) for change in changes]
+        self.assertEqual(
+            states,
+            [
+                ("IN_SYNC", "pose_differs", "HOLDING"),
+                ("HOLDING", "replan_asked", "REPLANNING"),
+                ("REPLANNING", "opened", "IN_SYNC"),
+            ],
+        )
+        first = changes[0]
+        self.assertIn(f"{JOINT} differs by", first.reason)
+        index = list(first.name).index(JOINT)
+        self.assertGreater(first.error[index], first.threshold[index])
+        self.assertEqual(first.held_stamp, held)
+        path = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / rospy.get_param("pca_monitor/transition_file")
+        stamps = [change.header.stamp.to_nsec() for change in changes]
+
+        def recorded() -> list:
+            lines = map(json.loads, path.read_text().splitlines())
+            return [(line["from"], line["event"], line["to"]) for line in lines if line["time_ns"] in stamps]
+
+        wait(lambda: recorded() == states, f"these transitions in {path}")
+        wait(
+            lambda: first.reason in self.client.diagnostics("pca_monitor").get("transition 3", ""),
+            "the transitions on /diagnostics",
+        )
 
     def assert_stands_still(self, twin: Stream):
         """The twin's pose does not change in any bit for `WATCH` cycles."""

@@ -14,7 +14,7 @@ import numpy as np
 import rosgraph
 import rospy
 from construction_twin.msg import Execution, Link, Plan, Sync
-from construction_twin.srv import PlanToJoints, PlanToJointsResponse, ReviewPlan, ReviewPlanResponse, StallJoint
+from construction_twin.srv import InjectFault, PlanToJoints, PlanToJointsResponse, ReviewPlan, ReviewPlanResponse
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -24,13 +24,13 @@ from construction_twin.ros.gateway_config import config_from_parameters
 from construction_twin.ros.params import robot_from_parameters
 from construction_twin.rsi.trace import read_trace
 from construction_twin.rsi.trace_limits import trace_excesses
-from construction_twin.units import CYCLE, format_allowance, radians
+from construction_twin.units import CYCLE, from_wire
 
 #: The home pose and two more, far enough for a motion of seconds, on the wire's grid [deg].
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 LEFT = (30.0, -75.0, 70.0, 20.0, 70.0, -40.0)
 RIGHT = (-30.0, -80.0, 80.0, -20.0, 75.0, 30.0)
-#: A motion that ended at a pose has come this close to it on every joint [rad]; rounding to 3 decimals alone is 8.73e-6.
+#: A motion that ended at a pose has come this close to it on every joint [rad], [m]; rounding to 3 decimals alone is 8.73e-6.
 FINAL_ERROR = 1e-5
 _POLL = 0.01
 
@@ -175,13 +175,17 @@ class TwinClient:
 
     # -- actions
 
+    def si(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Return joint values in rad and m from deg, and mm for linear joints; nothing for nothing."""
+        return from_wire(values, self.robot.linear) if values else ()
+
     def plan_to(
         self, goal_deg: Sequence[float], duration: float = 2.5, start_deg: Sequence[float] = ()
     ) -> PlanToJointsResponse:
         """Have a motion planned, from the twin's present pose if no other is given; AssertionError when there is no plan."""
         rospy.wait_for_service("plan_to_joints", 20.0)
         service = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
-        answer = service(goal=radians(goal_deg), start=radians(start_deg), duration=duration, source="test")
+        answer = service(goal=self.si(goal_deg), start=self.si(start_deg), duration=duration, source="test")
         assert answer.success, answer.message
         self.wait(lambda: self.plans and self.plans[-1].id == answer.plan_id, f"plan {answer.plan_id} on the topic")
         return answer
@@ -210,7 +214,7 @@ class TwinClient:
     def go_to(self, goal_deg: Sequence[float]) -> None:
         """Move to a pose at the default speed and wait until a plan could be approved again; nothing if it is there already."""
         with Stream("physical/joint_states") as physical:
-            if np.abs(physical.positions(-1)[0] - radians(goal_deg)).max() <= FINAL_ERROR:
+            if np.abs(physical.positions(-1)[0] - self.si(goal_deg)).max() <= FINAL_ERROR:
                 return
             plan = self.start(goal_deg, duration=0.0)
             self.wait_for_outcome(plan.plan_id, "finished")
@@ -233,7 +237,11 @@ class TwinClient:
 
     def stall(self, joint: str, stalled: bool) -> None:
         """Block a joint of the mock arm, or release it."""
-        answer = rospy.ServiceProxy("mock_rsi/stall", StallJoint)(joint, stalled)
+        self.inject("stall", stalled, joint=joint)
+
+    def inject(self, fault: str, on: bool = True, **values) -> None:
+        """Switch a fault of the mock controller on or off; `values` are further fields of InjectFault."""
+        answer = rospy.ServiceProxy("mock_rsi/inject", InjectFault)(fault=fault, on=on, **values)
         assert answer.success, answer.message
 
     # -- assertions
@@ -242,7 +250,7 @@ class TwinClient:
         """Wait until the streams rest; every joint has then come within `FINAL_ERROR` of the goal."""
         for stream in streams:
             self.wait(stream.at_rest, "the pose to rest")
-            error = np.abs(stream.positions(-1)[0] - radians(goal_deg))
+            error = np.abs(stream.positions(-1)[0] - self.si(goal_deg))
             assert error.max() <= FINAL_ERROR, f"final error {error} rad; allowed {FINAL_ERROR} rad"
 
     def assert_within_limits(self, arm: Stream, missed_before: int) -> None:
@@ -265,7 +273,7 @@ class TwinClient:
         assert (np.diff(numbers) == 1).all(), "the recording of the arm has gaps"
         velocity = np.diff(arm.positions(), axis=0) / CYCLE
         acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / CYCLE
-        allowance = format_allowance(self.decimals)
+        allowance = np.array(self._limits.allowances(self.decimals))
         excess = (np.abs(velocity) > np.array(self.robot.velocity) + allowance * CYCLE).any(axis=1)
         excess |= (np.abs(acceleration) > np.array(self.robot.acceleration) + allowance).any(axis=1)
         report = (

@@ -95,7 +95,7 @@ class Cell:
 
     def control(self, verb, session="s1", value=None):
         self.controls += 1
-        return self.gateway.on_control(Control(str(self.controls), session, verb, value))
+        return self.gateway.on_control(Control(str(self.controls), session, verb, value), self.now)
 
     def arm(self, session="s1"):
         return self.control("arm", session, self.config.hash)

@@ -217,3 +217,83 @@ def test_the_shipped_robot_s_axes_are_its_joints():
 def test_a_format_that_makes_no_sense_is_refused(joints, count):
     with pytest.raises(ConfigurationError):
         JointStringCodec(joints, count)
+
+
+# -- a linear axis, which the paper does not have
+
+TRACK = JointStringCodec(3, 3, axes=("E1", "A1", "A2"), linear=(True, False, False))
+RAIL = b"+012.345,-090.000,+01234.567"
+
+
+def test_a_linear_axis_comes_last_in_mm_with_a_length_of_its_own():
+    assert TRACK.encode((1.234567, *radians((12.345, -90.0)))) == RAIL
+    assert TRACK.decode(RAIL) == pytest.approx((1.234567, *radians((12.345, -90.0))), abs=1e-15)
+    assert TRACK.length == len(RAIL) == 8 + 1 + 8 + 1 + 10
+
+
+def test_fields_are_in_the_order_of_the_axes_whatever_the_joints_are():
+    codec = JointStringCodec(3, 1, axes=("A2", "E1", "A1"), linear=(False, True, False))
+    assert codec.encode((math.radians(2.0), -0.003, math.radians(1.0))) == b"+001.0,+002.0,-00003.0"
+    assert codec.decode(b"+001.0,+002.0,-00003.0") == (math.radians(2.0), -0.003, math.radians(1.0))
+
+
+@pytest.mark.parametrize("q", [100.0, -100.0, 99.9999996, 1e306, math.radians(1000.0) * 100])
+def test_a_hundred_metres_after_rounding_are_refused(q):
+    with pytest.raises(PayloadError, match="1000 degrees or 100 m") as caught:
+        TRACK.encode((q, 0.0, 0.0))
+    assert caught.value.reason == "range"
+
+
+def test_the_longest_track_that_fits_is_accepted_and_a_turning_axis_keeps_its_own_bound():
+    assert TRACK.encode((-99.9999994, 0.0, 0.0)).endswith(b",-99999.999")
+    with pytest.raises(PayloadError) as caught:
+        TRACK.encode((0.0, math.radians(1000.0), 0.0))
+    assert caught.value.reason == "range"
+
+
+@pytest.mark.parametrize("q", [0.0, -0.0, -1e-9, -4.9e-7])
+def test_zero_of_a_linear_axis_is_never_negative(q):
+    assert TRACK.encode((q, q / 1e3, 0.0)) == b"+000.000,+000.000,+00000.000"
+
+
+@pytest.mark.parametrize(
+    "payload, reason",
+    [
+        (RAIL[:-11], "length"),  # the six-joint kind of string: no seventh field
+        (RAIL.replace(b"+01234.567", b"+001.235"), "length"),
+        (b"+01234.567,+012.345,-090.000", "format"),  # the track first
+        (RAIL.replace(b"+01234.567", b"+1234.5670"), "format"),
+        (
+            JointStringCodec(3, 4, axes=("E1", "A1", "A2"), linear=(True, False, False)).encode((1.0, 0.0, 0.0)),
+            "decimals",
+        ),
+    ],
+)
+def test_a_string_of_another_form_is_refused(payload, reason):
+    assert refusal(TRACK, payload).reason == reason
+
+
+@given(decimals, st.floats(-99.0, 99.0), st.floats(-6.0, 6.0))
+def test_a_linear_axis_is_quantised_once_and_by_half_a_digit_of_a_mm(count, metres, angle):
+    codec = JointStringCodec(2, count, [(-1, 0.25), (1, 0.5)], ("E1", "A1"), (True, False))
+    once = codec.quantise((metres, angle))
+    assert codec.quantise(once) == once
+    assert abs(once[0] - metres) <= 0.5e-3 * 10.0**-count + 1e-13
+
+
+@given(st.lists(st.integers(-999_999, 999_999), min_size=2, max_size=2), st.integers(-99_999_999, 99_999_999))
+def test_every_legal_string_with_a_track_survives_decode_and_encode(thousandths, micrometres):
+    fields = [f"{value / 1000:+08.3f}" for value in thousandths] + [f"{micrometres / 1000:+010.3f}"]
+    payload = ",".join(fields).encode()
+    assert TRACK.encode(TRACK.decode(payload)) == payload
+
+
+@pytest.mark.parametrize("options", [{"axes": ("A1",)}, {"linear": (True,)}])
+def test_axes_and_kinds_must_be_one_per_joint(options):
+    with pytest.raises(ConfigurationError):
+        JointStringCodec(2, 3, **options)
+
+
+def test_a_robot_without_linear_joints_has_the_papers_string():
+    named = JointStringCodec(6, 3, [(1, 0.0)] * 6, [f"A{number}" for number in range(1, 7)], (False,) * 6)
+    assert named.encode(radians((12.345, -90.0, 90.0, 0.0, 45.0, 0.0))) == GOLDEN and named.length == PAPER.length

@@ -104,7 +104,7 @@ def test_gateway_status_is_documented():
 
 
 def test_gateway_counters_are_documented():
-    files = ("gateway", "session", "player", "controller_session", "command_stream")
+    files = ("gateway", "session", "player", "controller_session", "command_stream", "intake")
     code = "".join((ROOT / f"src/construction_twin/rsi/{file}.py").read_text() for file in files)
     # a refusal is documented by its reason
     counters = [re.sub(r"^(telegram_)?refused_", "", name) for name in re.findall(r"counters\[\"(\w+)\"", code)]
@@ -131,7 +131,7 @@ def test_roles_and_their_topics_are_documented():
 
 
 @pytest.mark.parametrize(
-    "file", ["rsi/gateway", "rsi/mock", "ros/evaluate", "ros/gateway_config", "mqtt/broker", "mqtt/site"]
+    "file", ["rsi/gateway", "rsi/mock", "ros/evaluate", "ros/gateway_config", "mqtt/broker", "mqtt/site", "cli/arguments"]
 )
 def test_command_line_options_are_documented(file):
     text = (ROOT / f"src/construction_twin/{file}.py").read_text()

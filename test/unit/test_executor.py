@@ -102,7 +102,7 @@ class TestPlaying:
         bench.approve(make_plan("q", reach(start=bench.twin, goal=ROBOT.home)))
         assert bench.run_until_idle()[-1] == ROBOT.home
 
-    @pytest.mark.parametrize("sync", [SyncState.HOLDING, SyncState.STALE, SyncState.REFUSING, SyncState.WAITING])
+    @pytest.mark.parametrize("sync", [SyncState.HOLDING, SyncState.STALE, SyncState.FAULT, SyncState.WAITING])
     def test_a_hold_drops_the_rest_and_returns_to_the_twin(self, bench, sync):
         bench.approve(make_plan())
         bench.run(200)

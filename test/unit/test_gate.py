@@ -5,68 +5,15 @@ from __future__ import annotations
 import math
 
 import pytest
+from gate_bench import CODEC, FIRST_STEP, LIMITS, SETTINGS, START, Bench, moved
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.gate import Gate, GateSettings, SyncState
-from construction_twin.limits import MotionCheck, MotionLimits
+from construction_twin.gate import Gate, GateSettings
+from construction_twin.limits import MotionCheck
 from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.sync_table import SyncState
 from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS
-
-LIMITS = MotionLimits(("joint_a1", "joint_a2"), (-2.0, -1.0), (2.0, 1.0), (2.0, 3.0), (3.0, 9.0))
-CODEC = JointStringCodec(2, 3)
-START = CODEC.quantise((0.3, -0.4))
-SETTINGS = GateSettings()
-#: The largest first step from rest that joint_a1's acceleration allows [rad].
-FIRST_STEP = LIMITS.acceleration[0] * CYCLE * CYCLE
-
-
-def moved(q: tuple[float, ...], distance: float) -> tuple[float, ...]:
-    return (q[0] + distance, q[1])
-
-
-class Bench:
-    """A gate in its loop: the twin executes what passes, the arm answers, one cycle at a time."""
-
-    def __init__(self, settings: GateSettings = SETTINGS, codec: JointStringCodec = CODEC, pose=START):
-        self.gate = Gate(LIMITS, codec, settings)
-        self.stamp = 1000 * CYCLE_NS
-        self.twin = pose
-        self.offset = 0.0
-        self.feedback = True
-
-    @property
-    def state(self) -> SyncState:
-        return self.gate.state
-
-    def cycle(self, theta_next=None, cycles: int = 1):
-        self.stamp += cycles * CYCLE_NS
-        if self.twin is not None:
-            self.gate.on_twin(self.stamp - CYCLE_NS, self.twin)
-        if self.feedback and self.twin is not None:
-            self.gate.on_physical(moved(self.twin, self.offset), 0, self.stamp)
-        command = self.gate.pass_next(self.stamp, self.twin if theta_next is None else theta_next, self.stamp)
-        if command is not None:
-            self.twin = command
-        return command
-
-    def run(self, seconds: float) -> list:
-        return [self.cycle() for _ in range(round(seconds / CYCLE))]
-
-    def opened(self) -> Bench:
-        self.run(0.2)
-        assert self.state is SyncState.IN_SYNC
-        return self
-
-    def advance(self, speed: float, cycles: int, lag: float = 0.0) -> Bench:
-        """Move joint_a1, gathering speed at nearly its acceleration limit; the arm follows `lag` seconds behind."""
-        target, step = self.twin, 0.0
-        for _ in range(cycles):
-            self.offset = -lag * step / CYCLE
-            step = min(step + 0.9 * FIRST_STEP, speed * CYCLE)
-            target = moved(target, step)
-            assert self.cycle(target) == CODEC.quantise(target)
-        return self
 
 
 class TestOpening:
@@ -91,9 +38,9 @@ class TestOpening:
         assert {bench.cycle(START) for _ in range(100)} == {None}
 
     @pytest.mark.parametrize("share, opens", [(1.0, True), (-1.0, True), (1.001, False), (-1.001, False)])
-    def test_opens_at_the_threshold_and_not_above(self, share, opens):
+    def test_opens_at_its_share_of_the_threshold_and_not_above(self, share, opens):
         bench = Bench(pose=(0.0, 0.0))
-        bench.offset = share * SETTINGS.threshold
+        bench.offset = share * SETTINGS.agree_share * SETTINGS.threshold
         bench.run(0.5)
         assert (bench.state is SyncState.IN_SYNC) is opens
 
@@ -151,7 +98,7 @@ class TestOpening:
         bench.feedback = False
         assert bench.cycle() == START and bench.state is SyncState.IN_SYNC
         bench.gate.watch(bench.stamp + NANOSECONDS)
-        assert bench.cycle(moved(START, 0.5)) == START and bench.state is SyncState.REFUSING
+        assert bench.cycle(moved(START, 0.5)) == START and bench.state is SyncState.FAULT
 
 
 class TestPassing:
@@ -269,14 +216,14 @@ class TestRefusing:
     def test_a_setpoint_that_breaks_the_limits_holds_and_is_counted(self, theta_next):
         bench = Bench().opened()
         assert bench.cycle(theta_next) == START
-        assert bench.state is SyncState.REFUSING
+        assert bench.state is SyncState.FAULT
         assert (bench.gate.refused, bench.gate.violations) == (1, 1)
 
     def test_after_it_the_poses_must_agree_anew(self, theta_next):
         bench = Bench().opened()
         bench.cycle(theta_next)
         bench.run(0.08)
-        assert bench.state is SyncState.REFUSING
+        assert bench.state is SyncState.FAULT
         bench.run(0.1)
         assert bench.state is SyncState.IN_SYNC
 
@@ -284,21 +231,21 @@ class TestRefusing:
 class TestRestart:
     def test_forgets_every_pose(self):
         bench = Bench().opened()
-        bench.gate.restart("new command session")
+        bench.gate.restart("new command session", bench.stamp)
         assert bench.state is SyncState.WAITING and bench.gate.reason == "new command session"
         assert not bench.gate.agreed(bench.stamp)
         assert bench.gate.pass_next(bench.stamp + CYCLE_NS, START, bench.stamp + CYCLE_NS) is None
 
     def test_begins_at_the_twin_s_new_pose(self):
         bench = Bench().opened()
-        bench.gate.restart("new command session")
+        bench.gate.restart("new command session", bench.stamp)
         elsewhere = CODEC.quantise((-1.0, 0.5))
         bench.twin = elsewhere
         assert set(bench.run(0.2)) == {None, elsewhere}
 
     def test_a_clock_set_back_does_no_harm_after_it(self):
         bench = Bench().opened()
-        bench.gate.restart("new command session")
+        bench.gate.restart("new command session", bench.stamp)
         bench.stamp = 5 * CYCLE_NS
         bench.run(0.2)
         assert bench.state is SyncState.IN_SYNC
@@ -322,7 +269,8 @@ class Interleaving:
 
     def __init__(self, decimals: int, compares: bool):
         self.codec = JointStringCodec(2, decimals)
-        self.gate = Gate(LIMITS, self.codec, GateSettings(agree_time=0.02, compares=compares))
+        often = GateSettings(agree_time=0.02, compares=compares, escalate_count=1000)
+        self.gate = Gate(LIMITS, self.codec, often)
         self.check = MotionCheck(LIMITS, decimals)
         self.decimals = decimals
         self.stamp = 1000 * CYCLE_NS
@@ -334,13 +282,13 @@ class Interleaving:
 
     def play(self, op: dict) -> None:
         if op["restart"]:
-            self.gate.restart("test")
+            self.gate.restart("test", self.stamp)
             self.last, self.newest = None, 0
         for _ in range(op["repeat"]):
             self.stamp += op["cycles"] * CYCLE_NS
             self.gate.on_twin(self.stamp - CYCLE_NS, self.twin)
             if op["feedback"] != "none":
-                error = {"agrees": 0.0, "lags": 0.0099, "differs": 0.5}[op["feedback"]]
+                error = {"agrees": 0.0, "lags": 0.0079, "differs": 0.5}[op["feedback"]]
                 self.gate.on_physical(moved(self.twin, error), 0, self.stamp)
             command = self.gate.pass_next(self.stamp, self.next_setpoint(op), self.stamp)
             self.verify(command)

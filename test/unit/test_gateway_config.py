@@ -72,6 +72,7 @@ def test_every_change_of_what_the_arm_may_do_changes_the_hash(changes):
         ({"properties": "no"}, "properties"),
         ({"reference": "aspos"}, "reference"),
         ({"start_tolerance": 0}, "start_tolerance"),
+        ({"start_tolerance_linear": 0}, "start_tolerance_linear"),
         ({"playout_delay": -0.02}, "playout_delay"),
         ({"playout_delay": 0.019}, "playout_delay"),
         ({"playout_delay": 0.26}, "playout_delay"),
@@ -211,10 +212,23 @@ def test_an_ethernet_xml_that_does_not_fit_the_robot_is_refused_when_it_is_expor
         gateway_config(robot, settings | {"ethernet_xml": track})
 
 
-def test_a_linear_joint_is_refused_with_a_sentence(robot, settings):
-    linear = dataclasses.replace(robot, linear=(True, *robot.linear[1:]))
-    with pytest.raises(ConfigurationError, match="joint joint_a1: found 'a linear joint', expected .* no metres yet"):
-        gateway_config(linear, settings)
+def test_a_linear_joint_is_exported_with_its_axis():
+    track = read_robot_files(ROOT / "urdf" / "kr120_track.urdf.xacro", ROOT / "config" / "kr120_track.yaml")
+    file = (ROOT / "krl" / "ethernet" / "ctwin_e1_ethernet.xml").read_text()
+    config = gateway_config(
+        track, yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text()) | {"ethernet_xml": file}
+    )
+    assert config.axes[0] == "E1" and config.linear == ("E1",)
+    assert config.limits.linear == (True, *(False,) * 6)
+    assert config.start_tolerances == (config.start_tolerance_linear, *(config.start_tolerance,) * 6)
+    assert parse_config(config.to_json(), "file") == config
+
+
+@pytest.mark.parametrize("linear, upper", [(True, 100.0), (False, math.radians(1000.0))])
+def test_a_range_that_the_joint_string_cannot_carry_is_refused(robot, settings, linear, upper):
+    wide = dataclasses.replace(robot, linear=(linear, *robot.linear[1:]), upper=(upper, *robot.upper[1:]))
+    with pytest.raises(ConfigurationError, match="upper limits of kr120: .* a range the wire can carry"):
+        gateway_config(wide, settings)
 
 
 def test_units_of_an_external_axis_are_the_settings():

@@ -12,11 +12,15 @@ import pytest
 import yaml
 
 from construction_twin.robot import read_robot_files
+from construction_twin.ros.executor_node import Settings as ExecutorSettings
 from construction_twin.ros.experiment_node import ExperimentSettings
 from construction_twin.ros.mqtt_bridge_node import Settings as BridgeSettings
 from construction_twin.ros.mqtt_review_node import Settings as ReviewSettings
+from construction_twin.ros.neighbour import NeighbourSettings
 from construction_twin.ros.pca_monitor_node import Settings as MonitorSettings
 from construction_twin.ros.planner_node import Settings as PlannerSettings
+from construction_twin.ros.separation_node import Settings as SeparationSettings
+from construction_twin.ros.tool_marker_node import Settings as MarkerSettings
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.export import gateway_config
 from construction_twin.rsi.mock import MockSettings
@@ -32,18 +36,22 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 #: What the library may import besides the standard library and itself. PyKDL is ROS's, but needs no ROS to run.
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
-    "coal", "pinocchio", "py_opw_kinematics",
+    "coal", "pinocchio", "py_opw_kinematics", "manifold3d",
 }  # fmt: skip
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
+    "executor": {"arm", "auto_approve", "review_file", "planner", "neighbour", "realtime_priority"},
+    "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
-    "pca_monitor": {"arm", "decimals", "realtime_priority"},
+    "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
+    "neighbour": {"name", "self_collision"},
     "planner": {"self_collision", "base_frame"},
+    "tool_marker": {"self_collision", "base_frame", "reviewer"},
 }
 #: Names of partner nodes: they follow from the launch files' own node names.
 PARTNERS = {"gate", "executor"}
@@ -163,10 +171,14 @@ SETTINGS = {
     "experiment": set(ExperimentSettings.model_fields),
     "gateway": {field.name for field in fields(GatewayConfig)},
     "mock_rsi": set(MockSettings.model_fields),
+    "executor": set(ExecutorSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
     "mqtt_review": set(ReviewSettings.model_fields),
+    "neighbour": set(NeighbourSettings.model_fields),
     "pca_monitor": set(MonitorSettings.model_fields),
     "planner": set(PlannerSettings.model_fields),
+    "tool_marker": set(MarkerSettings.model_fields),
+    "separation": set(SeparationSettings.model_fields),
 }
 
 
@@ -194,7 +206,11 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
         (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
-        (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3}),
+        (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3, "transition_file": "transitions.jsonl"}),
+        (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
+        (SeparationSettings, "separation", {}),
+        (NeighbourSettings, "neighbour", {"name": "b", "self_collision": "/tmp/pairs.yaml"}),
+        (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "base_frame": "", "reviewer": "me"}),
         (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "base_frame": ""}),
     ],
 )

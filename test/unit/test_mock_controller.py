@@ -12,6 +12,7 @@ from construction_twin.motion_errors import JointRangeError
 from construction_twin.rsi.codec import SensorEncoder, parse_robot
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.mock_controller import MockConfig, MockController
+from construction_twin.rsi.mock_faults import Fault, FaultBoard
 from construction_twin.rsi.servo import IdealServo, RealisticServo
 from construction_twin.units import CYCLE, radians
 
@@ -342,22 +343,18 @@ def test_realistic_servo_lags_and_arrives():
 def test_a_stalled_axis_stands_and_catches_up_within_limits_when_released():
     cell = Cell()
     cell.cycle(ZERO)
-    cell.mock.stall("A1", True)
+    faults = FaultBoard(cell.mock, 0)
+    faults.inject(Fault("stall", "A1"))
     for k in range(200):
         cell.cycle(step(0, 0.02 * k))
     assert cell.mock.measured[0] == 0.0 and cell.mock.running
-    cell.mock.stall("A1", False)
+    faults.end(Fault("stall", "A1"))
     measured = [0.0, 0.0] + [cell.mock.measured[0] for _ in range(300) if cell.cycle(step(0, 3.98))]
     steps = [b - a for a, b in zip(measured, measured[1:])]
     changes = [b - a for a, b in zip(steps, steps[1:])]
     assert max(map(abs, steps)) <= CONFIG.velocity[0] * CYCLE
     assert max(map(abs, changes)) <= CONFIG.acceleration[0] * CYCLE**2 * (1 + 1e-6)
     assert measured[-1] == pytest.approx(math.radians(3.98), abs=1e-9)
-
-
-def test_an_unknown_axis_cannot_be_stalled():
-    with pytest.raises(ConfigurationError, match="A7"):
-        Cell().mock.stall("A7", True)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from construction_twin.errors import ConfigurationError, TransportError
+from construction_twin.errors import ConfigurationError, FaultError, TransportError
 from construction_twin.robot import read_robot_files
 from construction_twin.rsi.codec import SensorEncoder, parse_robot
 from construction_twin.rsi.mock import (
@@ -24,6 +24,7 @@ from construction_twin.rsi.mock import (
     joint_angles,
     make_forward_kinematics,
 )
+from construction_twin.rsi.mock_faults import Fault
 from construction_twin.rsi.servo import RealisticServo
 from construction_twin.units import CYCLE_NS, radians
 
@@ -116,6 +117,40 @@ def test_a_one_second_has_250_packets_on_an_absolute_grid(robot, pc):
     assert counters["foreign"] == counters["send_errors"] == 0
 
 
+def test_packets_can_be_doubled_dropped_and_delayed_on_purpose(robot, pc):
+    with running(robot, pc.address) as mock:
+        wait_for(lambda: len(pc.received) >= 20)
+        mock.request(lambda: mock.faults.inject(Fault("duplicate", values=(1.0,), direction="to_pc")))
+        wait_for(lambda: mock.counters["doubled"] >= 20)
+        mock.request(lambda: mock.faults.end(Fault("duplicate", direction="to_pc")))
+        # the second reply to a doubled packet
+        wait_for(lambda: mock.counters["duplicates"] >= 5)
+        mock.request(lambda: mock.faults.inject(Fault("drop", values=(0.5,), direction="to_controller", duration=0.4)))
+        wait_for(lambda: mock.counters["dropped"] >= 10)
+        assert mock.counters["missed"] >= 9
+        wait_for(lambda: not mock.faults.active)
+        mock.request(lambda: mock.faults.inject(Fault("delay", values=(0.006,), direction="to_controller")))
+        # later than a cycle: each comes when the next packet is out
+        wait_for(lambda: mock.counters["late_replies"] >= 20)
+    ipocs = [entry[1].ipoc for entry in pc.received]
+    assert len(ipocs) > len(set(ipocs))
+
+
+def test_after_an_emergency_stop_a_person_starts_rsi_again(robot, pc):
+    with running(robot, pc.address, restart_after=0.05) as mock:
+        wait_for(lambda: len(pc.received) >= 20)
+        mock.request(lambda: mock.faults.inject(Fault("estop")))
+        count = len(pc.received)
+        with pytest.raises(FaultError, match="emergency stop"):
+            mock.request(mock.controller.restart)
+        mock.request(lambda: mock.faults.end(Fault("estop")))
+        time.sleep(0.3)  # longer than `restart_after`
+        assert mock.controller.session == 1 and len(pc.received) <= count + 2
+        mock.request(mock.controller.restart)
+        wait_for(lambda: len(pc.received) >= count + 20)
+        assert mock.controller.session == 2
+
+
 def test_the_clock_does_not_wait_for_replies_and_stops_after_the_timeout(robot, pc):
     pc.answering = False
     with running(robot, pc.address, timeout=25) as mock:
@@ -147,8 +182,8 @@ def test_i_a_requested_restart_takes_another_pose(robot, pc):
 
 def test_a_refused_request_is_raised_where_it_was_made(robot, pc):
     with running(robot, pc.address) as mock:
-        with pytest.raises(ConfigurationError, match="A9"):
-            mock.request(lambda: mock.controller.stall("A9", True))
+        with pytest.raises(FaultError, match="A9"):
+            mock.request(lambda: mock.faults.inject(Fault("stall", "A9")))
 
 
 def test_datagrams_from_elsewhere_are_counted_and_ignored(robot, pc):

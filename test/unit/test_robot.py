@@ -11,7 +11,7 @@ import yaml
 
 from construction_twin.errors import ConfigurationError
 from construction_twin.motion_errors import JointRangeError
-from construction_twin.robot import AxisMapping, expand_xacro, load_robot, parse_urdf, read_robot_files
+from construction_twin.robot import AxisMapping, expand_xacro, home_positions, load_robot, parse_urdf, read_robot_files
 
 ROOT = Path(__file__).parents[2]
 XACRO = ROOT / "urdf" / "kr120r2500.urdf.xacro"
@@ -274,3 +274,17 @@ def test_xacro_that_does_not_expand_names_the_file(tmp_path, content):
     with pytest.raises(ConfigurationError) as caught:
         expand_xacro(path)
     assert caught.value.where == str(path)
+
+
+@pytest.mark.parametrize("name", ["kr120", "kr120_track"])
+def test_home_is_read_without_the_urdf_as_it_is_with_it(name):
+    xacro = "kr120r2500" if name == "kr120" else name
+    robot = read_robot_files(ROOT / f"urdf/{xacro}.urdf.xacro", ROOT / f"config/{name}.yaml")
+    assert home_positions(ROOT / f"config/{name}.yaml") == dict(zip(robot.joint_names, robot.home))
+
+
+def test_home_of_a_file_that_is_no_robot_is_refused(tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_text("joints: {}")
+    with pytest.raises(ConfigurationError, match="robot/"):
+        home_positions(file)

@@ -5,73 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 import random
-from pathlib import Path
 
 import numpy as np
-import plan_samples
 import pytest
-import yaml
+from chain_samples import REACH, ROBOT, assert_corrections_inside_limits, make_chain, make_plan, play_to_the_end
 
 from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS, align_lag_removed, task_window
 from construction_twin.evaluation.paper import paper_error
 from construction_twin.evaluation.summary import evaluate
 from construction_twin.evaluation.tables import error_table
 from construction_twin.executor import ExecutorState
-from construction_twin.gate import SyncState
 from construction_twin.mqtt.supervisor import LinkState
-from construction_twin.plan import Plan
-from construction_twin.planning.timing import time_path
-from construction_twin.robot import read_robot_files
-from construction_twin.rsi.export import gateway_config
-from construction_twin.rsi.mock import MockSettings, build_controller
+from construction_twin.rsi.mock_faults import Fault
 from construction_twin.rsi.slew import CALM
 from construction_twin.simulation import SimulatedChain, SimulatedLink
-from construction_twin.units import CYCLE, CYCLE_NS, format_allowance, radians
-
-ROOT = Path(__file__).resolve().parents[2]
-ROBOT = read_robot_files(ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml")
-SETTINGS = yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text())
-REACH = radians((55.0, -50.0, 75.0, 40.0, 60.0, -70.0))
-
-
-def make_chain(
-    decimals: int, servo: str = "ideal", link: SimulatedLink = SimulatedLink(), **settings
-) -> SimulatedChain:
-    config = gateway_config(ROBOT, SETTINGS | {"decimals": decimals} | settings)
-    mock = MockSettings(gateway_host="simulated", gateway_port=1, servo=servo)
-    chain = SimulatedChain(ROBOT, config, build_controller(mock, ROBOT), link=link)
-    assert chain.run_until(lambda: chain.ready, 5.0), (
-        chain.supervisor.reason,
-        chain.executor.reason,
-        chain.gate.reason,
-    )
-    return chain
-
-
-def make_plan(chain: SimulatedChain, goal, **timing) -> Plan:
-    trajectory = time_path(np.array([chain.twin.pose, goal]), ROBOT, **timing)
-    return plan_samples.make_plan(trajectory, f"plan-{chain.now}", created_ns=chain.now)
-
-
-def play_to_the_end(chain: SimulatedChain, plan: Plan) -> None:
-    chain.play(plan)
-    assert chain.run_until(lambda: chain.executor.outcome == "finished", plan.trajectory.duration + 5.0), (
-        chain.executor.reason
-    )
-    chain.run_for(0.5)
-
-
-def assert_corrections_inside_limits(chain: SimulatedChain) -> None:
-    # what the controller applies is rounded to the 6 decimals of AK
-    applied = np.radians(np.round(np.degrees([correction for _, correction in chain.corrections]), 6))
-    position = applied + np.array(ROBOT.home)
-    velocity = np.diff(applied, axis=0) / CYCLE
-    acceleration = np.diff(velocity, axis=0) / CYCLE
-    decimals = chain.gateway.config.decimals
-    assert (position >= np.array(ROBOT.lower) - 1e-8).all() and (position <= np.array(ROBOT.upper) + 1e-8).all()
-    assert (np.abs(velocity) <= np.array(ROBOT.velocity) + math.radians(10.0**-decimals) / CYCLE).all()
-    allowed = np.array(ROBOT.acceleration) + format_allowance(decimals) + format_allowance(6)
-    assert (np.abs(acceleration) <= allowed).all()
+from construction_twin.sync_table import SyncState
+from construction_twin.units import CYCLE, CYCLE_NS
 
 
 def table(chain: SimulatedChain) -> tuple[dict, float]:
@@ -249,14 +198,14 @@ def test_a_stalled_joint_is_held_and_the_replanned_task_ends_at_the_goal():
     plan = make_plan(chain, REACH, speed_scale=0.3)
     chain.play(plan)
     chain.run_for(plan.trajectory.duration / 2)
-    chain.controller.stall("A3", True)
+    chain.faults.inject(Fault("stall", "A3"))
     assert chain.run_until(lambda: chain.gate.state is SyncState.HOLDING, 2.0)
     assert "joint_a3" in chain.gate.reason
     held = chain.twin.pose
     chain.run_for(1.0)
     assert chain.twin.pose == held
     assert (chain.executor.state, chain.executor.outcome) == (ExecutorState.IDLE, "held")
-    chain.controller.stall("A3", False)
+    chain.faults.end(Fault("stall", "A3"))
     assert chain.run_until(lambda: chain.gate.state is SyncState.IN_SYNC, 5.0), chain.gate.reason
     chain.run_for(0.1)
     play_to_the_end(chain, make_plan(chain, REACH, speed_scale=0.3))

@@ -100,7 +100,9 @@ def test_masses_sum_to_the_published_weight(robot):
 
 def test_inertias_are_physical(robot):
     for inertial in robot.iter("inertial"):
-        moments = sorted(float(inertial.find("inertia").get(key)) for key in ("ixx", "iyy", "izz"))
+        tensor = inertial.find("inertia")
+        rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+        moments = np.linalg.eigvalsh([[float(tensor.get(key)) for key in row] for row in rows])
         assert 0 < moments[0] and moments[2] <= moments[0] + moments[1], moments
 
 
@@ -136,17 +138,9 @@ def half_size(shape) -> np.ndarray:
 
 
 @pytest.mark.parametrize("link", [f"link_{number}" for number in range(7)])
-def test_the_collision_shapes_enclose_what_is_seen(robot, link):
-    """Also where a reader ignores the capsule tag and sees the cylinder."""
-    element = robot.find(f"link[@name='{link}']")
-    hulls = [placed(shape) for shape in element.iter("collision")]
-    assert 1 <= len(hulls) <= 3
-    for visual in element.iter("visual"):
-        points = surface(visual)
-        inside = np.zeros(len(points), dtype=bool)
-        for rotation, centre, kind, size in hulls:
-            inside |= contains(kind, size, (points - centre) @ rotation)
-        assert inside.all(), (visual.find("geometry")[0].attrib, points[~inside][0])
+def test_a_link_has_few_collision_shapes(robot, link):
+    """That they enclose what is seen is tested in test_meshes."""
+    assert 1 <= len(list(robot.find(f"link[@name='{link}']").iter("collision"))) <= 3
 
 
 def test_the_flange_s_face_stays_free_for_tools(robot):
@@ -181,24 +175,6 @@ def placed(shape) -> tuple:
         else [float(geometry.get(key)) for key in ("radius", "length")]
     )
     return rotation, np.array(numbers(origin, "xyz")), geometry.tag, np.array(size)
-
-
-def surface(shape) -> np.ndarray:
-    """Return points all over a shape's surface, in the link's frame, shape (k, 3) [m]."""
-    rotation, centre, kind, size = placed(shape)
-    grid = np.linspace(-0.5, 0.5, 41)
-    if kind == "box":
-        u, v = (axis.ravel() for axis in np.meshgrid(grid, grid))
-        faces = [np.insert(np.stack([u, v], 1), axis, side, axis=1) for axis in range(3) for side in (-0.5, 0.5)]
-        points = np.concatenate(faces) * size
-    else:
-        radius, length = size
-        angle, along = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 2 * np.pi, 73), grid))
-        mantle = np.stack([radius * np.cos(angle), radius * np.sin(angle), length * along], 1)
-        share = np.abs(along) * 2
-        lids = [mantle * [1, 1, 0] * np.stack([share, share, share], 1) + [0, 0, end * length / 2] for end in (-1, 1)]
-        points = np.concatenate([mantle, *lids])
-    return points @ rotation.T + centre
 
 
 def contains(kind: str, size: np.ndarray, points: np.ndarray) -> np.ndarray:

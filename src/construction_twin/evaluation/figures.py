@@ -29,23 +29,38 @@ PATH_POINTS = 1500
 
 
 def joint_figure(evaluation: Evaluation) -> Figure:
-    """Return all joints of both robots over the evaluated time: twin solid, physical dashed (the paper's Figure 9)."""
-    figure, (axes,) = _figure(9.0, 5.4, 1)
+    """Return all joints of both robots over the evaluated time: twin solid, physical dashed (the paper's Figure 9).
+
+    Linear joints have a panel of their own, in m.
+    """
+    recording = evaluation.recording
+    slides = [joint in recording.linear for joint in recording.joint_names]
+    units = {False: "joint angle [rad]", True: "joint position [m]"}
+    kinds = [kind for kind in units if kind in slides]
+    figure, panels = _figure(9.0, 5.4 if len(kinds) == 1 else 8.1, len(kinds))
+    for kind, axes in zip(kinds, panels):
+        _draw_joints(axes, evaluation, [number for number, slide in enumerate(slides) if slide is kind])
+        axes.set(ylabel=units[kind])
+    panels[0].set(title="Joint angles of twin and physical arm")
+    panels[-1].set(xlabel="time [s]")
+    return figure
+
+
+def _draw_joints(axes, evaluation: Evaluation, numbers: Sequence[int]) -> None:
     recording, window = evaluation.recording, evaluation.window
     for name, style, width, shade in (("twin", "-", 1.4, 1.0), ("physical", "--", 3.4, 0.45)):
         stream = getattr(recording, name)
         inside = window.contains(stream.stamps)
         seconds = (stream.stamps[inside] - window.start) / NANOSECONDS
-        for number, joint in enumerate(recording.joint_names):
+        for number in numbers:
+            joint = recording.joint_names[number]
             label = f"{axis_name(joint) or joint} {name}"
             values = stream.positions[inside, number]
             colour = COLOURS[number % len(COLOURS)]
             order = 2 if name == "twin" else 1
             axes.plot(seconds, values, style, color=colour, lw=width, alpha=shade, label=label, zorder=order)
-    axes.set(xlabel="time [s]", ylabel="joint angle [rad]", title="Joint angles of twin and physical arm")
     axes.margins(x=0.01)
     axes.legend(ncols=2, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
-    return figure
 
 
 def tool_path_figure(evaluation: Evaluation, robot: RobotModel) -> Figure:

@@ -123,6 +123,28 @@ class LinkSnapshot:
 
 
 @dataclass(frozen=True)
+class StateChange:
+    """One change of state that was reported.
+
+    Attributes
+    ----------
+    stamp : int
+        When [ns, ROS time].
+    source : str
+        Who: ``gate``, ``execution``, ``link``.
+    state : str
+        The new state's word.
+    reason : str
+        One sentence; may be empty.
+    """
+
+    stamp: int
+    source: str
+    state: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class Recording:
     """One robot's run.
 
@@ -148,6 +170,10 @@ class Recording:
     mock : Mapping or None
         The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
         may have been a real one.
+    changes : tuple of StateChange
+        In order of time.
+    linear : tuple of str
+        Those of `joint_names` that are linear: m in place of rad. A bag does not tell; `write_report` takes it from the robot.
 
     Raises
     ------
@@ -165,6 +191,8 @@ class Recording:
     waypoints: Mapping[str, int] = field(default_factory=dict)
     links: tuple[LinkSnapshot, ...] = ()
     mock: Mapping | None = None
+    linear: tuple[str, ...] = ()
+    changes: tuple[StateChange, ...] = ()
 
     def __post_init__(self):
         if not self.joint_names:

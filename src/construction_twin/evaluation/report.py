@@ -1,7 +1,8 @@
-"""Writes a recording's report: `summary.json`, `table1.csv` and the figures. Imports matplotlib, which takes a second."""
+"""Writes a recording's report: `report.html`, `summary.json`, `table1.csv` and the figures. Importing matplotlib takes a second."""
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import json
 import os
@@ -10,10 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from construction_twin.evaluation import figures
+from construction_twin.evaluation.page import page
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.evaluation.tables import table_csv
 from construction_twin.robot import RobotModel
+
+#: The page that holds everything.
+PAGE = "report.html"
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,8 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     ----------
     recording : Recording
     robot : RobotModel or None
-        For the tool path; without it, or when it has other joints than the recording, `figure8.png` is not written.
+        For the tool path and the joints' units; without it, or when it has other joints than the recording, `figure8.png` is not
+        written, and every joint is taken to turn.
     directory : str or Path
 
     Returns
@@ -52,19 +58,26 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     OSError
         If a file cannot be written.
     """
+    same = robot is not None and robot.joint_names == recording.joint_names
+    if same:
+        linear = tuple(joint for joint, slides in zip(robot.joint_names, robot.linear) if slides)
+        recording = dataclasses.replace(recording, linear=linear)
     evaluation = evaluate(recording)
     summary = {**summarise(evaluation), "environment": environment()}
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     drawings = {"figure9.png": figures.joint_figure(evaluation), "timing.png": figures.timing_figure(evaluation)}
-    if robot is not None and robot.joint_names == recording.joint_names:
+    if same:
         drawings["figure8.png"] = figures.tool_path_figure(evaluation, robot)
     for name, drawing in drawings.items():
         drawing.savefig(directory / name)
+    images = {name: (directory / name).read_bytes() for name in drawings}
+    (directory / PAGE).write_text(page(summary, recording, images), encoding="utf-8")
     (directory / "table1.csv").write_text(table_csv(summary["tables"]), encoding="ascii")
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     (directory / "summary.json").write_text(text, encoding="utf-8")
-    return Report(summary, tuple(directory / name for name in sorted([*drawings, "table1.csv", "summary.json"])))
+    names = sorted([*drawings, PAGE, "summary.json", "table1.csv"])
+    return Report(summary, tuple(directory / name for name in names))
 
 
 def environment() -> dict:

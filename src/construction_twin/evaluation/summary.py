@@ -81,7 +81,7 @@ def summarise(evaluation: Evaluation) -> dict:
     recording, window = evaluation.recording, evaluation.window
     names = recording.joint_names
     first, last = link_span(recording.links, window)
-    tables = {name: error_table(aligned, names) for name, aligned in evaluation.alignments.items()}
+    tables = {name: error_table(aligned, names, recording.linear) for name, aligned in evaluation.alignments.items()}
     final_error = np.abs(recording.physical.positions[-1] - recording.twin.positions[-1])
     mock = _mock_settings(recording.mock) if recording.mock else None
     return {
@@ -98,7 +98,8 @@ def summarise(evaluation: Evaluation) -> dict:
         "reply_us": reply_times(first, last),
         "round_trip_ms": percentiles(alignment.round_trips(recording, window) * 1e3),
         "rate_hz": {name: rate(getattr(recording, name), window) for name in ("twin", "physical", "command")},
-        "final_error_rad": dict(zip(names, final_error.tolist())),
+        "final_error_rad": {n: e for n, e in zip(names, final_error.tolist()) if n not in recording.linear},
+        "final_error_m": {n: e for n, e in zip(names, final_error.tolist()) if n in recording.linear},
         "robot": recording.robot,
         "skipped_samples": {name: aligned and aligned.skipped for name, aligned in evaluation.alignments.items()},
         "mock": mock,

@@ -24,16 +24,21 @@ ALIGNMENTS = {
     "lag_removed": "by_command with one constant lag taken out",
 }
 CSV_COLUMNS = ("alignment", "joint", "avg_rad", "max_rad", "paper_avg_rad", "paper_max_rad", "avg_ratio", "max_ratio")
+#: Further columns of a robot with linear joints; empty for the joints that turn, as the others are for these.
+LINEAR_COLUMNS = ("avg_m", "max_m")
 #: Names and shares of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 
 
-def error_table(alignment: Alignment | None, joint_names: Sequence[str]) -> dict | None:
-    """Return ``{joint: {"avg_rad", "max_rad"}}`` of an alignment, None for None."""
+def error_table(alignment: Alignment | None, joint_names: Sequence[str], linear: Sequence[str] = ()) -> dict | None:
+    """Return ``{joint: {"avg_rad", "max_rad"}}`` of an alignment, ``avg_m`` and ``max_m`` for `linear` joints; None for None."""
     if alignment is None:
         return None
-    figures = zip(joint_names, alignment.average, alignment.maximum)
-    return {name: {"avg_rad": float(average), "max_rad": float(maximum)} for name, average, maximum in figures}
+    table = {}
+    for name, average, maximum in zip(joint_names, alignment.average, alignment.maximum):
+        unit = "m" if name in linear else "rad"
+        table[name] = {f"avg_{unit}": float(average), f"max_{unit}": float(maximum)}
+    return table
 
 
 def percentiles(values: np.ndarray) -> dict[str, float | None]:
@@ -45,24 +50,36 @@ def percentiles(values: np.ndarray) -> dict[str, float | None]:
 
 
 def table_rows(tables: Mapping) -> Iterator[tuple]:
-    """Yield a row of `CSV_COLUMNS` per alignment and joint; None where unknown. Ratios are this run's over the paper's."""
+    """Yield a row of `CSV_COLUMNS` and `LINEAR_COLUMNS` per alignment and joint; None where unknown.
+
+    Ratios are this run's over the paper's.
+    """
     joints = next((table for table in tables.values() if table), {})
     for alignment in ALIGNMENTS:
         table = tables.get(alignment)
         for joint in joints:
-            average, maximum = (table[joint]["avg_rad"], table[joint]["max_rad"]) if table else (None, None)
+            entry = table[joint] if table else {}
+            average, maximum = entry.get("avg_rad"), entry.get("max_rad")
             paper = paper_error(joint)
             paper_figures = (paper.average, paper.maximum) if paper else (None, None)
             ratios = (_ratio(average, paper_figures[0]), _ratio(maximum, paper_figures[1]))
-            yield alignment, joint, average, maximum, *paper_figures, *ratios
+            metres = (entry.get("avg_m"), entry.get("max_m"))
+            yield alignment, joint, average, maximum, *paper_figures, *ratios, *metres
 
 
 def table_csv(tables: Mapping) -> str:
-    """Return `table_rows` as CSV text with a header line; unknown values are empty."""
+    """Return `table_rows` as CSV text with a header line; unknown values are empty.
+
+    `LINEAR_COLUMNS` are there only when a joint is linear.
+    """
+    rows = list(table_rows(tables))
+    columns = CSV_COLUMNS
+    if any(row[-1] is not None for row in rows):
+        columns += LINEAR_COLUMNS
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    writer.writerows(table_rows(tables))
+    writer.writerow(columns)
+    writer.writerows(row[: len(columns)] for row in rows)
     return text.getvalue()
 
 
@@ -105,7 +122,7 @@ def summary_lines(summary: Mapping) -> list[str]:
         _times("round trip", summary["round_trip_ms"], "ms"),
         _times("RSI reply time", summary["reply_us"], "us"),
         "rates: " + "   ".join(f"{name} {_text(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items()),
-        f"largest final error: {max(summary['final_error_rad'].values()):.3e} rad",
+        "largest final error: " + _final_errors(summary),
     ]
     if summary.get("mock"):
         lines.append("This is a simulation: the arm was the mock controller of this package, not a robot.")
@@ -118,10 +135,17 @@ def _rich_table(title: str, rows: Sequence[Sequence]) -> Table:
     table.add_column("joint", no_wrap=True)
     for heading in ("avg, rad", "max, rad", "paper avg", "paper max", "avg/paper", "max/paper"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for joint, *figures in rows:
+    for joint, *figures, average_m, maximum_m in rows:
+        if average_m is not None:
+            joint, figures = f"{joint} [m]", [average_m, maximum_m, *figures[2:]]
         errors = [_text(value, ".4e") for value in figures[:4]]
         table.add_row(joint, *errors, *(_text(value, ".3g") for value in figures[4:]))
     return table
+
+
+def _final_errors(summary: Mapping) -> str:
+    errors = {unit: summary.get(f"final_error_{unit}") for unit in ("rad", "m")}
+    return ", ".join(f"{max(values.values()):.3e} {unit}" for unit, values in errors.items() if values)
 
 
 def _times(name: str, figures: Mapping, unit: str) -> str:

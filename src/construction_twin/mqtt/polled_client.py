@@ -18,8 +18,8 @@ from paho.mqtt import client as paho
 
 #: Pause between attempts to connect [s].
 RETRY = 0.5
-#: Packets handled in a row when TLS holds more than one: the gateway's loop has other work.
-_MAX_PACKETS = 32
+#: Packets handled in a row when TLS holds more than one: a telegram that comes meanwhile waits for them.
+_MAX_PACKETS = 3
 
 
 class PolledClient:
@@ -54,6 +54,11 @@ class PolledClient:
     def connected(self) -> bool:
         """True between the broker's welcome and the loss of the connection."""
         return self._registered is not None and self.client.is_connected()
+
+    @property
+    def pending(self) -> bool:
+        """True when there is more to read that no socket shows: call `read` again without waiting."""
+        return self.connected and self._decrypted()
 
     def read(self) -> None:
         """Handle what has come in; call when the selector says that the socket is readable.

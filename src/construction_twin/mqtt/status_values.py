@@ -7,13 +7,16 @@ import math
 from construction_twin.errors import PayloadError
 
 #: Objects of the status whose values are shown, each under its own name and theirs.
-_GROUPS = ("playout", "intruder")
+_GROUPS = ("playout", "speed_limit", "stop", "intruder")
 _SINGLE = ("mode", "last_refusal", "last_ipoc_jump_ms")
 _LONGEST = 300
+#: Members that are lists, one value per axis, and how many at most.
+_LISTS = ("stop.distance_deg", "stop.moved_deg")
+_MOST_AXES = 12
 
 
 def status_values(status: dict) -> dict[str, str]:
-    """Return delay, jitter, drift and rate of the playout, mode, last intruder, last refusal and last jump of IPOC.
+    """Return playout, speed limit, last stop, mode, last intruder, last refusal and last jump of IPOC.
 
     Parameters
     ----------
@@ -42,6 +45,10 @@ def status_values(status: dict) -> dict[str, str]:
 def _text(name: str, value: object) -> str:
     if value is None:
         return ""
+    if isinstance(value, list) and name in _LISTS and len(value) <= _MOST_AXES:
+        if not all(isinstance(member, (int, float)) for member in value):
+            raise PayloadError("status", f"status message whose {name} is not a list of numbers")
+        return " ".join([_text(name, member) for member in value])
     if isinstance(value, str):
         return value[:_LONGEST]
     # a whole number in JSON may have more digits than a float holds: only one of a counter's size is compared as one

@@ -37,6 +37,7 @@ class LinkState(Enum):
     RESYNC = 4
     ARMED = 5
     NEEDS_RESET = 6
+    MIRROR = 7
 
 
 class LinkSupervisor:
@@ -72,6 +73,9 @@ class LinkSupervisor:
         self._moved_at = 0
         self._command: tuple[float, ...] | None = None
         self._command_at = 0
+        self._command_moved_at = 0
+        self._mirror = False
+        self._ended_session = ""
         self._was_armed = False
         self._reset_wanted = False
         self._asked_for = False
@@ -99,6 +103,8 @@ class LinkSupervisor:
 
     def on_command(self, q: tuple[float, ...], now: int) -> bool:
         """Take a command that wants to be sent [rad]; return whether it may be."""
+        if self._command is not None and q != self._command:
+            self._command_moved_at = now
         self._command, self._command_at = q, now
         return self.state is LinkState.ARMED
 
@@ -124,8 +130,12 @@ class LinkSupervisor:
         Raises
         ------
         ReviewError
-            When there is no arm to start from, or it moves.
+            When there is no arm to start from, it moves, or it leads.
         """
+        if self._mirror:
+            raise ReviewError(
+                "cannot reset: the arm leads (mirror mode); call mirror with false, which ends in the same"
+            )
         if self.state in (
             LinkState.DISCONNECTED,
             LinkState.GATEWAY_OFFLINE,
@@ -155,8 +165,66 @@ class LinkSupervisor:
             )
         self._reset_wanted = True
 
+    def begin_mirror(self, now: int) -> str:
+        """Let the arm lead, on a person's request: nothing is commanded until `end_mirror`. Return one sentence.
+
+        Raises
+        ------
+        ReviewError
+            When there is no arm to follow, or arm or command stream move.
+        """
+        if self._mirror:
+            return "the arm leads already"
+        obstacle = self._obstacle(now)
+        if obstacle is not None and not self._reads_only:
+            raise ReviewError(f"cannot mirror: {obstacle[1]}")
+        if not self._at_rest(now):
+            raise ReviewError("cannot mirror: the arm's pose is unknown or still changing; wait until it is at rest")
+        if self._command is not None and now - self._command_moved_at < REST and now - self._command_at < FRESH:
+            raise ReviewError(
+                "cannot mirror: the command stream still moves; stop or pause the plan and wait until it is at rest"
+            )
+        # a new session without a right to command: executor and gate start over, and what was recorded of the old one is void
+        self._ended_session, self.session = self.session, self._new_id()
+        self._mirror = True
+        self._pending, self._stopped, self._reset_wanted, self._asked_for = None, None, False, False
+        self._enter(LinkState.MIRROR, "the arm leads, the twin follows; nothing is commanded")
+        return self.reason
+
+    def end_mirror(self, now: int) -> str:
+        """Stop following the arm, on a person's request, and start over as after `reset`. Return one sentence.
+
+        Raises
+        ------
+        ReviewError
+            When the arm does not lead, there is none, or it moves.
+        """
+        if not self._mirror:
+            raise ReviewError(f"the arm does not lead: {self.state.name}, {self.reason}")
+        obstacle = self._obstacle(now)
+        if obstacle is not None:
+            raise ReviewError(f"cannot leave mirror mode: {obstacle[1]}")
+        if not self._at_rest(now):
+            raise ReviewError(
+                "cannot leave mirror mode: the arm's pose is unknown or still changing; wait until it is at rest"
+            )
+        self._mirror = False
+        if self._reads_only:
+            return (
+                "mirror mode has ended; the gateway is read-only, so nothing can be commanded: give the controller an Ethernet XML "
+                "with ONLYSEND FALSE"
+            )
+        self._reset_wanted = True
+        return "mirror mode has ended; twin and gateway start over from the arm's pose"
+
+    @property
+    def mirrors(self) -> bool:
+        """True from `begin_mirror` to its end, also while the arm is not to be seen."""
+        return self._mirror
+
     def drop(self, reason: str) -> None:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
+        self._mirror = False
         self._stopped = reason
         self._pending = None
         self._enter(LinkState.NEEDS_RESET, reason)
@@ -175,6 +243,8 @@ class LinkSupervisor:
             self._begin_session("reset asked for")
             self._asked_for = True
         gateway = self.status["state"]
+        if self._mirror:
+            return self._stay_mirrored(gateway, now)
         if self.state is LinkState.ARMED and not self._still_armed(gateway, now):
             self._enter(LinkState.NEEDS_RESET, f"gateway is {gateway}: {self.status.get('reason')}")
         elif self.state is LinkState.RESYNC and self._fault and not self._asked_for:
@@ -200,9 +270,26 @@ class LinkSupervisor:
                 "gateway runs another configuration (its hash differs); export it again with `rosrun construction_twin "
                 "export_gateway_config` and restart the gateway",
             )
-        if gateway in ("no_controller", "joined_running", "read_only"):
+        if gateway in ("no_controller", "joined_running") or (self._reads_only and not self._mirror):
             return LinkState.NO_CONTROLLER, f"gateway has no RSI session to command: {self.status.get('reason')}"
         return None
+
+    @property
+    def _reads_only(self) -> bool:
+        return self.status.get("state") == "read_only"
+
+    def _stay_mirrored(self, gateway: str, now: int) -> Control | None:
+        """Command nothing; end the session of before at the gateway, at rest and so without a fault."""
+        notes = ["the arm leads, the twin follows; nothing is commanded"]
+        if self._reads_only:
+            notes.append("the gateway is read-only")
+        elif self._fault:
+            notes.append(f"the gateway was stopped and is {gateway}")
+        self._enter(LinkState.MIRROR, "; ".join(notes))
+        commands = gateway in ("armed", "following") and self.status.get("session") == self._ended_session
+        if not commands or (self._pending is not None and now - self._sent_at < RETRY):
+            return None
+        return self._send("reset", now, session=self._ended_session)
 
     def _leave_waiting(self, gateway: str, now: int) -> None:
         """First start, return after an interruption: begin by itself only where nothing could jump."""
@@ -244,8 +331,8 @@ class LinkSupervisor:
             return self._send("arm", now, self._hash)
         return None
 
-    def _send(self, verb: str, now: int, value: object = None) -> Control:
-        self._pending = Control(self._new_id(), self.session, verb, value)
+    def _send(self, verb: str, now: int, value: object = None, session: str | None = None) -> Control:
+        self._pending = Control(self._new_id(), self.session if session is None else session, verb, value)
         self._sent_at = now
         return self._pending
 

@@ -7,7 +7,7 @@ What leaves it was checked against the latest scene that was known when it left.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from construction_twin.planning.report import report
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import Waypoints, plan_waypoints
 from construction_twin.robot import RobotModel
+from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.scene.world import CollisionWorld
@@ -45,6 +46,8 @@ class PlanningDesk:
     rng : numpy Generator
     source : str
         Where scenes come from, for the message when there is none.
+    neighbour : callable, optional
+        Returns what another arm takes up now, padding included; asked for every plan, and raises when it is not known.
     """
 
     def __init__(
@@ -56,6 +59,7 @@ class PlanningDesk:
         clock: Clock,
         rng: np.random.Generator,
         source: str = "scene",
+        neighbour: Callable[[], Iterable[Obstacle]] | None = None,
     ):
         self._robot = robot
         self._solver = solver
@@ -64,6 +68,7 @@ class PlanningDesk:
         self._clock = clock
         self._planner = Planner(robot, solver, settings, clock, rng)
         self._source = source
+        self._neighbour = neighbour
         # kinematics, worlds and OMPL are not made for several threads
         self._busy = threading.Lock()
         self._scene: Scene | None = None
@@ -191,4 +196,5 @@ class PlanningDesk:
             self._world = CollisionWorld(self._robot, scene, self._self_collision)
         elif self._world.scene.hash != scene.hash:
             self._world = self._world.with_scene(scene)
-        return self._world
+        # no version of the scene: what it does later is the watch's question, see `conflict`
+        return self._world if self._neighbour is None else self._world.with_neighbour(self._neighbour())

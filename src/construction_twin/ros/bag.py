@@ -11,7 +11,14 @@ import numpy as np
 import rosbag
 
 from construction_twin.errors import EvaluationError
-from construction_twin.evaluation.recording import FeedbackStream, LinkSnapshot, PlayedPlan, Recording, Stream
+from construction_twin.evaluation.recording import (
+    FeedbackStream,
+    LinkSnapshot,
+    PlayedPlan,
+    Recording,
+    StateChange,
+    Stream,
+)
 
 TWIN = "twin/joint_states"
 PHYSICAL = "physical/joint_states"
@@ -20,9 +27,12 @@ COMMAND = "command/joint_states"
 EXECUTION = "execution"
 PLAN = "plan"
 LINK = "link"
+SYNC = "sync"
 MOCK = "mock_rsi/status"
 #: Topics read, relative to the robot's namespace. Only twin and physical have to be there.
-TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXECUTION, PLAN, LINK, MOCK)
+TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXECUTION, PLAN, LINK, SYNC, MOCK)
+#: Reports whose changes of state are told, and what they are called.
+REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
 #: Type each topic must have: a foreign message of the same name must not be read by accident.
 TYPES = {
@@ -33,6 +43,7 @@ TYPES = {
     EXECUTION: "construction_twin/Execution",
     PLAN: "construction_twin/Plan",
     LINK: "construction_twin/Link",
+    SYNC: "construction_twin/Sync",
     MOCK: "std_msgs/String",
 }
 
@@ -116,7 +127,21 @@ def _to_recording(robot: str, messages: dict[str, list]) -> Recording:
         waypoints={message.id: len(message.trajectory.points) for _, message in messages[PLAN]},
         links=tuple(_link(received, message) for received, message in messages[LINK]),
         mock=_mock(messages[MOCK]),
+        changes=_changes(messages),
     )
+
+
+def _changes(messages: dict[str, list]) -> tuple[StateChange, ...]:
+    """Return when the reported states became others; what a report says first counts too."""
+    changes = []
+    for topic, source in REPORTS.items():
+        before = None
+        for _, message in messages[topic]:
+            # the words, not the numbers: those of older bags meant other states
+            if message.text != before:
+                before = message.text
+                changes.append(StateChange(message.header.stamp.to_nsec(), source, before, message.reason))
+    return tuple(sorted(changes, key=lambda change: change.stamp))
 
 
 def _arrays(messages: list, joints: tuple[str, ...], topic: str) -> dict[str, np.ndarray]:

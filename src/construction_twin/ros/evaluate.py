@@ -16,7 +16,11 @@ from construction_twin.evaluation.tables import render_tables
 from construction_twin.robot import RobotModel, read_robot_files
 from construction_twin.ros.bag import read_recording
 
-XACRO, DESCRIPTION = "urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"
+#: This package's arms, as URDF and robot YAML; the first one whose joints are the bag's is taken.
+ROBOTS = (
+    ("urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"),
+    ("urdf/kr120_track.urdf.xacro", "config/kr120_track.yaml"),
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -37,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     console = Console(highlight=False)
     try:
         recording = read_recording(options.bag, options.robot)
-        robot = _robot(options)
+        robot = _robot(options, recording.joint_names)
         report = write_report(recording, robot, directory)
     except (ConstructionTwinError, OSError) as error:
         print(f"evaluate: {error}", file=sys.stderr)
@@ -63,10 +67,12 @@ def package_file(relative: str) -> Path:
     return Path(rospkg.RosPack().get_path("construction_twin"), relative)
 
 
-def _robot(options: argparse.Namespace) -> RobotModel:
-    return read_robot_files(
-        options.robot_xacro or package_file(XACRO), options.robot_config or package_file(DESCRIPTION)
-    )
+def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotModel:
+    if options.robot_xacro or options.robot_config:
+        files = options.robot_xacro or package_file(ROBOTS[0][0]), options.robot_config or package_file(ROBOTS[0][1])
+        return read_robot_files(*files)
+    robots = [read_robot_files(*map(package_file, files)) for files in ROBOTS]
+    return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -79,7 +85,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _evaluation)")
     parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
     parser.add_argument(
-        "--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro for figure 8 (default: {XACRO})"
+        "--robot-xacro",
+        type=Path,
+        metavar="FILE",
+        help="URDF or xacro for figure 8 and units (default: the one here that fits the bag)",
     )
-    parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")
+    parser.add_argument("--robot-config", type=Path, metavar="FILE", help="robot YAML (default: likewise)")
     return parser

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -14,18 +15,21 @@ import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.approval import Approval
-from construction_twin.errors import ConstructionTwinError, RecordError
+from construction_twin.errors import ConstructionTwinError, PayloadError, RecordError
 from construction_twin.executor import Executor, ExecutorState
 from construction_twin.gate import SyncState
-from construction_twin.msg import Execution, Link, Plan, Review, Scene, Sync
+from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
+from construction_twin.msg import SpeedLimit as SpeedLimitMessage
+from construction_twin.neighbour_watch import NeighbourWatch
 from construction_twin.review import Verdict
 from construction_twin.review_log import ReviewLog
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.cycle import cycles
 from construction_twin.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
-from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns, to_time
+from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
+from construction_twin.speed_limit import LimitState, SpeedLimit
 from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
 from construction_twin.units import NANOSECONDS
 
@@ -36,12 +40,16 @@ BACKGROUND_PERIOD = 0.05
 
 
 class Settings(NodeSettings):
-    """Private parameters, given in launch/twin.launch."""
+    """Private parameters; see config/executor.yaml, the others are given in launch/twin.launch."""
 
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     planner: str = "planner"
+    neighbour: str = ""
+    speed_limit_deadline: float = pydantic.Field(gt=0)
+    speed_limit_silent: float = pydantic.Field(ge=0, le=1)
+    speed_limit_required: bool
 
 
 class ExecutorNode:
@@ -50,7 +58,13 @@ class ExecutorNode:
     def __init__(self):
         settings = read_parameters(Settings)
         robot = robot_from_parameters()
+        self._robot = robot
         self._executor = Executor(robot)
+        self._executor.neighbour = NeighbourWatch(settings.neighbour)
+        self._limit = SpeedLimit(
+            settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required
+        )
+        self._limit_state: LimitState | None = None
         self._log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
         self._record_problem = ""
         self._started = rospy.Time.now()
@@ -81,6 +95,9 @@ class ExecutorNode:
         rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
         self._scene = rospy.Subscriber("scene", Scene, self._on_scene, queue_size=5)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
+        rospy.Subscriber("speed_limit", SpeedLimitMessage, self._on_limit, queue_size=5, tcp_nodelay=True)
+        if self._executor.neighbour.name:
+            rospy.Subscriber("conflict", Conflict, self._on_conflict, queue_size=20, tcp_nodelay=True)
         if arm != "none":
             self._executor.on_link(False, "no report of the link yet")
             rospy.Subscriber("link", Link, self._on_link, queue_size=5)
@@ -93,7 +110,9 @@ class ExecutorNode:
                     self._executor.on_sync(SyncState.STALE, False)
                 if stalled:
                     self._executor.stall(f"this process was not run for {stalled / 1e9:.3f} s")
-                setpoint = self._executor.step(stamp, now_ns())
+                now = now_ns()
+                self._executor.limit_rate(self._limit.update(now), self._limit.reason)
+                setpoint = self._executor.step(stamp, now)
             if setpoint is not None:
                 self._next.publish(stamp, setpoint)
             self._publish_changes()
@@ -112,11 +131,25 @@ class ExecutorNode:
             return
         with self._lock:
             self._sync_at = now_ns()
-            self._executor.on_sync(state, message.agreed)
+            self._executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
+            self._executor.lag = sum(filter(math.isfinite, (message.round_trip, message.servo_lag)))
+
+    def _on_limit(self, message: SpeedLimitMessage) -> None:
+        source = message._connection_header["callerid"]
+        try:
+            with self._lock:
+                self._limit.on_limit(message.limit, message.reason, source, now_ns())
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
 
     def _on_scene(self, message: Scene) -> None:
         with self._lock:
             self._executor.on_scene(message.hash)
+
+    def _on_conflict(self, message: Conflict) -> None:
+        with self._lock:
+            problem = message.reason if message.conflict else ""
+            self._executor.neighbour.on_verdict(message.plan_id, problem, now_ns())
 
     def _on_plan(self, message: Plan) -> None:
         caller = message._connection_header["callerid"]
@@ -158,6 +191,10 @@ class ExecutorNode:
     def _on_stop(self, _request) -> TriggerResponse:
         with self._lock:
             sentence = self._executor.stop(now_ns())
+            braking = self._executor.braking()
+        # it brakes already; looking ahead takes some cycles' time, and must not hold up a setpoint
+        if braking is not None:
+            sentence = f"{sentence}; {braking.forecast().text(self._robot)}"
         rospy.logwarn("stop: %s", sentence)
         return TriggerResponse(True, sentence)
 
@@ -220,35 +257,47 @@ class ExecutorNode:
         executor = self._executor
         with self._lock:
             events = executor.take_events()
+            state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
+            # a limit that follows a sensor changes all the time: a hundredth is worth a message
+            change = (*state, executor.steady, round(self._limit.limit, 2))
+            limit = self._limit.state, self._limit.limit, self._limit.reason
+            plan, rate = executor.plan, executor.rate
         for event in events:
             self._log.defer(event)
             if isinstance(event, Verdict):
                 self._publish_verdict(event)
-        state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
-        if state == self._reported:
+        if limit[0] is not self._limit_state:
+            self._limit_state = limit[0]
+            (rospy.logwarn if limit[0] in (LimitState.SILENT, LimitState.MISSING) else rospy.loginfo)(limit[2])
+        if change == self._reported:
             return
-        self._reported = state
-        rospy.loginfo("%s: %s", executor.state.name, executor.reason)
+        if state != self._reported[:4]:
+            rospy.loginfo("%s: %s", state[0].name, state[1])
+        self._reported = change
         message = Execution(
-            state=executor.state.value, text=executor.state.name, outcome=executor.outcome, reason=executor.reason
+            state=state[0].value, text=state[0].name, reason=state[1], outcome=state[3], rate=rate, speed_limit=limit[1]
         )
         message.header.stamp = rospy.Time.now()
-        if executor.plan is not None:
-            message.plan_id = executor.plan.id
-            message.plan_start = to_time(executor.plan_start)
-            message.duration = executor.plan.trajectory.duration
+        if plan is not None:
+            message.plan_id = plan.id
+            message.plan_start = to_time(state[2])
+            message.duration = plan.trajectory.duration
         self._execution.publish(message)
 
     def _report(self) -> tuple[int, str, dict]:
         executor, log = self._executor, self._log
         values = {
             "outcome of the last plan": executor.outcome,
+            "rate": f"{executor.rate:.3f}",
+            "speed limit": f"{self._limit.limit:.3f}",
+            "speed limit because": self._limit.reason,
             "records": log.state.lines,
             "SHA-256 of the last record": log.state.head,
         }
         if self._record_problem:
             return ERROR, self._record_problem, values
-        level = WARN if executor.state is ExecutorState.WAITING else OK
+        slow = self._limit.state in (LimitState.SILENT, LimitState.MISSING)
+        level = WARN if slow or executor.state in (ExecutorState.WAITING, ExecutorState.HELD) else OK
         return level, f"{executor.state.name}: {executor.reason}", values
 
 

@@ -24,7 +24,7 @@ from construction_twin.ros.evaluate import print_files
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.ros.recorder import Recorder
 from construction_twin.srv import PlanToJoints
-from construction_twin.units import radians
+from construction_twin.units import from_wire
 
 _POLL = 0.05
 #: The bridge reports the gateway's counters this often [s]; the recording goes on until they include the task's end.
@@ -54,7 +54,7 @@ class RestDetector:
     Parameters
     ----------
     tolerance : float
-        Half width of the band around the pose at which it began [rad].
+        Half width of the band around the pose at which it began [rad], [m].
     rest_time : float
         [s]
     """
@@ -134,14 +134,14 @@ class Experiment:
                 raise ExperimentError(
                     f"a goal in ~goals_deg has {len(goal)} values; {self._robot.name} has {joints} joints"
                 )
-            self._robot.check_range(radians(goal))
+            self._robot.check_range(from_wire(goal, self._robot.linear))
 
     def _plan(self, goal_deg: list[float]) -> str:
         """Have one reach planned from the twin's present pose; return the plan's id."""
         share = len(self._settings.goals_deg)
         rospy.wait_for_service("plan_to_joints", self._settings.timeout)
         answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
-            goal=radians(goal_deg),
+            goal=from_wire(goal_deg, self._robot.linear),
             start=[],
             duration=self._settings.duration / share,
             speed_scale=0.0,

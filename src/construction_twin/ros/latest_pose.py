@@ -58,6 +58,10 @@ class LatestPose:
             _, message = self._newest
         return joint_values(JointState().deserialize(message._buff), self._names)
 
+    def close(self) -> None:
+        """Listen no longer."""
+        self._subscriber.unregister()
+
     def _receive(self, message: rospy.AnyMsg) -> None:
         with self._news:
             self._newest = time.monotonic(), message

@@ -14,14 +14,16 @@ import rospy
 from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
-from construction_twin.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.errors import ConstructionTwinError, FaultError
 from construction_twin.ros.diagnostics import ERROR, OK, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
-from construction_twin.rsi.mock import MockRsi, MockSettings, build_controller, gateway_address, joint_angles
-from construction_twin.srv import StallJoint, StallJointRequest, StallJointResponse
-from construction_twin.units import degrees
+from construction_twin.rsi.mock import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
+from construction_twin.rsi.mock_faults import KINDS, Fault
+from construction_twin.rsi.mock_network import MockRsi
+from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultResponse
+from construction_twin.units import CYCLE, to_wire
 
 #: Cycles between two reports on `~status`, 0.5 s.
 _STATUS_CYCLES = 125
@@ -35,15 +37,22 @@ class MockRsiNode:
         self._robot = robot_from_parameters()
         self._controller = build_controller(self._settings, self._robot)
         gateway = gateway_address(self._settings)
-        self._mock = MockRsi(self._controller, gateway, self._settings.restart_after, self._observe, rospy.loginfo)
+        self._mock = MockRsi(
+            self._controller,
+            gateway,
+            self._settings.restart_after,
+            self._observe,
+            rospy.loginfo,
+            self._settings.fault_seed,
+        )
         self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0
-        self._reported: tuple[int, bool] | None = None
+        self._reported: tuple[int, bool, int] | None = None
         self._joints = JointPublisher("~joint_states", self._robot.joint_names)
         self._status = rospy.Publisher("~status", String, queue_size=5, latch=True)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         rospy.Service("~restart", Trigger, self._on_restart)
-        rospy.Service("~stall", StallJoint, self._on_stall)
+        rospy.Service("~inject", InjectFault, self._on_inject)
 
     def run(self) -> None:
         """Run the controller until shutdown."""
@@ -63,14 +72,15 @@ class MockRsiNode:
     # -- in the loop
 
     def _observe(self, mock: MockRsi) -> None:
-        state = self._controller.session, self._controller.running
+        state = self._controller.session, self._controller.running, self._mock.faults.changes
         due = self._cycle % _STATUS_CYCLES == 0 or state != self._reported
         self._cycle += 1
         self._reported = state
-        self._outbox.put((now_ns(), self._controller.measured, self._snapshot() if due else None))
+        now = now_ns()
+        self._outbox.put((now, self._controller.true, self._snapshot(now) if due else None))
 
-    def _snapshot(self) -> dict:
-        controller = self._controller
+    def _snapshot(self, now: int) -> dict:
+        controller, linear = self._controller, self._robot.linear
         return {
             "state": "running" if controller.running else "stopped",
             "reason": controller.reason,
@@ -79,16 +89,25 @@ class MockRsiNode:
             "ipoc": controller.ipoc,
             "delay": controller.delay,
             "stat": controller.stat,
-            "start_pose_deg": degrees(controller.start_pose),
-            "applied_deg": degrees(controller.applied),
-            "correction_lower_deg": degrees(controller.correction_lower),
-            "correction_upper_deg": degrees(controller.correction_upper),
-            "correction_monitor_deg": degrees(controller.correction_monitor),
-            "stalled": [self._robot.joint_names[index] for index in sorted(controller.servo.stalled)],
+            "start_pose_deg": to_wire(controller.start_pose, linear),
+            "applied_deg": to_wire(controller.applied, linear),
+            "correction_lower_deg": to_wire(controller.correction_lower, linear),
+            "correction_upper_deg": to_wire(controller.correction_upper, linear),
+            "correction_monitor_deg": to_wire(controller.correction_monitor, linear),
+            "stamp": now,
+            "faults": self._mock.faults.active,
+            "stop_ramp": self._ramp(),
             "counters": self._mock.counters,
             "config": self._settings.model_dump(exclude={"ethernet_xml"}),
             "ethernet": asdict(controller.config.layout),
         }
+
+    def _ramp(self) -> dict | None:
+        """Return the last emergency stop's way and time to rest; None before one, and in the next session."""
+        ramp = self._controller.ramp
+        if ramp is None:
+            return None
+        return {"time": ramp.cycles * CYCLE, "distance_deg": to_wire(ramp.distance, self._robot.linear)}
 
     # -- in other threads
 
@@ -105,22 +124,39 @@ class MockRsiNode:
         return ERROR, f"RSI stopped: {controller.reason}", self._mock.counters
 
     def _on_restart(self, _request) -> TriggerResponse:
-        return TriggerResponse(*self._ask(self._controller.restart, "a new RSI session starts where the arm stands"))
+        def restart() -> str:
+            self._controller.restart()
+            return "a new RSI session starts where the arm stands"
 
-    def _on_stall(self, request: StallJointRequest) -> StallJointResponse:
-        def stall() -> None:
-            if request.joint not in self._robot.joint_names:
-                raise ConfigurationError("joint", request.joint, f"one of {', '.join(self._robot.joint_names)}")
-            axis = self._robot.axes[self._robot.joint_names.index(request.joint)].rsi
-            self._controller.stall(axis, request.stalled)
+        return TriggerResponse(*self._ask(restart))
 
-        return StallJointResponse(
-            *self._ask(stall, f"{request.joint} is {'stalled' if request.stalled else 'released'}")
-        )
+    def _on_inject(self, request: InjectFaultRequest) -> InjectFaultResponse:
+        faults = self._mock.faults
 
-    def _ask(self, action: Callable[[], None], done: str) -> tuple[bool, str]:
+        def inject() -> str:
+            fault = self._fault(request)
+            return faults.inject(fault) if request.on else faults.end(fault)
+
+        success, message = self._ask(inject)
+        return InjectFaultResponse(success, message, faults.active)
+
+    def _fault(self, request: InjectFaultRequest) -> Fault:
+        """Return the request in the controller's axes."""
+        names, axes = self._robot.joint_names, self._robot.axes
+        if request.joint and request.joint not in names:
+            raise FaultError(request.fault, request.joint, f"one of {', '.join(names)}")
+        axis = axes[names.index(request.joint)] if request.joint else None
+        kind, values = KINDS.get(request.fault), tuple(request.value)
+        if kind is not None and kind.shift and axis is not None:
+            values = tuple(axis.sign * value for value in values)
+        elif kind is not None and not kind.lasting and len(values) == len(axes):
+            values = axis_angles(self._robot, values)
+        return Fault(request.fault, axis.rsi if axis else "", values, request.direction, request.duration)
+
+    def _ask(self, action: Callable[[], str]) -> tuple[bool, str]:
+        """Have the loop do something that says what it did."""
         try:
-            self._mock.request(action)
+            done = self._mock.request(action)
         except ConstructionTwinError as error:
             return False, str(error)
         except TimeoutError:

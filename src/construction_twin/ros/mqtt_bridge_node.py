@@ -12,16 +12,17 @@ from collections.abc import Callable
 import pydantic
 import rospy
 from diagnostic_msgs.msg import KeyValue
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from construction_twin.errors import PayloadError, ReviewError
 from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, unique_id, user_properties
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
+from construction_twin.mqtt.speed_forwarder import SpeedForwarder
 from construction_twin.mqtt.status_values import status_values
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
-from construction_twin.msg import Feedback, Link
+from construction_twin.msg import Feedback, Link, SpeedLimit
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.gateway_config import config_from_parameters
 from construction_twin.ros.joint_stream import QUEUE, JointPublisher, JointSubscriber, now_ns, to_time
@@ -59,6 +60,7 @@ class MqttBridgeNode:
         self._supervisor = LinkSupervisor(
             config.hash, config.decimals, config.start_tolerance, lambda: uuid.uuid4().hex
         )
+        self._speed = SpeedForwarder(config.speed_limit_deadline)
         self._sequence = 0
         self._state_check = StateCheck(settings.max_state_age)
         self._states = 0
@@ -77,14 +79,22 @@ class MqttBridgeNode:
         rospy.Service("reset", Trigger, lambda _: self._begin_session(self._supervisor.request_reset))
         rospy.Service("~arm", Trigger, lambda _: self._begin_session(self._supervisor.request_arm))
         rospy.Service("~stop", Trigger, self._on_stop)
+        rospy.Service("emergency_stop", Trigger, self._on_stop)
+        rospy.Service("mirror", SetBool, self._on_mirror)
+        rospy.Subscriber("speed_limit", SpeedLimit, self._on_speed_limit, queue_size=5)
 
     def run(self) -> None:
         """Look after the link until shutdown."""
         while not rospy.is_shutdown():
             with self._lock:
                 control = self._supervisor.poll(now_ns())
+                armed = self._supervisor.session if self._supervisor.state is LinkState.ARMED else ""
+                limit = self._speed.poll(armed, time.monotonic_ns())
             if control is not None:
                 self._send_control(control)
+            if limit is not None:
+                # repeated for as long as its source speaks: no line in the log
+                self._publish_control(Control(uuid.uuid4().hex, armed, "speed_limit", limit))
             self._publish_link()
             time.sleep(POLL)
         self._client.publish(
@@ -114,6 +124,15 @@ class MqttBridgeNode:
 
     def _send_control(self, control: Control) -> None:
         rospy.loginfo("%s, session %s", control.verb, control.session)
+        self._publish_control(control)
+
+    def _on_speed_limit(self, message: SpeedLimit) -> None:
+        with self._lock:
+            taken = self._speed.on_limit(message.limit, time.monotonic_ns())
+        if not taken:
+            self._diagnostics.refuse("speed_limit", f"speed limit {message.limit}; expected a share from 0 to 1")
+
+    def _publish_control(self, control: Control) -> None:
         self._client.publish(self._topics.control, control.to_json(), qos=1)
 
     # -- MQTT to ROS
@@ -198,6 +217,10 @@ class MqttBridgeNode:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
+        if answer.get("verb") == "speed_limit" and not answer.get("ok"):
+            self._diagnostics.refuse(
+                "speed_limit", f"gateway refused the speed limit: {str(answer.get('reason'))[:200]}"
+            )
         with self._lock:
             self._supervisor.on_answer(answer, now_ns())
 
@@ -222,9 +245,24 @@ class MqttBridgeNode:
     def _on_stop(self, _request) -> TriggerResponse:
         with self._lock:
             control = Control(uuid.uuid4().hex, self._supervisor.session, "stop")
+            # the link is not armed from here on: the executor drops its plan, and no command is sent
             self._supervisor.drop("stopped at the gateway on request; call reset")
         self._send_control(control)
-        return TriggerResponse(True, "stop sent to the gateway; call reset to go on")
+        if not self._client.is_connected():
+            return TriggerResponse(
+                False,
+                "no connection to the broker: the gateway brakes by itself, because no more commands come; call reset to go on",
+            )
+        return TriggerResponse(True, "stop sent to the gateway, plan dropped; call reset to go on")
+
+    def _on_mirror(self, request) -> SetBoolResponse:
+        try:
+            with self._lock:
+                supervisor = self._supervisor
+                sentence = supervisor.begin_mirror(now_ns()) if request.data else supervisor.end_mirror(now_ns())
+        except ReviewError as error:
+            return SetBoolResponse(False, str(error))
+        return SetBoolResponse(True, sentence)
 
     # -- reports
 
@@ -277,7 +315,7 @@ class MqttBridgeNode:
 
     def _report(self) -> tuple[int, str, dict]:
         supervisor = self._supervisor
-        level = OK if supervisor.state is LinkState.ARMED else WARN
+        level = OK if supervisor.state in (LinkState.ARMED, LinkState.MIRROR) else WARN
         values = {"session": supervisor.session, "commands sent": self._sequence, "states received": self._states}
         gateway = supervisor.status.get("counters", {}) | self._gateway_values
         values |= {f"gateway {key}": value for key, value in sorted(gateway.items())}

@@ -5,37 +5,45 @@ from __future__ import annotations
 import math
 import sys
 import threading
-from typing import Literal
+from collections import deque
+from typing import Annotated, Literal
 
 import pydantic
 import rospy
 
 from construction_twin.errors import PayloadError
-from construction_twin.gate import Gate, GateSettings, SyncState
+from construction_twin.gate import REPLAN, Gate
 from construction_twin.limits import MotionLimits
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
-from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
-from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, from_time, joint_values, now_ns
+from construction_twin.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from construction_twin.ros.joint_stream import (
+    JointPublisher,
+    JointSubscriber,
+    from_time,
+    joint_values,
+    now_ns,
+    to_time,
+)
+from construction_twin.ros.live_settings import NAMESPACE, Behaviour, LiveSettings
 from construction_twin.ros.node import run_node
-from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
+from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transition_report import TransitionReport
 from construction_twin.srv import PlanToJoints
+from construction_twin.sync_table import SyncState, Transition
 from construction_twin.units import NANOSECONDS
 
 #: Plans remembered: the one that plays, and those that were offered since.
 PLANS_KEPT = 20
 
 
-class Settings(NodeSettings):
+class Settings(Behaviour):
     """Private parameters; see config/pca_monitor.yaml."""
 
     arm: Literal["mock", "real", "none"]
     decimals: int = pydantic.Field(ge=1, le=6)
-    threshold: float = pydantic.Field(gt=0)
-    lag_allowance: float = pydantic.Field(ge=0)
-    feedback_timeout: float = pydantic.Field(gt=0)
-    agree_time: float = pydantic.Field(ge=0)
     sync_rate: float = pydantic.Field(ge=5)
+    transition_file: Annotated[str, pydantic.Field(min_length=1)]
     executor: str = "executor"
 
 
@@ -43,19 +51,17 @@ class PcaMonitorNode:
     """ROS around a Gate."""
 
     def __init__(self):
+        if rospy.has_param(f"~{NAMESPACE}"):
+            rospy.delete_param(f"~{NAMESPACE}")
         settings = read_parameters(Settings)
         self._robot = robot_from_parameters()
         names = self._robot.joint_names
+        self._compares = settings.arm != "none"
         self._gate = Gate(
             MotionLimits.of(self._robot),
             JointStringCodec.of(self._robot, settings.decimals),
-            GateSettings(
-                settings.threshold,
-                settings.lag_allowance,
-                settings.feedback_timeout,
-                settings.agree_time,
-                settings.arm != "none",
-            ),
+            settings.gate_settings(self._compares),
+            now_ns(),
         )
         self._lock = threading.Lock()
         self._session: str | None = None
@@ -64,38 +70,44 @@ class PcaMonitorNode:
         self._reported: tuple = ()
         self._plans: dict[str, Plan] = {}
         self._playing: str | None = None
+        self._changes: deque[Transition] = deque()
+        self._reporting = threading.Lock()
+        self._transitions = TransitionReport(settings.transition_file, names)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._command = JointPublisher("command/joint_states", names)
         self._sync = rospy.Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
+        self._live = LiveSettings(settings, names, self._robot.linear, self._configure, self._diagnostics.refuse)
+        self._subscribe(names, rospy.resolve_name(settings.executor))
+        self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), self._on_timer)
+
+    def _subscribe(self, names: tuple[str, ...], executor: str) -> None:
         refuse = self._diagnostics.refuse
         JointSubscriber("twin/joint_states", names, self._on_twin, refuse)
         rospy.Subscriber("physical/feedback", Feedback, self._on_feedback, queue_size=50, tcp_nodelay=True)
-        JointSubscriber("next/joint_states", names, self._on_next, refuse, rospy.resolve_name(settings.executor))
+        JointSubscriber("next/joint_states", names, self._on_next, refuse, executor)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
         rospy.Subscriber("execution", Execution, self._on_execution, queue_size=5)
         rospy.Subscriber("link", Link, self._on_link, queue_size=5)
-        self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), self._on_timer)
 
     # -- the path
 
     def _on_next(self, stamp: int, theta_next: tuple[float, ...]) -> None:
         now = now_ns()
         with self._lock:
-            was = self._gate.state
             command = self._gate.pass_next(stamp, theta_next, now)
-            self._note_closing(was)
+            self._note_changes()
         if command is not None:
             self._command.publish(stamp, command)
-        self._publish_sync(now)
+        self._publish(now)
 
     def _on_timer(self, _event) -> None:
         now = now_ns()
         with self._lock:
-            was = self._gate.state
             self._gate.watch(now)
-            self._note_closing(was)
-        self._publish_sync(now)
+            self._note_changes()
+        self._publish(now)
+        self._transitions.flush()
 
     def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
@@ -109,14 +121,23 @@ class PcaMonitorNode:
             return
         with self._lock:
             self._gate.on_physical(q, from_time(message.command_stamp), from_time(message.header.stamp))
+            self._note_changes()
+        if self._changes:
+            self._publish(now_ns())
 
     def _on_link(self, message: Link) -> None:
-        if not message.session or message.session == self._session:
-            return
+        now = now_ns()
         with self._lock:
-            if self._session is not None:
-                self._gate.restart("new command session")
-            self._session = message.session
+            self._gate.mirror(message.state == Link.MIRROR, now)
+            if message.session and message.session != self._session:
+                if self._session is not None:
+                    self._gate.restart("new command session", now)
+                self._session = message.session
+            self._note_changes()
+
+    def _configure(self, behaviour: Behaviour) -> None:
+        with self._lock:
+            self._gate.configure(behaviour.gate_settings(self._compares))
 
     # -- the re-plan
 
@@ -129,65 +150,98 @@ class PcaMonitorNode:
         # a plan that a person stops is not taken up again
         self._playing = message.plan_id if message.state == Execution.PLAYING else None
 
-    def _note_closing(self, was: SyncState) -> None:
-        """When the gate has just closed, ask once, beside the stream, for a plan from the held pose to the interrupted one's goal.
+    def _note_changes(self) -> None:
+        """Take over the gate's transitions; when it has just closed ask once, beside the stream, for a plan to the old goal.
 
-        Whoever noticed calls this before anybody can hear of it: the executor then drops the plan.
+        Whoever holds the lock calls this before anybody can hear of a change: the executor then drops the plan.
         """
-        state = self._gate.state
-        if was is not SyncState.IN_SYNC or state is SyncState.IN_SYNC:
+        if not self._gate.changed:
             return
-        rospy.logwarn("gate closed, %s: %s", state.name, self._gate.reason)
-        plan = None if state is SyncState.REFUSING else self._plans.get(self._playing)
-        if plan is not None:
-            request = self._gate.held, plan.trajectory.points[-1].positions, state.name
-            threading.Thread(target=self._request_plan, args=request, daemon=True).start()
+        changes = self._gate.take_transitions()
+        if changes[0].source is SyncState.IN_SYNC and self._gate.policy == REPLAN:
+            self._ask_for_plan(changes[0])
+            changes += self._gate.take_transitions()
+        self._changes.extend(changes)
 
-    def _request_plan(self, held: tuple[float, ...], goal: tuple[float, ...], cause: str) -> None:
+    def _ask_for_plan(self, change: Transition) -> None:
+        plan = self._plans.get(self._playing)
+        if plan is None or not self._gate.on_replan(f"a path to the goal of plan {plan.id} was asked for", change.at):
+            return
+        request = self._gate.held, plan.trajectory.points[-1].positions, change.target.name, self._gate.violations
+        threading.Thread(target=self._request_plan, args=request, daemon=True).start()
+
+    def _request_plan(self, held: tuple[float, ...], goal: tuple[float, ...], cause: str, violation: int) -> None:
         try:
             answer = self._plan_to_joints(goal=goal, start=held, source=f"re-plan after {cause}")
         except rospy.ServiceException as error:
-            rospy.logerr("re-plan failed, the planner did not answer: %s", error)
+            self._on_replan_failed(f"the planner did not answer: {error}", violation)
             return
         if answer.success:
             rospy.logwarn("re-planned from the held pose: %s; it waits for review", answer.message)
         else:
-            rospy.logerr("re-plan failed: %s", answer.message)
+            self._on_replan_failed(answer.message, violation)
+
+    def _on_replan_failed(self, problem: str, violation: int) -> None:
+        rospy.logerr("re-plan failed: %s", problem)
+        now = now_ns()
+        with self._lock:
+            # the answer may come late, in another hold
+            if self._gate.violations == violation:
+                self._gate.on_replan_failed(f"re-plan failed: {problem}", now)
+                self._note_changes()
+        self._publish(now)
 
     # -- reports
 
+    def _publish(self, now: int) -> None:
+        if self._changes:
+            with self._reporting:
+                while self._changes:
+                    self._transitions.report(self._changes.popleft())
+        self._publish_sync(now)
+
     def _publish_sync(self, now: int) -> None:
         with self._lock:
-            state = (self._gate.state, self._gate.reason, self._gate.agreed(now))
+            gate = self._gate
+            state = (gate.state, gate.reason, gate.agreed(now))
             if state == self._reported and now - self._sync_at < self._sync_period:
                 return
-            changed = state[0] is not (self._reported[0] if self._reported else None)
             self._reported, self._sync_at = state, now
             message = self._sync_message(*state)
         self._sync.publish(message)
-        if changed:
-            rospy.loginfo("%s: %s", state[0].name, state[1])
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
+        gate = self._gate
         message = Sync(
-            state=state.value, text=state.name, reason=reason, agreed=agreed, violations=self._gate.violations
+            state=state.value,
+            text=state.name,
+            reason=reason,
+            agreed=agreed,
+            policy=gate.policy,
+            violations=gate.violations,
+            held_stamp=to_time(gate.held_stamp),
         )
         message.header.stamp = rospy.Time.now()
-        message.round_trip = math.nan
-        last = self._gate.comparison.last
+        message.round_trip = message.servo_lag = math.nan
+        last = gate.comparison.last
         if last is not None:
-            message.comparison, message.round_trip = last.mode, last.round_trip
+            message.comparison, message.round_trip, message.servo_lag = last.mode, last.round_trip, last.servo_lag
             message.name, message.error, message.threshold = self._robot.joint_names, last.error, last.threshold
         return message
 
     def _report(self) -> tuple[int, str, dict]:
-        gate = self._gate
-        level = OK if gate.state is SyncState.IN_SYNC else WARN
-        return (
-            level,
-            f"{gate.state.name}: {gate.reason}",
-            {"violations": gate.violations, "refused setpoints": gate.refused},
-        )
+        gate, problem = self._gate, self._transitions.problem
+        last = gate.comparison.last
+        values = {
+            "policy": gate.policy,
+            "comparison": last.mode if last else "none yet",
+            "servo lag [s]": f"{last.servo_lag:.6f}" if last else "nan",
+            "violations": gate.violations,
+            "refused setpoints": gate.refused,
+        }
+        level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
+        sentence = f"{gate.state.name}: {gate.reason}" + (f"; {problem}" if problem else "")
+        return ERROR if problem else level, sentence, values | self._transitions.values()
 
 
 def main() -> None:

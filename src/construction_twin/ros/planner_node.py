@@ -30,10 +30,12 @@ from construction_twin.ros.convert import plan_to_msg, pose_from_msg, pose_from_
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import now_ns
 from construction_twin.ros.latest_pose import LatestPose
+from construction_twin.ros.neighbour import OtherArm, neighbour_settings
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.ros.plan_requests import plan_request, read_waypoints, tool_waypoints, trajectory_waypoints
-from construction_twin.ros.scene_convert import scene_from_msg
+from construction_twin.ros.scene_convert import scene_from_msg, tf_frame
+from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
@@ -51,7 +53,7 @@ from construction_twin.srv import (
 class Settings(PlannerSettings):
     """The node's parameters: the planner's, and what only the node needs.
 
-    Behaviour is explained in config/planner.yaml; `self_collision` and `base_frame` are given in launch/twin.launch.
+    Behaviour is explained in config/planner.yaml; `self_collision` and `tf_prefix` are given in launch/twin.launch.
 
     Attributes
     ----------
@@ -59,8 +61,8 @@ class Settings(PlannerSettings):
         [s]
     self_collision : str
         YAML of the link pairs that are not checked.
-    base_frame : str
-        tf frame that is the robot's base; empty: its `base_link`.
+    tf_prefix : str
+        What stands before the robot's `base_link` in tf; empty: nothing.
     """
 
     ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
@@ -68,7 +70,7 @@ class Settings(PlannerSettings):
     tf_timeout: Annotated[float, pydantic.Field(ge=0.0, le=60.0)]
     scene_timeout: Annotated[float, pydantic.Field(ge=0.0, le=60.0)]
     self_collision: str
-    base_frame: str
+    tf_prefix: str
 
 
 class PlannerNode:
@@ -81,13 +83,16 @@ class PlannerNode:
         self._settings = read_parameters(Settings)
         self._robot = robot_from_parameters()
         self._chain = Chain(self._robot)
+        self._beside = neighbour_settings()
         self._desk = self._open_desk()
-        self._base_frame = self._settings.base_frame or self._robot.base_link
+        self._base_frame = tf_frame(self._settings.tf_prefix, self._robot.base_link)
         # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
+        # its topics are heard from the start, its poses only while somebody asks
+        self._other = self._beside and OtherArm(self._robot.name, self._beside, self._diagnostics.refuse, streams=False)
         self._tf = tf2_ros.Buffer()
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._publisher = rospy.Publisher("plan", PlanMsg, queue_size=1, latch=True)
@@ -112,7 +117,12 @@ class PlannerNode:
             time.monotonic,
             rng,
             rospy.resolve_name("scene"),
+            self._beside and self._occupied,
         )
+
+    def _occupied(self) -> list[Obstacle]:
+        """Return what the other arm takes up, and the distance that a plan keeps from it."""
+        return [item.padded(self._beside.padding) for item in self._other.occupied(self._beside.max_pose_age)]
 
     # -- what the node listens to
 

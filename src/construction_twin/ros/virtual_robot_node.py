@@ -8,6 +8,7 @@ from typing import Literal
 
 import rospy
 
+from construction_twin.limits import MotionLimits
 from construction_twin.msg import Link
 from construction_twin.ros.cycle import cycles
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
@@ -30,10 +31,12 @@ class VirtualRobotNode:
     def __init__(self):
         settings = read_parameters(Settings)
         robot = robot_from_parameters()
-        self._robot = VirtualRobot(robot.home if settings.arm == "none" else None)
+        self._robot = VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear)
         self._lock = threading.Lock()
         self._clock = TwinClock()
+        self._limits = MotionLimits.of(robot)
         self._session: str | None = None
+        self._leads = False
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._twin = JointPublisher("twin/joint_states", robot.joint_names)
         names, refuse = robot.joint_names, self._diagnostics.refuse
@@ -59,24 +62,39 @@ class VirtualRobotNode:
             "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
         )
 
-    def _on_physical(self, _stamp: int, q: tuple[float, ...]) -> None:
+    def _on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
-            if self._robot.take_over(q):
+            if self._robot.mirrors:
+                if self._robot.follow(stamp, q) and self._clock.on_command(stamp, now_ns()):
+                    self._twin.publish(stamp, self._robot.pose)
+            elif self._robot.take_over(q):
                 rospy.loginfo("took over the physical arm's pose")
+                if self._leads:
+                    self._robot.begin_mirror(self._limits)
 
     def _on_link(self, message: Link) -> None:
-        if not message.session or message.session == self._session:
-            return
+        leads = message.state == Link.MIRROR
         with self._lock:
-            if self._session is not None:
-                self._robot.restart()
-                self._clock.restart()
-            self._session = message.session
+            begins = bool(message.session) and message.session != self._session
+            if begins:
+                # to follow the arm the twin sets out from where it is; otherwise it takes the arm's pose
+                if self._session is not None and not leads:
+                    self._robot.restart()
+                    self._clock.restart()
+                self._session = message.session
+            if leads is self._leads:
+                return
+            self._leads = leads
+            if leads:
+                self._robot.begin_mirror(self._limits)
+            else:
+                self._robot.end_mirror()
+        rospy.loginfo("follows the physical arm" if leads else "executes commands")
 
     def _report(self) -> tuple[int, str, dict]:
         if self._robot.pose is None:
             return WARN, "waiting for the physical arm's pose", {}
-        return OK, "executing", {}
+        return OK, "following the physical arm" if self._robot.mirrors else "executing", {}
 
 
 def main() -> None:

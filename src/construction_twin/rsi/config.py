@@ -35,15 +35,17 @@ class GatewayConfig:
     axes : tuple of str
         RSI axis names, e.g. ``A1``.
     lower, upper : tuple of float
-        Range [rad].
+        Range [rad]; of `linear` axes [m], and so on.
     velocity, acceleration : tuple of float
         [rad/s], [rad/s^2].
     decimals : int
-        Decimals of a degree in the joint string.
+        Decimals of a degree, and of a mm for a linear axis, in the joint string.
     properties : bool
         Whether commands carry the MQTT 5 properties session, seq and stamp.
     start_tolerance : float
-        A stream may begin this close to the held pose [rad].
+        A stream may begin this close to the held pose [rad]: axes that turn.
+    start_tolerance_linear : float
+        The same for linear axes [m].
     playout_delay : float
         Distance of the playout to the newest command when a stream begins [s].
     playout_delay_min, playout_delay_max : float
@@ -56,6 +58,14 @@ class GatewayConfig:
         A command may have travelled this much longer than the quickest one [s].
     reference : str
         ``ASPos`` or ``AIPos``: what the corrections are relative to.
+    speed_limit_deadline : float
+        A speed limit's source that is silent for longer counts as silent [s].
+    speed_limit_silent : float
+        Share of the velocity limits that holds then, 0 to 1.
+    speed_limit_grace : float
+        Time in which the sender may obey a lowered limit before the gateway enforces it [s].
+    speed_limit_backlog : float
+        How far the arm may trail a sender that does not obey before the gateway brakes [s].
     timeout : float
         Silence of the controller after which its session is over [s].
     e1_sign : int
@@ -79,6 +89,7 @@ class GatewayConfig:
     decimals: int = 3
     properties: bool = True
     start_tolerance: float = math.radians(0.05)
+    start_tolerance_linear: float = 0.0005
     playout_delay: float = 0.02
     playout_delay_min: float = 0.02
     playout_delay_max: float = 0.25
@@ -86,6 +97,10 @@ class GatewayConfig:
     silence: float = 0.1
     max_age: float = 0.5
     reference: str = "ASPos"
+    speed_limit_deadline: float = 0.5
+    speed_limit_silent: float = 0.1
+    speed_limit_grace: float = 0.5
+    speed_limit_backlog: float = 2.0
     timeout: float = 0.4
     e1_sign: int = 1
     e1_offset: float = 0.0
@@ -116,11 +131,15 @@ class GatewayConfig:
             raise ConfigurationError("smoothing_cycles", self.smoothing_cycles, "0 (off) or 2 to 10")
         for name in (
             "start_tolerance",
+            "start_tolerance_linear",
             "playout_delay",
             "playout_delay_min",
             "playout_delay_max",
             "silence",
             "max_age",
+            "speed_limit_deadline",
+            "speed_limit_grace",
+            "speed_limit_backlog",
             "timeout",
         ):
             value = getattr(self, name)
@@ -131,6 +150,9 @@ class GatewayConfig:
             raise ConfigurationError("playout_delay", self.playout_delay, bounds)
         if self.playout_delay_max >= self.max_age:
             raise ConfigurationError("playout_delay_max", self.playout_delay_max, f"less than max_age, {self.max_age}")
+        share = self.speed_limit_silent
+        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+            raise ConfigurationError("speed_limit_silent", share, "a share of the velocity limits, 0 to 1")
         self._check_rsi()
 
     def _check_rsi(self) -> None:
@@ -157,7 +179,13 @@ class GatewayConfig:
     @property
     def limits(self) -> MotionLimits:
         """The axes' limits."""
-        return MotionLimits(self.axes, self.lower, self.upper, self.velocity, self.acceleration)
+        linear = tuple(axis in self.linear for axis in self.axes)
+        return MotionLimits(self.axes, self.lower, self.upper, self.velocity, self.acceleration, linear)
+
+    @property
+    def start_tolerances(self) -> tuple[float, ...]:
+        """How close to the held pose a stream may begin, per axis [rad], [m]."""
+        return tuple(self.start_tolerance_linear if axis in self.linear else self.start_tolerance for axis in self.axes)
 
     @property
     def hash(self) -> str:

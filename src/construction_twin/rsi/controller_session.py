@@ -99,17 +99,19 @@ class ControllerSession:
                 "telegrams lack AIPos or ASPos, so nobody can tell where the correction stands: not answering; declare DEF_AIPos "
                 "and DEF_ASPos in the Ethernet XML"
             )
-        off = outside_tolerance(telegram.measured, telegram.setpoint, self._config.start_tolerance)
+        off = outside_tolerance(telegram.measured, telegram.setpoint, self._config.start_tolerances)
         if off is not None:
+            unit = "m" if self._config.axes[off] in self._config.linear else "rad"
+            distance = telegram.measured[off] - telegram.setpoint[off]
             return (
-                f"{self._config.axes[off]} is already {telegram.measured[off] - telegram.setpoint[off]:.6f} rad off its programmed "
+                f"{self._config.axes[off]} is already {distance:.6f} {unit} off its programmed "
                 "position: joined a running session, not answering; it times out, then start the program again"
             )
         self.origin = telegram.setpoint if self._config.reference == "ASPos" else telegram.measured
         return ""
 
-    def note(self, telegram: RobotTelegram) -> None:
-        """Take a telegram's poses and its count of late replies."""
+    def note(self, telegram: RobotTelegram) -> bool:
+        """Take a telegram's poses and its count of late replies; return whether its ASPos is no longer the origin."""
         delay = telegram.delay
         if delay is not None and delay != self._last_delay:
             self._counters["late_replies"] += max(0, delay - self._last_delay)
@@ -117,10 +119,18 @@ class ControllerSession:
         if telegram.measured is None or telegram.setpoint is None:
             self._counters["telegrams_without_pose"] += 1
         if telegram.measured is None or not self.origin:
-            return
+            return False
         self.measured = telegram.measured
-        if telegram.setpoint is not None and telegram.setpoint != self.origin and self._config.reference == "ASPos":
-            self._counters["reference_drifts"] += 1
+        if telegram.setpoint is None or telegram.setpoint == self.origin or self._config.reference != "ASPos":
+            return False
+        self._counters["reference_drifts"] += 1
+        return True
+
+    def move_origin(self, setpoint: tuple[float, ...], position: tuple[float, ...]) -> tuple[float, ...]:
+        """Take another programmed position [rad] as origin; return where `position` is then, with the same correction."""
+        correction = [value - start for value, start in zip(position, self.origin)]
+        self.origin = setpoint
+        return tuple([start + value for start, value in zip(setpoint, correction)])
 
     def _elapsed(self, ipoc: int, source: object) -> int | None:
         if not self.alive:

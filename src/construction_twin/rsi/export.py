@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from construction_twin.errors import ConfigurationError
+from construction_twin.errors import ConfigurationError, PayloadError
+from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.robot import RobotModel
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
@@ -31,11 +32,10 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
     Raises
     ------
     ConfigurationError
-        For an unknown key, a value that does not fit, or a linear joint: the joint string has degrees only.
+        For an unknown key, or a value that does not fit: also a range that the joint string cannot carry.
     EthernetXmlError
         If the Ethernet XML does not fit the robot.
     """
-    _refuse_linear_joints(robot)
     axes = tuple(axis.rsi for axis in robot.axes)
     settings = dict(settings)
     layout = None
@@ -48,22 +48,30 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         for axis, low, high in zip(robot.axes, robot.lower, robot.upper)
     ]
     try:
-        return GatewayConfig(
+        config = GatewayConfig(
             robot=robot.name,
             axes=axes,
             lower=tuple(low for low, _ in ends),
             upper=tuple(high for _, high in ends),
             velocity=robot.velocity,
             acceleration=robot.acceleration,
+            linear=tuple(axis.rsi for axis, linear in zip(robot.axes, robot.linear) if linear),
             layout=layout,
             **settings,
         )
     except TypeError as error:
         raise ConfigurationError("gateway", settings, f"the keys of config/gateway.yaml ({error})") from error
+    _check_format(robot, config)
+    return config
 
 
-def _refuse_linear_joints(robot: RobotModel) -> None:
-    for name, linear in zip(robot.joint_names, robot.linear):
-        if linear:
-            expected = "joints that turn: the joint string on MQTT has no metres yet"
-            raise ConfigurationError(f"joint {name}", "a linear joint", expected)
+def _check_format(robot: RobotModel, config: GatewayConfig) -> None:
+    """Refuse what could be commanded, but not be sent."""
+    codec = JointStringCodec.of(robot, config.decimals)
+    for end, q in (("lower", robot.lower), ("upper", robot.upper)):
+        try:
+            codec.encode(q)
+        except PayloadError as error:
+            raise ConfigurationError(
+                f"{end} limits of {robot.name}", q, f"a range the wire can carry ({error})"
+            ) from error

@@ -2,7 +2,7 @@
 
 One step per controller cycle. A target that the limits allow is met exactly; any other is chased inside the limits until it
 is met again (`settling`). Whatever comes in, every output lies inside the range, within velocity, and within acceleration
-plus the format's allowance (design, law 3). Standard library only; rad and rad per cycle.
+plus the format's allowance (design, law 3). Standard library only; rad and rad per cycle, m for linear joints.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from construction_twin.limits import RANGE_SLACK, MotionLimits, braking_distance
-from construction_twin.units import CYCLE, format_allowance
+from construction_twin.units import CYCLE
 
 
 def braking_step(distance: float, deceleration: float) -> float:
@@ -43,18 +43,19 @@ class Follower:
     ----------
     limits : MotionLimits
     decimals : int
-        Decimals of a degree on the wire, for the allowance.
+        Decimals on the wire, for the allowance.
     q : tuple, shape (n,)
         Start position, at rest [rad].
     """
 
     def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...]):
-        allowance = format_allowance(decimals)
         self._lower, self._upper = limits.lower, limits.upper
         self._speed = tuple(v * CYCLE for v in limits.velocity)
         self._budget = tuple(a * CYCLE * CYCLE for a in limits.acceleration)
-        self._wide_budget = tuple((a + allowance) * CYCLE * CYCLE for a in limits.acceleration)
-        self._rounding = math.radians(10.0**-decimals)
+        self._wide_budget = tuple(
+            (a + allowance) * CYCLE * CYCLE for a, allowance in zip(limits.acceleration, limits.allowances(decimals))
+        )
+        self._rounding = limits.last_digits(decimals)
         self._target = list(q)
         self._step = [0.0] * len(q)
         self.position: tuple[float, ...] = tuple(q)
@@ -85,6 +86,14 @@ class Follower:
         self.position = tuple(position)
         return self.position
 
+    def braking(self) -> tuple[tuple[float, ...], int]:
+        """Return the way of each joint to rest [rad] and how many cycles it takes, if `brake` is called in each from now on.
+
+        Near the end of a joint's range it may be less, never more.
+        """
+        ways = tuple([braking_distance(abs(step), budget) for step, budget in zip(self._step, self._budget)])
+        return ways, max(math.ceil(abs(step) / budget) for step, budget in zip(self._step, self._budget))
+
     def rest(self) -> None:
         """Take the arm to be standing at the present position, because it was not told to move on."""
         self._step = [0.0] * len(self._step)
@@ -103,14 +112,14 @@ class Follower:
         lower, upper = self._lower[index], self._upper[index]
         if not lower - RANGE_SLACK <= goal <= upper + RANGE_SLACK:
             return False
-        if abs(step) > self._speed[index] + self._rounding:
+        if abs(step) > self._speed[index] + self._rounding[index]:
             return False
         # met is met only at the target's own speed as well: who arrives faster shoots past, and with few decimals for ever
         drift = goal - self._target[index]
         if max(abs(step - self._step[index]), abs(step - drift)) > self._wide_budget[index] * (1 + 1e-9):
             return False
         # rounding can make a step look faster than the motion is; the wide budget takes that out in the first braking cycle
-        speed = abs(step) - self._rounding
+        speed = abs(step) - self._rounding[index]
         room = upper - goal if step > 0.0 else goal - lower
         return speed <= 0.0 or braking_distance(speed, self._budget[index]) <= room + RANGE_SLACK
 

@@ -40,9 +40,10 @@ from construction_twin.rsi.codec import RobotDecoder, RobotTelegram, SensorEncod
 from construction_twin.rsi.config import GatewayConfig, load_config
 from construction_twin.rsi.ethernet_xml import controller_sends_to
 from construction_twin.rsi.histogram import Histogram
-from construction_twin.rsi.log import log_beside_the_loop
+from construction_twin.rsi.log import LineLimiter, log_beside_the_loop
 from construction_twin.rsi.mode import NOTES, Mode
-from construction_twin.rsi.session import Gateway, State
+from construction_twin.rsi.session import VERBS, Gateway, State
+from construction_twin.rsi.status import StatusClock
 from construction_twin.rsi.trace import TraceWriter
 from construction_twin.rsi.udp import bind, receive
 
@@ -99,7 +100,10 @@ class GatewayService:
         client.connect_async(broker.host, broker.port, broker.keepalive)
         self._mqtt = PolledClient(client, self._selector, self._connection.failed)
         self._state_properties = broker.protocol == "5"
-        self._status_at = 0.0
+        self._status = StatusClock(_STATUS_PERIOD)
+        self._lines = LineLimiter()
+        self._speed_answer: tuple = ()
+        self._said: tuple = (None, "", False)
         self._running = True
 
     def run(self) -> None:
@@ -109,7 +113,8 @@ class GatewayService:
         """
         try:
             while self._running:
-                self._turn(self._selector.select(0.05))
+                # what TLS has decrypted already makes no socket readable
+                self._turn(self._selector.select(0.0 if self._mqtt.pending else 0.05))
             self.gateway.end("the gateway is ending")
             deadline = time.monotonic() + _LONGEST_BRAKING
             while self.gateway.state is State.BRAKING and time.monotonic() < deadline:
@@ -127,24 +132,39 @@ class GatewayService:
         self._running = False
 
     def _turn(self, events) -> None:
-        self._serve_controller()
+        answered = self._serve_controller()
         if any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events):
             self._mqtt.read()
         now = time.monotonic()
         self._mqtt.service(now)
         self.gateway.poll(time.monotonic_ns())
         if self.gateway.take_change():
-            log.info("%s: %s", self.gateway.state.value, self.gateway.reason)
+            self._log_change()
             self._publish_status()
-        elif now >= self._status_at:
+        elif self._status.is_due(now, answered):
             self._publish_status()
+
+    def _log_change(self) -> None:
+        gateway = self.gateway
+        before, self._said = self._said, (gateway.state, gateway.reason, gateway.speed.source == "silence")
+        if self._said[:2] != before[:2]:
+            self._log(logging.INFO, gateway.state.value, gateway.reason)
+        if self._said[2] and not before[2]:
+            share = gateway.speed.given
+            self._log(logging.WARNING, "speed limit", f"its source is silent; {share:g} of the limits until it speaks")
+
+    def _log(self, level: int, kind: str, text: str) -> None:
+        note = self._lines.note(kind, time.monotonic_ns())
+        if note is not None:
+            log.log(level, "%s: %s%s", kind, text, note)
 
     # -- RSI
 
-    def _serve_controller(self) -> None:
+    def _serve_controller(self) -> bool:
+        """Answer the newest telegram; return whether there was one."""
         newest = self._newest_telegram()
         if newest is None:
-            return
+            return False
         telegram, source, arrived = newest
         correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
         if correction is not None:
@@ -152,6 +172,7 @@ class GatewayService:
             self._answer(self._encoder.encode(correction, telegram.ipoc, stop), source)
             self.reply_time.add((time.time_ns() - arrived) / 1e3)
         self._publish_state()
+        return True
 
     def _newest_telegram(self) -> tuple[RobotTelegram, tuple, int] | None:
         """Drain the socket; an answer to any but the newest telegram would come too late (rsi.md, section 4).
@@ -236,10 +257,17 @@ class GatewayService:
             control = parse_control(message.payload)
         except PayloadError as error:
             self.gateway.counters[f"refused_{error.reason}"] += 1
-            log.warning("refused on control: %s", error)
+            self._log(logging.WARNING, f"refused on {error.reason}", str(error))
             return
-        ok, reason = self.gateway.on_control(control)
-        log.info("%s from session %s: %s", control.verb, control.session, reason)
+        ok, reason = self.gateway.on_control(control, time.monotonic_ns())
+        if control.verb == "speed_limit":
+            # repeated several times a second: only what is new is worth a line and an answer
+            before, self._speed_answer = self._speed_answer, (control.session, ok, reason)
+            if self._speed_answer == before:
+                return
+        verb = control.verb if control.verb in VERBS else "unknown verb"
+        kind = verb if ok else f"refused {verb}"
+        self._log(logging.INFO if ok else logging.WARNING, kind, f"session {control.session}: {reason}")
         # the state first: whoever reads the answer must not act on an older status
         self._publish_status()
         answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
@@ -256,7 +284,7 @@ class GatewayService:
         self._mqtt.client.publish(self._topics.state, payload, properties=beside)
 
     def _publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
-        self._status_at = time.monotonic() + _STATUS_PERIOD
+        self._status.sent(time.monotonic())
         if not self._mqtt.connected:
             return None
         status = self.gateway.status()

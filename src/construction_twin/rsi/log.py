@@ -6,6 +6,8 @@ import logging
 from logging.handlers import QueueHandler, QueueListener
 from queue import SimpleQueue
 
+from construction_twin.units import NANOSECONDS
+
 #: Lines that may wait for a terminal or a pipe that takes none.
 WAITING = 1000
 
@@ -47,3 +49,40 @@ def log_beside_the_loop() -> QueueListener:
     listener = QueueListener(records, handler)
     listener.start()
     return listener
+
+
+class LineLimiter:
+    """At most one line per reason and period: whoever sends rubbish must not fill the disk, nor hide what else is said.
+
+    Parameters
+    ----------
+    period : int, optional
+        [ns]
+    """
+
+    def __init__(self, period: int = NANOSECONDS):
+        self._period = period
+        # by reason: when a line was written last [ns], and how many were not since
+        self._lines: dict[str, tuple[int, int]] = {}
+
+    def note(self, reason: str, now: int) -> str | None:
+        """Take a line that is to be written at `now` [ns].
+
+        Parameters
+        ----------
+        reason : str
+            Its kind: one of few, never text that came from outside, because every kind is remembered.
+        now : int
+            [ns]
+
+        Returns
+        -------
+        note : str or None
+            What to append to the line, "" or how many like it were left out before; None when it must not be written.
+        """
+        written, left_out = self._lines.get(reason, (now - self._period, 0))
+        if now - written < self._period:
+            self._lines[reason] = written, left_out + 1
+            return None
+        self._lines[reason] = now, 0
+        return f" ({left_out} more like this since the last such line)" if left_out else ""

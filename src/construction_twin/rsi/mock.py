@@ -1,11 +1,6 @@
-"""The mock KR C4 on the network: UDP client and 4 ms clock around `mock_controller`. Runs without ROS.
+"""The mock KR C4 as a program: settings, and what is built from them. Runs without ROS; clock and socket are in `mock_network`.
 
-The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, this process can
-be: then the packets that are due follow each other by half a cycle until the grid is met again, so that the PC always has
-that long to answer, IPOC advances by 4 per packet and keeps up with time. Only after a stall longer than `CATCH_UP` are
-grid points given up. Late packets and grid points given up are counted (`overruns`, `skipped`).
-
-    python -m construction_twin.rsi.mock --help
+python -m construction_twin.rsi.mock --help
 """
 
 from __future__ import annotations
@@ -13,41 +8,28 @@ from __future__ import annotations
 import argparse
 import gc
 import logging
-import select
 import signal
-import socket
 import sys
 import threading
-import time
-from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 import pydantic
 
-from construction_twin.errors import ConfigurationError, ConstructionTwinError, TransportError
+from construction_twin.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.realtime import request_realtime
 from construction_twin.robot import RobotModel, read_robot_files
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml, read_ethernet_xml
-from construction_twin.rsi.layout import RsiLayout
+from construction_twin.rsi.layout import AxisUnit, RsiLayout
 from construction_twin.rsi.mock_controller import ForwardKinematics, MockConfig, MockController
+from construction_twin.rsi.mock_network import MockRsi
 from construction_twin.rsi.servo import IdealServo, RealisticServo, Servo
-from construction_twin.rsi.telegram import MAX_TELEGRAM
-from construction_twin.units import CYCLE_NS, NANOSECONDS, degrees, radians
+from construction_twin.units import from_wire, radians, to_wire
 
 log = logging.getLogger(__name__)
 
-#: Packets that are late by no more than this are all sent [ns].
-CATCH_UP = 25 * CYCLE_NS
-#: Shortest distance of two packets [ns].
-_CLOSEST = CYCLE_NS // 2
-#: Datagrams read before the clock is looked at again: a flood must not stop it.
-_DRAIN_LIMIT = 64
 _ROOT = Path(__file__).resolve().parents[3]
 
-Result = TypeVar("Result")
 _Degrees = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 
 
@@ -69,11 +51,16 @@ class MockSettings(pydantic.BaseModel):
     velocity_factor: Annotated[float, pydantic.Field(ge=0)] = 2.0
     acceleration_factor: Annotated[float, pydantic.Field(ge=0)] = 400.0
     first_ipoc: Annotated[int, pydantic.Field(ge=0)] = 4_208_163_634
+    e1_sign: Literal[1, -1] = 1
+    e1_offset: Annotated[float, pydantic.Field(allow_inf_nan=False)] = 0.0
+    e1_feedback_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
+    e1_correction_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
     servo: Literal["ideal", "realistic"] = "ideal"
     servo_delay_cycles: Annotated[int, pydantic.Field(ge=1)] = 3
     servo_omega: Annotated[float, pydantic.Field(gt=0)] = 60.0
     servo_zeta: Annotated[float, pydantic.Field(gt=0)] = 0.8
     encoder_resolution_deg: Annotated[float, pydantic.Field(ge=0)] = 3e-5
+    fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
     realtime_priority: Annotated[int, pydantic.Field(ge=0, le=99)] = 0
 
@@ -89,22 +76,30 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         If the start pose lies outside the range.
     """
     layout = _layout(settings)
-    ends = zip(_to_axes(robot, robot.lower), _to_axes(robot, robot.upper))
+    ends = zip(axis_angles(robot, robot.lower), axis_angles(robot, robot.upper))
     lower, upper = zip(*(sorted(pair) for pair in ends))
+
+    def listed(name: str) -> tuple[float, ...] | None:
+        values = getattr(settings, name)
+        if values and len(values) != len(robot.axes):
+            raise ConfigurationError(name, values, f"{len(robot.axes)} numbers, one per joint, or none")
+        return from_wire(values, robot.linear) if values else None
+
     config = MockConfig(
         axes=tuple(axis.rsi for axis in robot.axes),
-        start_pose=radians(settings.start_pose_deg) or _to_axes(robot, robot.home),
+        start_pose=listed("start_pose_deg") or axis_angles(robot, robot.home),
         lower=lower,
         upper=upper,
         velocity=robot.velocity,
         acceleration=robot.acceleration,
         layout=layout,
+        units=_units(settings, robot),
         precision=settings.precision,
         timeout=settings.timeout,
         cumulative_delay=settings.cumulative_delay,
-        correction_lower=radians(settings.correction_lower_deg) or None,
-        correction_upper=radians(settings.correction_upper_deg) or None,
-        correction_monitor=radians(settings.correction_monitor_deg) or None,
+        correction_lower=listed("correction_lower_deg"),
+        correction_upper=listed("correction_upper_deg"),
+        correction_monitor=listed("correction_monitor_deg"),
         velocity_factor=settings.velocity_factor,
         acceleration_factor=settings.acceleration_factor,
         first_ipoc=settings.first_ipoc,
@@ -124,6 +119,11 @@ def _layout(settings: MockSettings) -> RsiLayout | None:
     return read_ethernet_xml(settings.ethernet_xml, "Ethernet XML").layout if settings.ethernet_xml else None
 
 
+def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
+    e1 = settings.e1_sign, settings.e1_offset, settings.e1_feedback_scale, settings.e1_correction_scale
+    return tuple(AxisUnit(linear, *(e1 if axis.rsi == "E1" else ())) for axis, linear in zip(robot.axes, robot.linear))
+
+
 def build_servo(settings: MockSettings) -> Servo:
     """Build the servo model that `settings` name."""
     if settings.servo == "ideal":
@@ -133,7 +133,7 @@ def build_servo(settings: MockSettings) -> Servo:
 
 
 def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
-    """Return the function from axis angles [rad] to position [m] and A, B, C [rad] of `tip_link` in `base_link`."""
+    """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of `tip_link` in `base_link`."""
     from construction_twin.frames import rotation_to_abc
     from construction_twin.kinematics.chain import Chain  # needs PyKDL, which the pure core and its users do not
 
@@ -151,175 +151,9 @@ def joint_angles(robot: RobotModel, angles: tuple[float, ...]) -> tuple[float, .
     return tuple(axis.sign * (value - axis.offset) for axis, value in zip(robot.axes, angles))
 
 
-def _to_axes(robot: RobotModel, q: tuple[float, ...]) -> tuple[float, ...]:
+def axis_angles(robot: RobotModel, q: tuple[float, ...]) -> tuple[float, ...]:
+    """Convert joint angles of the robot to axis angles of the controller [rad], [m]."""
     return tuple(axis.sign * value + axis.offset for axis, value in zip(robot.axes, q))
-
-
-class MockRsi:
-    """Runs a mock controller against a gateway.
-
-    Parameters
-    ----------
-    controller : MockController
-    gateway : tuple of (str, int)
-        Host and UDP port of the gateway.
-    restart_after : float, optional
-        A stopped controller starts a new RSI session after this time [s]; 0 (default): it stays stopped.
-    observe : callable, optional
-        Called with this object in every cycle, right after sending; must be quick.
-    report : callable, optional
-        Called with one sentence when a session starts or stops.
-
-    Attributes
-    ----------
-    overruns : int
-        Packets that left more than half a cycle late, because this process was not run in time.
-    skipped : int
-        Grid points given up because it was not run for longer than `CATCH_UP`.
-    foreign : int
-        Datagrams that did not come from the gateway.
-    send_errors : int
-        Packets the system refused to send.
-
-    Raises
-    ------
-    TransportError
-        If the gateway's host is unknown.
-    """
-
-    def __init__(
-        self,
-        controller: MockController,
-        gateway: tuple[str, int],
-        restart_after: float = 0.0,
-        observe: Callable[[MockRsi], None] = lambda mock: None,
-        report: Callable[[str], None] = log.info,
-    ):
-        self.controller = controller
-        self.overruns = self.skipped = self.foreign = self.send_errors = 0
-        self._gateway = _resolve(*gateway)
-        self._restart_after = round(restart_after * NANOSECONDS)
-        self._observe = observe
-        self._report = report
-        self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
-        self._socket: socket.socket | None = None
-        self._session = 0
-        self._stopped_at: int | None = None
-
-    @property
-    def counters(self) -> dict[str, int]:
-        """The controller's counters and those of the transport."""
-        names = ("overruns", "skipped", "foreign", "send_errors")
-        return self.controller.counters | {name: getattr(self, name) for name in names}
-
-    def request(self, action: Callable[[], Result], timeout: float = 1.0) -> Result:
-        """Run `action` between two cycles of the loop and return its result; for other threads.
-
-        Raises
-        ------
-        TimeoutError
-            If the loop does not get to it within `timeout` [s].
-        """
-        future: Future = Future()
-        self._requests.put((action, future))
-        return future.result(timeout)
-
-    def run(self, stop: threading.Event) -> None:
-        """Run until `stop` is set; at most one cycle longer."""
-        try:
-            due = time.monotonic_ns()
-            while not stop.is_set():
-                self._serve_requests()
-                self._follow_session(due)
-                packet = self.controller.begin_cycle()
-                if packet is not None:
-                    self._send(packet)
-                sent = time.monotonic_ns()
-                due = self._next_due(due, sent)
-                self._observe(self)
-                self._receive_until(max(due, sent + _CLOSEST))
-        finally:
-            if self._socket is not None:
-                self._socket.close()
-
-    def _serve_requests(self) -> None:
-        while True:
-            try:
-                action, future = self._requests.get_nowait()
-            except Empty:
-                return
-            try:
-                future.set_result(action())
-            except ConstructionTwinError as error:
-                future.set_exception(error)
-
-    def _follow_session(self, now: int) -> None:
-        """Restart when due; every session gets a port of its own."""
-        controller = self.controller
-        if not controller.running:
-            if self._stopped_at is None:
-                self._stopped_at = now
-                self._report(f"RSI session {controller.session} stopped: {controller.reason}")
-            if self._restart_after and now - self._stopped_at >= self._restart_after:
-                controller.restart()
-        if controller.running:
-            self._stopped_at = None
-        if controller.session != self._session:
-            self._session = controller.session
-            self._open_socket()
-            self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
-
-    def _open_socket(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        # an unused port of the system's choice on all addresses, as the controller does it
-        self._socket.bind(("", 0))
-
-    def _send(self, packet: bytes) -> None:
-        try:
-            self._socket.sendto(packet, self._gateway)
-        except OSError:
-            # e.g. no route: a controller does not notice, its replies just stay away
-            self.send_errors += 1
-
-    def _next_due(self, due: int, sent: int) -> int:
-        late = sent - due
-        self.overruns += late > _CLOSEST
-        skipped = late // CYCLE_NS if late > CATCH_UP else 0
-        self.skipped += skipped
-        return due + (1 + skipped) * CYCLE_NS
-
-    def _receive_until(self, deadline: int) -> None:
-        remaining = deadline - time.monotonic_ns()
-        while True:
-            # select: poll and epoll count in whole milliseconds
-            select.select([self._socket], [], [], max(0, remaining) / NANOSECONDS)
-            self._drain()
-            remaining = deadline - time.monotonic_ns()
-            if remaining <= 0:
-                return
-
-    def _drain(self) -> None:
-        for _ in range(_DRAIN_LIMIT):
-            try:
-                data, source = self._socket.recvfrom(MAX_TELEGRAM)
-            except BlockingIOError:
-                return
-            if source == self._gateway:
-                self.controller.receive(data)
-            else:
-                self.foreign += 1
-
-
-def _resolve(host: str, port: int) -> tuple[str, int]:
-    try:
-        return socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
-    except OSError as error:
-        raise TransportError(
-            f"gateway host {host!r} port {port}: {error}; give an IPv4 address or a known name"
-        ) from error
 
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
@@ -339,7 +173,13 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         metavar="HOST:PORT",
         help="where packets go; port 0: the Ethernet XML's [%(default)s]",
     )
-    option("--start", dest="start_pose_deg", type=_pose, metavar="DEG,...", help="start pose of the axes [deg] [home]")
+    option(
+        "--start",
+        dest="start_pose_deg",
+        type=_pose,
+        metavar="DEG,...",
+        help="start pose of the axes [deg], linear ones [mm], as the robot's joints are ordered [home]",
+    )
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
     option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")
     option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
@@ -373,7 +213,7 @@ def main(argv: list[str] | None = None) -> int:
         robot = read_robot_files(options.pop("robot_xacro"), options.pop("robot_config"))
         settings = _settings(options)
         controller = build_controller(settings, robot)
-        mock = MockRsi(controller, gateway_address(settings), settings.restart_after)
+        mock = MockRsi(controller, gateway_address(settings), settings.restart_after, fault_seed=settings.fault_seed)
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
@@ -383,8 +223,8 @@ def main(argv: list[str] | None = None) -> int:
     log.info(request_realtime(settings.realtime_priority))
     gc.freeze()  # a full collection over every imported module takes longer than a cycle
     mock.run(stop)
-    where = ", ".join(f"{value:.4f}" for value in degrees(controller.measured))
-    log.info("axes [deg] %s; %s", where, mock.counters)
+    where = ", ".join(f"{value:.4f}" for value in to_wire(controller.measured, robot.linear))
+    log.info("axes [deg, mm] %s; %s", where, mock.counters)
     return 0
 
 

@@ -12,8 +12,8 @@ reply k. Before the first valid reply the setpoint is the start pose.
 What it does: IPOC +4 ms per packet from a large start value; a reply is valid only with the IPOC of the open cycle;
 `Delay`; `Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE`
 corrections clamped by AXISCORR, supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration; the
-STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; constant ASPos and RSol. What it does not: brake. A stopped arm
-stands where it is.
+STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol constant, but for a program of its own; an E-stop
+with its ramp; T1. What it does not: brake for any other reason. A stopped arm stands where it is.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from construction_twin.errors import ConfigurationError, TelegramError
+from construction_twin.errors import ConfigurationError, FaultError, TelegramError
 from construction_twin.motion_errors import JointRangeError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import check_axes
 from construction_twin.rsi.layout import STOP, AxisUnit, RsiLayout
+from construction_twin.rsi.mock_encoder import Encoders
+from construction_twin.rsi.mock_motion import OwnMotion
 from construction_twin.rsi.servo import Servo
 from construction_twin.units import CYCLE
 
@@ -117,7 +119,7 @@ class MockConfig:
 _BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
 
 
-class MockController:
+class MockController(OwnMotion):
     """One mock controller; see the module for what it does and when.
 
     Parameters
@@ -146,6 +148,10 @@ class MockController:
         layout is ours: rsi.md gives none.
     start_pose, setpoint, measured : tuple of float, length n
         Programmed pose of the session, present setpoint, measured axes [rad].
+    encoders : Encoders
+        Between the measured axes and what is reported.
+    reported, true : tuple of float, length n
+        What the last packet reports of the axes, and where they really are, which only a fault of an encoder tells apart [rad].
     applied : tuple of float, length n
         Correction in effect, after clamping [rad].
     correction_lower, correction_upper, correction_monitor : tuple of float, length n
@@ -156,7 +162,7 @@ class MockController:
 
     #: packets sent; valid replies; missed cycles; replies to an earlier packet of the session; replies to no packet;
     #: further replies to a packet; unusable replies; replies for another SENTYPE; cycles with a clamped correction; replies
-    #: while stopped
+    #: while stopped; replies ignored on purpose
     COUNTERS = (
         "packets",
         "replies",
@@ -168,11 +174,15 @@ class MockController:
         "wrong_sentype",
         "clamped",
         "unexpected",
+        "ignored",
     )
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
+        super().__init__()
         self.config = config
         self.servo = servo
+        self.encoders = Encoders(len(config.axes))
+        self.reported: tuple[float, ...] = config.start_pose
         self._forward_kinematics = forward_kinematics
         layout = config.layout
         self._encoder = RobotEncoder(config.axes, config.precision, layout.send, config.units)
@@ -196,21 +206,33 @@ class MockController:
         """Measured axis positions [rad], shape (n,)."""
         return self.servo.measured
 
+    @property
+    def true(self) -> tuple[float, ...]:
+        """Where the axes really are [rad], shape (n,)."""
+        return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
+
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new RSI session, ending the present one if there is one.
 
         Parameters
         ----------
         pose : sequence of float, length n, optional
-            Start pose [rad]; default: where the arm is, brought inside the soft limits.
+            Start pose [rad]; default: what the encoders report, brought inside the soft limits.
 
         Raises
         ------
+        FaultError
+            If the emergency stop is pressed.
         JointRangeError
             If `pose` lies outside the soft limits.
         """
+        if self.pressed:
+            raise FaultError(
+                "restart", "the emergency stop is pressed", "a released one: inject `estop` with `on` false"
+            )
         if pose is None:
-            pose = _clamp(self.measured, self.config.lower, self.config.upper)
+            pose = _clamp(self.reported, self.config.lower, self.config.upper)
+        self._check_range(pose)
         self._start_session(tuple(pose), self.ipoc + self.config.restart_gap)
 
     def begin_cycle(self) -> bytes | None:
@@ -221,18 +243,20 @@ class MockController:
         packet : bytes or None
             The datagram to send; None when RSI has stopped.
         """
+        if self.running and self._open:
+            self._close_cycle()
+            self.ipoc += IPOC_STEP * self.running
+        elif not self.running:
+            self._move_without_session()
+        measured = self.measured
+        self.reported = self.encoders.read(measured) if self.encoders.active else measured
         if not self.running:
             return None
-        if self._open:
-            self._close_cycle()
-            if not self.running:
-                return None
-            self.ipoc += IPOC_STEP
         self._open = True
         self._reply = None
         self.counters["packets"] += 1
-        pose = _flat(self._forward_kinematics(self.measured))
-        return self._encoder.encode(self.ipoc, self.measured, self.start_pose, pose, self._start_tool, self.delay)
+        pose = _flat(self._forward_kinematics(self.reported))
+        return self._encoder.encode(self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay)
 
     def receive(self, data: bytes) -> bool:
         """Take one datagram that arrived during the open cycle.
@@ -248,6 +272,8 @@ class MockController:
         """
         if not self.running or self._decoder is None:
             return self._count("unexpected")
+        if self.deaf:
+            return self._count("ignored")
         try:
             telegram = self._decoder.parse(data)
         except TelegramError as error:
@@ -262,27 +288,9 @@ class MockController:
         self.counters["replies"] += 1
         return True
 
-    def stall(self, axis: str, stalled: bool) -> None:
-        """Block an axis, or release it: it then catches up within its velocity and acceleration limits.
-
-        Raises
-        ------
-        ConfigurationError
-            If there is no such axis.
-        """
-        if axis not in self.config.axes:
-            raise ConfigurationError("axis", axis, f"one of {', '.join(self.config.axes)}")
-        index = self.config.axes.index(axis)
-        if stalled:
-            self.servo.stall(index)
-        else:
-            self.servo.release(index, self.config.velocity[index], self.config.acceleration[index])
-
     def _start_session(self, pose: tuple[float, ...], ipoc: int) -> None:
         config = self.config
-        for axis, value, lower, upper in zip(config.axes, pose, config.lower, config.upper):
-            if not lower - _RANGE_SLACK <= value <= upper + _RANGE_SLACK:
-                raise JointRangeError(axis, value, lower, upper)
+        self._check_range(pose)
         self.session += 1
         self.running, self.reason, self.flag = True, "", False
         self.ipoc = self._first_ipoc = ipoc
@@ -302,14 +310,27 @@ class MockController:
         self._open, self._reply = False, None
         self._start_tool = _flat(self._forward_kinematics(pose))
         self.servo.reset(pose)
+        self.encoders.absorb()
+        self._begin_own_motion(pose)
+
+    def _check_range(self, pose: Sequence[float]) -> None:
+        for axis, value, lower, upper in zip(self.config.axes, pose, self.config.lower, self.config.upper):
+            if not lower - _RANGE_SLACK <= value <= upper + _RANGE_SLACK:
+                raise JointRangeError(axis, value, lower, upper)
 
     def _close_cycle(self) -> None:
+        if self.program is not None:
+            self.start_pose = self._programmed_pose()
+            self._start_tool = _flat(self._forward_kinematics(self.start_pose))
         if self._decoder is None:
+            self.setpoint = self.start_pose
             # ONLYSEND: RSI_MOVECORR is not called, nothing is expected, nothing is corrected
             self.servo.step(self.setpoint)
             return
         correction = self._missed_reply() if self._reply is None else self._valid_reply()
         setpoint = tuple(start + value for start, value in zip(self.start_pose, correction))
+        if self._tool_limit is not None:
+            setpoint = self._limited(setpoint)
         fault = self._fault(correction, setpoint)
         if fault:
             self._stop(fault)

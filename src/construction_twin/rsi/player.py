@@ -6,6 +6,7 @@ from collections import Counter
 
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.follower import Follower
+from construction_twin.rsi.governor import Governor
 from construction_twin.rsi.playout import Playout, PlayoutBounds
 from construction_twin.rsi.smoothing import Smoother
 from construction_twin.units import CYCLE_NS, NANOSECONDS
@@ -24,20 +25,32 @@ class Player:
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
         self._config = config
         self._counters = counters
-        self._playout = Playout(PlayoutBounds.of(config))
+        self._playout = Playout(PlayoutBounds.of(config), Governor(config.limits, config.decimals))
         self._smoother = Smoother(config.smoothing_cycles) if config.smoothing_cycles else None
         self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: tuple[str, int, int] | None = None
         self._smoothing_ms = config.smoothing_cycles * CYCLE_NS / 1e6
+        #: Share of the velocity limits at which the arm may move.
+        self.share = 1.0
         #: Stands at the position last sent; None without an origin.
         self.follower: Follower | None = None
         #: Stamp of the target last played [ns]; 0 for none.
         self.stamp = 0
 
     @property
-    def silence(self) -> int:
-        """How far playout time has run past the newest command [ns]; 0 while commands are ahead of it."""
-        return self._playout.silence
+    def overdue(self) -> int:
+        """How long the next command is overdue [ns]; 0 while there is one. A speed limit does not make it later."""
+        return self._playout.overdue
+
+    @property
+    def backlog(self) -> float:
+        """How much motion a speed limit has put off [s], in the sender's time."""
+        return self._playout.backlog / NANOSECONDS
+
+    def limit(self, share: float) -> None:
+        """Play so slowly that every joint keeps to this share of its velocity limit, 0 to 1."""
+        self.share = share
+        self._playout.limit(share)
 
     def place(self, position: tuple[float, ...]) -> None:
         """Stand at `position` [rad], at rest."""

@@ -12,8 +12,9 @@ from collections import deque
 from dataclasses import dataclass
 
 from construction_twin.rsi.arrivals import Arrivals
+from construction_twin.rsi.governor import Governor
 from construction_twin.rsi.interpolation import Pose, interpolate
-from construction_twin.rsi.slew import CALM, URGENT, Slew
+from construction_twin.rsi.slew import CALM, CATCH_UP, URGENT, Slew
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: Part of the delay that is not for jitter: a command waits up to a cycle for its telegram, and the cubic needs the command after
@@ -58,10 +59,14 @@ class Playout:
     Parameters
     ----------
     bounds : PlayoutBounds
+    governor : Governor, optional
+        Slows playout time while a speed limit asks for it; None: nothing can.
     """
 
-    def __init__(self, bounds: PlayoutBounds):
+    def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None):
         self.bounds = bounds
+        self._governor = governor
+        self._governed = False
         self._commands: deque[tuple[int, Pose]] = deque()
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
         self._slew = Slew()
@@ -79,6 +84,10 @@ class Playout:
         self._now = 0
         self._clock = 0
         self._resting = 0
+        self._put_off = 0
+        if self._governor is not None:
+            self._governor.restart()
+            self._governed = self._governor.active
         self.delay = self.bounds.delay(self._arrivals.learned)
 
     @property
@@ -92,13 +101,44 @@ class Playout:
         return max(0, self._now - self._newest)
 
     @property
+    def overdue(self) -> int:
+        """How far playout time would have run past the newest command [ns] if no speed limit had slowed it; not below 0.
+
+        A sender that falls silent is noticed no later because the arm trails it.
+        """
+        return max(0, self._now + self._put_off - self._newest)
+
+    @property
+    def put_off(self) -> int:
+        """How far a speed limit has made playout time trail [ns]."""
+        return self._put_off
+
+    @property
+    def backlog(self) -> int:
+        """How much motion, in the sender's time, a speed limit has put off [ns]; rest that is still to come does not count."""
+        commands = self._commands
+        if not self._put_off or not commands:
+            return 0
+        moving, last = 0, commands[0]
+        for command in commands:
+            if command[1] != last[1]:
+                moving += command[0] - max(last[0], self._now)
+            last = command
+        return min(self._put_off, max(0, moving))
+
+    def limit(self, share: float) -> None:
+        """Allow every joint this share of its velocity limit, 0 to 1; the path stays the same."""
+        self._governor.limit(share)
+        self._governed = self._governor.active
+
+    @property
     def shortfall(self) -> int:
         """How late the next command already is against the quickest ones [ns]."""
         return self._arrivals.high - (self._newest - self._clock)
 
     def lead(self, stamp: int) -> int:
-        """Return how far `stamp` [ns] lies ahead of playout time [ns]."""
-        return stamp - self._now
+        """Return how far `stamp` [ns] lies ahead of playout time [ns], without what a speed limit has put off."""
+        return stamp - self._now - self._put_off
 
     def push(self, stamp: int, q: Pose, waited: int = 0) -> bool:
         """Append a command that is newer than all before.
@@ -122,7 +162,13 @@ class Playout:
             self._now = stamp - self.delay
             self._newest = stamp
         self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
-        commands.append((stamp, q))
+        if self._put_off and self._resting > 3 and len(commands) > 3:
+            # of a rest that waits its begin and its end are kept: a limit of 0 may hold for hours
+            self._resting -= 1
+            commands[-2] = commands[-1]
+            commands[-1] = stamp, q
+        else:
+            commands.append((stamp, q))
         self._arrivals.note_command(self._newest - self._clock, stamp - self._clock - waited)
         self._newest = stamp
         return stamp > self._now
@@ -155,15 +201,21 @@ class Playout:
         q : tuple, shape (n,)
             Target [rad].
         """
+        before = self._now
         self._now += elapsed
         self._clock += elapsed
         if self._arrivals.note_telegram(self._newest - self._clock, self._clock):
             self._choose_delay()
         if self._slew.moving:
             self._move()
+        if self._governed:
+            self._hold_back(before, elapsed)
         now, commands = self._now, self._commands
         while len(commands) > 1 and commands[1][0] <= now:
             self._before = commands.popleft()
+        if self._put_off:
+            self._skip_rest()
+            now = self._now
         start = commands[0]
         if now <= start[0] or len(commands) == 1:
             return start
@@ -177,6 +229,7 @@ class Playout:
             "jitter_ms": self._arrivals.observed / 1e6,
             "lead_ms": (self._newest - self._now) / 1e6,
             "to_move_ms": self._slew.remaining / 1e6,
+            "put_off_ms": self._put_off / 1e6,
             "rate_percent": 100.0 * self._slew.rate,
             "drift_ppm": None if drift is None else round(drift, 1),
         }
@@ -208,3 +261,47 @@ class Playout:
             self._slew.clear()
         else:
             self._now += self._slew.step(self._pace)
+        if self._put_off:
+            self._put_off = max(0, min(self._put_off, self._slew.remaining))
+
+    def _hold_back(self, before: int, elapsed: int) -> None:
+        """Take back what of a cycle's advance the speed limit does not allow; it is made up for as a delay that is too long."""
+        commands = self._commands
+        if before < commands[0][0] or self._rests:
+            self._governor.restart()
+        else:
+            wanted = self._now - before
+            advance = self._governor.advance(commands, wanted, elapsed, lambda step: self._target(before + step))
+            if advance < wanted:
+                self._now = before + advance
+                self._slew.remaining += wanted - advance
+                self._put_off += wanted - advance
+                self._pace = CATCH_UP
+        self._governed = self._governor.active
+
+    def _target(self, stamp: int) -> Pose:
+        """Return the pose at a stamp [ns] not far ahead of playout time, without moving on."""
+        commands, before = self._commands, self._before
+        index = 0
+        while index + 1 < len(commands) and commands[index + 1][0] <= stamp:
+            before = commands[index]
+            index += 1
+        start = commands[index]
+        if stamp <= start[0] or index + 1 == len(commands):
+            return start[1]
+        after = commands[index + 2] if index + 2 < len(commands) else None
+        return interpolate(stamp, start, commands[index + 1], before, after)
+
+    def _skip_rest(self) -> None:
+        """Go through a rest that has been put off at once: moving the time of what stands still moves nothing."""
+        commands = self._commands
+        while self._put_off and len(commands) > 2 and self._before is not None and self._now >= commands[0][0]:
+            if not self._before[1] == commands[0][1] == commands[1][1] == commands[2][1]:
+                return
+            hop = min(self._put_off, commands[1][0] - self._now)
+            self._now += hop
+            self._put_off -= hop
+            self._slew.remaining -= hop
+            if self._now < commands[1][0]:
+                return
+            self._before = commands.popleft()

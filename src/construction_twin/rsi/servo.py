@@ -18,33 +18,34 @@ from construction_twin.units import CYCLE
 
 
 class Servo(ABC):
-    """A servo model with joints that can be stalled.
+    """A servo model with joints that can be stalled or slow.
 
     A stalled joint's measured position stands still whatever its setpoint does. Released, its reference sets out from there
     at rest and approaches the setpoint within velocity and acceleration limits; once it has met the setpoint, position and
-    speed, it follows it directly again.
+    speed, it follows it directly again. A slow joint does the same all the time, with a lower velocity.
     """
 
     def __init__(self) -> None:
         self._measured: tuple[float, ...] = ()
         self._setpoint: tuple[float, ...] = ()
+        self._last_setpoint: tuple[float, ...] = ()
         self._stalled: set[int] = set()
-        self._catching_up: dict[int, _CatchUp] = {}
+        self._slow: dict[int, float] = {}
+        self._chases: dict[int, Chase] = {}
 
     @property
     def measured(self) -> tuple[float, ...]:
         """Measured position [rad], shape (n,)."""
         return self._measured
 
-    @property
-    def stalled(self) -> frozenset[int]:
-        """Indices of the joints that are stalled now."""
-        return frozenset(self._stalled)
-
     def reset(self, q: Sequence[float]) -> None:
-        """Start at rest at `q` [rad], shape (n,); stalled joints stay stalled, there."""
-        self._catching_up.clear()
-        self._setpoint = tuple(q)
+        """Start at rest at `q` [rad], shape (n,); stalled joints stay stalled, there, and slow ones slow."""
+        self._setpoint = self._last_setpoint = tuple(q)
+        self._chases = {
+            joint: Chase(q[joint], q[joint], 0.0, self._slow[joint], chase.acceleration)
+            for joint, chase in self._chases.items()
+            if joint in self._slow
+        }
         self._start(self._setpoint)
         self._measured = self._respond(self._setpoint)
 
@@ -64,17 +65,18 @@ class Servo(ABC):
         reference = list(setpoint)
         for joint in self._stalled:
             reference[joint] = self._measured[joint]
-        for joint, catch_up in tuple(self._catching_up.items()):
-            reference[joint] = catch_up.step(setpoint[joint])
-            if catch_up.done:
-                del self._catching_up[joint]
-        self._setpoint = tuple(setpoint)
+        for joint, chase in tuple(self._chases.items()):
+            chase.aim(setpoint[joint])
+            reference[joint] = chase.move()
+            if chase.met and joint not in self._slow:
+                del self._chases[joint]
+        self._last_setpoint, self._setpoint = self._setpoint, tuple(setpoint)
         self._measured = self._respond(tuple(reference))
         return self._measured
 
     def stall(self, joint: int) -> None:
         """Freeze the measured position of the joint with index `joint`."""
-        self._catching_up.pop(joint, None)
+        self._chases.pop(joint, None)
         self._stalled.add(joint)
         self._freeze(joint, self._measured[joint])
 
@@ -86,11 +88,31 @@ class Servo(ABC):
         joint : int
             Index of the joint.
         velocity, acceleration : float
-            Limits of the approach [rad/s], [rad/s^2].
+            Limits of the approach [rad/s], [rad/s^2]; of a slow joint its own velocity.
         """
         if joint in self._stalled:
             self._stalled.remove(joint)
-            self._catching_up[joint] = _CatchUp(self._measured[joint], self._setpoint[joint], velocity, acceleration)
+            velocity = self._slow.get(joint, velocity)
+            self._chases[joint] = Chase(self._measured[joint], self._setpoint[joint], 0.0, velocity, acceleration)
+
+    def limit(self, joint: int, velocity: float, acceleration: float) -> None:
+        """Make a joint slow: its reference follows the setpoint within these limits [rad/s], [rad/s^2]."""
+        self._slow[joint] = velocity
+        if joint not in self._stalled:
+            self._chase(joint, velocity, acceleration)
+
+    def unlimit(self, joint: int, velocity: float, acceleration: float) -> None:
+        """Let a slow joint catch up with its setpoint within limits [rad/s], [rad/s^2]; no effect on one that is not slow."""
+        if self._slow.pop(joint, None) is not None and joint in self._chases:
+            self._chase(joint, velocity, acceleration)
+
+    def _chase(self, joint: int, velocity: float, acceleration: float) -> None:
+        """Begin a chase, from the present reference and at its present speed."""
+        setpoint = self._setpoint[joint]
+        position, step = setpoint, setpoint - self._last_setpoint[joint]
+        if joint in self._chases:
+            position, step = self._chases[joint].position, self._chases[joint].step
+        self._chases[joint] = Chase(position, setpoint, step, velocity, acceleration)
 
     @abstractmethod
     def _start(self, q: tuple[float, ...]) -> None:
@@ -179,32 +201,65 @@ class RealisticServo(Servo):
         return round(position / self._resolution) * self._resolution
 
 
-class _CatchUp:
-    """A reference that approaches a moving setpoint within limits; angles in rad, one step per cycle."""
+class Chase:
+    """A reference that approaches a moving setpoint within limits; one `aim` and one `move` per cycle.
 
-    def __init__(self, position: float, setpoint: float, velocity: float, acceleration: float):
-        self._position = position
+    Parameters
+    ----------
+    position, setpoint : float
+        Where it begins, and the setpoint of that cycle [rad].
+    step : float
+        Its last step [rad per cycle].
+    velocity, acceleration : float
+        Limits [rad/s], [rad/s^2]. Who begins faster brakes within `acceleration` to `velocity`.
+
+    Attributes
+    ----------
+    met : bool
+        True when the last `aim` met the setpoint, position and speed.
+    """
+
+    def __init__(self, position: float, setpoint: float, step: float, velocity: float, acceleration: float):
+        self.position, self.step = position, step
+        self.acceleration = acceleration
+        self.met = False
         self._setpoint = setpoint
+        self._aimed = 0.0
         self._speed = velocity * CYCLE
         self._budget = acceleration * CYCLE * CYCLE
-        self._last_step = 0.0
-        self.done = False
 
-    def step(self, setpoint: float) -> float:
+    def aim(self, setpoint: float) -> float:
+        """Take the setpoint of this cycle [rad]; return the step that the limits allow towards it [rad]."""
         drift = setpoint - self._setpoint
         self._setpoint = setpoint
-        ahead = setpoint - self._position
-        meets = abs(ahead - self._last_step) <= self._budget and abs(ahead - drift) <= self._budget
-        if meets and abs(ahead) <= self._speed:
-            self.done = True
-            self._position = setpoint
-            return setpoint
-        behind = ahead - drift
-        wanted = drift + math.copysign(braking_step(abs(behind), self._budget), behind)
-        wanted = min(max(wanted, -self._speed), self._speed)
-        self._last_step = min(max(wanted, self._last_step - self._budget), self._last_step + self._budget)
-        self._position += self._last_step
-        return self._position
+        ahead = setpoint - self.position
+        self.met = (
+            abs(ahead - self.step) <= self._budget
+            and abs(ahead - drift) <= self._budget
+            and abs(ahead) <= self._speed * (1 + 1e-9)
+        )
+        self._aimed = ahead
+        if not self.met:
+            behind = ahead - drift
+            wanted = drift + math.copysign(braking_step(abs(behind), self._budget), behind)
+            self._aimed = self.within_budget(min(max(wanted, -self._speed), self._speed))
+        return self._aimed
+
+    def within_budget(self, step: float) -> float:
+        """Return `step` [rad], brought within one cycle's acceleration of the last one."""
+        return min(max(step, self.step - self._budget), self.step + self._budget)
+
+    def move(self, step: float | None = None) -> float:
+        """Take the step that `aim` allowed, or another one [rad]; return the new position [rad]."""
+        if step is not None:
+            self.met = False
+        elif self.met:
+            # the setpoint itself: a sum could differ from it in the last bit
+            self.step, self.position = self._aimed, self._setpoint
+            return self.position
+        self.step = self._aimed if step is None else step
+        self.position += self.step
+        return self.position
 
 
 def _transition(omega: float, zeta: float, period: float) -> tuple[tuple[float, float], tuple[float, float]]:

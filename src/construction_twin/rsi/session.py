@@ -10,17 +10,19 @@ from collections import Counter
 from collections.abc import Callable
 
 from construction_twin.errors import MotionRefused, PayloadError
-from construction_twin.limits import MotionCheck, outside_tolerance
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties
 from construction_twin.rsi.codec import RobotTelegram
-from construction_twin.rsi.command_stream import CommandStream
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.controller_session import ControllerSession
+from construction_twin.rsi.intake import CommandIntake, StreamBroken
 from construction_twin.rsi.mode import NOTES, Mode
 from construction_twin.rsi.ownership import Ownership
 from construction_twin.rsi.player import Player
+from construction_twin.rsi.speed_limit import SpeedLimit
 from construction_twin.rsi.state import State
+from construction_twin.rsi.status import gateway_status
+from construction_twin.rsi.stop_report import StopReport
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. A single missed telegram is less of a
@@ -28,6 +30,9 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 STANDSTILL = 2 * CYCLE_NS
 #: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
 LONGEST_REFUSAL = 300
+
+#: What a `control` message may ask for.
+VERBS = ("arm", "stop", "reset", "end", "speed_limit")
 
 
 class Gateway:
@@ -45,7 +50,7 @@ class Gateway:
         self.mode = Mode.of(config, commissioning)
         #: The last correction, as it would be without commissioning mode [rad], [m].
         self.correction: tuple[float, ...] = ()
-        self.codec = JointStringCodec(len(config.axes), config.decimals)
+        self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
         self.state = State.NO_CONTROLLER
         self.reason = "no telegram yet"
@@ -56,9 +61,11 @@ class Gateway:
         self.trace: Callable[[int, int, State, int, tuple[float, ...]], None] | None = None
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
-        self._stream = CommandStream(config, self.codec)
-        self._check = MotionCheck(config.limits, config.decimals)
         self._player = Player(config, self.counters)
+        self._stream = CommandIntake(config, self.codec, self._player)
+        #: How fast the arm may move, as somebody outside says.
+        self.speed = SpeedLimit(config)
+        self._stopping = StopReport(config.limits.linear)
         self._silence = round(config.silence * NANOSECONDS)
         self._answered_stamp = 0
         self._ending = False
@@ -108,10 +115,13 @@ class Gateway:
         player = self._player
         if player.follower is None:
             self._find_origin(telegram)
-        controller.note(telegram)
+        drifted = controller.note(telegram)
         if player.follower is None:
             self.counters["telegrams_unanswered" if self.state is State.JOINED else "telegrams"] += 1
             return None if self.state is State.JOINED else (0.0,) * len(self.config.axes)
+        if drifted and (self.state is State.READY or self.state is State.ARMED):
+            # a program of the controller moves the arm: nobody commands it here, so what is held goes with it
+            player.place(controller.move_origin(telegram.setpoint, player.follower.position))
         self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
         if elapsed > STANDSTILL:
@@ -124,7 +134,8 @@ class Gateway:
         return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
 
     def poll(self, now: int) -> None:
-        """Notice that the controller has fallen silent; call this at least every 0.1 s."""
+        """Notice silence, of the controller or of a speed limit's source; call this at least every 0.1 s."""
+        self._poll_speed_limit(now)
         if self._controller.is_silent(now):
             self._controller.end()
             self._player.remove()
@@ -177,14 +188,15 @@ class Gateway:
     def _move(self, elapsed: int) -> tuple[float, ...]:
         if self.state is State.FOLLOWING:
             position = self._player.play(elapsed)
-            silence = self._player.silence
-            if silence > self._silence:
+            overdue = self._player.overdue
+            if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
-                self._brake("silence", f"no command for {silence / NANOSECONDS:.3f} s beyond the newest one")
+                self._brake("silence", f"no command for {overdue / NANOSECONDS:.3f} s beyond the newest one")
             return position
         follower = self._player.follower
         if self.state is State.BRAKING:
             position = follower.brake()
+            self._stopping.advance(follower, elapsed)
             if follower.at_rest:
                 self._enter(State.HOLDING, self.reason)
             return position
@@ -194,6 +206,9 @@ class Gateway:
         self.counters[f"stops_{cause}"] += 1
         self.fault = self.fault or cause != "silence"
         self._disarm()
+        if self.state is not State.BRAKING:
+            # asked again while it brakes, what was stated holds
+            self._stopping.begin(cause, self._player.follower)
         self._enter(State.BRAKING, f"{cause}: {reason}")
 
     # -- the command side
@@ -223,6 +238,8 @@ class Gateway:
             self._note_refusal(refusal.reason, refusal)
             if self.state is State.FOLLOWING:
                 self._brake("refused", str(refusal))
+        except StreamBroken as broken:
+            self._brake(broken.cause, str(broken))
 
     def _note_refusal(self, reason: str, error: Exception) -> None:
         self.counters[f"refused_{reason}"] += 1
@@ -237,10 +254,6 @@ class Gateway:
     def _read_command(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
     ) -> tuple[int, tuple[float, ...]]:
-        if isinstance(properties, PayloadError):
-            raise properties
-        if self.config.properties and properties is None:
-            raise PayloadError("properties", "command without session, seq and stamp")
         if self.state is not State.FOLLOWING and self.state is not State.ARMED:
             raise PayloadError("not_armed", f"gateway is {self.state.value}")
         stamp, q, lost = self._stream.read(payload, properties, now)
@@ -249,39 +262,20 @@ class Gateway:
         return stamp, q
 
     def _take(self, stamp: int, q: tuple[float, ...], now: int) -> None:
+        waited = now - self._controller.heard_at
         if self.state is State.ARMED:
-            self._begin_stream(stamp, q)
+            self._stream.start(stamp, q)
+            self._enter(State.FOLLOWING, f"stream of session {self.session} began")
             self._player.learn_from_stall(self.session if self.config.properties else None, now)
         else:
-            # without what a controller that was not heard owes: playout time stands still for so long
-            lead = self._player.lead(stamp) - (now - self._controller.heard_at) / NANOSECONDS
-            if lead > self.config.max_age:
-                # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
-                raise MotionRefused("lead", "", lead, self.config.max_age, "s")
-            hole = self._player.hole(stamp)
-            if hole:
-                # too long to guess what the motion was in between
-                self._brake("silence", f"{hole:.3f} s of the stream are missing")
-                return
-            self._check.accept(stamp, q)
-        self._stream.last_stamp = stamp
-        self._player.push(stamp, q, now - self._controller.heard_at)
+            self._stream.go_on(stamp, q, waited)
+        self._stream.push(stamp, q, waited)
         self.counters["commands_received"] += 1
-
-    def _begin_stream(self, stamp: int, q: tuple[float, ...]) -> None:
-        self.config.limits.check_range(q)
-        held = self._player.follower.position
-        off = outside_tolerance(q, held, self.config.start_tolerance)
-        if off is not None:
-            distance = q[off] - held[off]
-            raise MotionRefused("start", self.config.axes[off], distance, self.config.start_tolerance)
-        self._check.start(stamp, q)
-        self._enter(State.FOLLOWING, f"stream of session {self.session} began")
 
     # -- control
 
-    def on_control(self, control: Control) -> tuple[bool, str]:
-        """Carry out a `control` message.
+    def on_control(self, control: Control, now: int) -> tuple[bool, str]:
+        """Carry out a `control` message that came at `now` [ns].
 
         Returns
         -------
@@ -289,6 +283,8 @@ class Gateway:
         reason : str
             Why, in one sentence; goes into `control/ack`.
         """
+        if control.verb == "speed_limit":
+            return self._limit_speed(control, now)
         verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset, "end": self._end}
         if control.verb not in verbs:
             self.counters["refused_verb"] += 1
@@ -297,10 +293,27 @@ class Gateway:
             self.counters["refused_repeated"] += 1
             return False, f"message {control.id!r} of session {control.session!r} was answered before"
         ok, reason = verbs[control.verb](control)
-        if not ok:
-            self.counters[f"refused_{control.verb}"] += 1
-            self._last_refusal = f"{control.verb}: {reason}"[:LONGEST_REFUSAL]
-        return ok, reason
+        return (ok, reason) if ok else self._refuse(control.verb, reason)
+
+    def _refuse(self, verb: str, reason: str) -> tuple[bool, str]:
+        self.counters[f"refused_{verb}"] += 1
+        self._last_refusal = f"{verb}: {reason}"[:LONGEST_REFUSAL]
+        return False, reason
+
+    def _limit_speed(self, control: Control, now: int) -> tuple[bool, str]:
+        refusal = self.speed.refusal(control, self.session)
+        if refusal:
+            return self._refuse("speed_limit", refusal)
+        self._changed |= self.speed.give(float(control.value), control.session, now)
+        self._poll_speed_limit(now)
+        return True, f"speed at most {control.value:g} of the limits"
+
+    def _poll_speed_limit(self, now: int) -> None:
+        if self.speed.poll(now):
+            self.counters["speed_limit_silent"] += 1
+            self._changed = True
+        if self.speed.share != self._player.share:
+            self._player.limit(self.speed.share)
 
     def _arm(self, control: Control) -> tuple[bool, str]:
         if control.value != self.config.hash:
@@ -382,19 +395,5 @@ class Gateway:
 
     def status(self) -> dict:
         """Return the content of the `status` topic."""
-        return {
-            "state": self.state.value,
-            "reason": self.reason,
-            "session": self.session,
-            "fault": self.fault,
-            "mode": self.mode.value,
-            "correction": list(self.correction),
-            "last_ipoc_jump_ms": self._controller.jump_ms,
-            "hash": self.config.hash,
-            "decimals": self.config.decimals,
-            "properties": self.config.properties,
-            "playout": self._player.report(),
-            "intruder": {"session": self._owners.intruder, "count": self._owners.intrusions},
-            "last_refusal": self._last_refusal,
-            "counters": dict(self.counters),
-        }
+        parts = (self._controller, self._player, self.speed, self._stopping, self._owners)
+        return gateway_status(self, *parts) | {"last_refusal": self._last_refusal}

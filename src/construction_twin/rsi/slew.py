@@ -43,6 +43,10 @@ CALM = Pace.of(0.005, 0.005, 0.005)
 #: time is slowed only, so the motion's own acceleration falls. It takes 1.1 s to gain 30 ms.
 URGENT = Pace.of(0.05, 0.005, 0.1)
 
+#: To make up for what a speed limit has put off: 1 %, changing by 0.1 per second, so that a motion at 0.9 of its acceleration
+#: limits still keeps inside them.
+CATCH_UP = Pace.of(0.05, 0.01, 0.1)
+
 
 class Slew:
     """Carries a shift out, cycle by cycle, beginning and ending at rate zero."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from construction_twin.limits import RANGE_SLACK, MotionLimits
 from construction_twin.rsi.trace import TraceEntry
-from construction_twin.units import CYCLE, format_allowance
+from construction_twin.units import CYCLE
 
 #: After more missed telegrams than one the gateway takes the arm to be standing, and begins from rest [ms].
 _STANDSTILL_MS = 8
@@ -58,11 +58,11 @@ def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals
     limits : MotionLimits
         Of the axes, in the trace's order.
     decimals : int
-        Decimals of a degree on the wire; velocity and acceleration are allowed what their rounding adds.
+        Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
     """
-    allowance = format_allowance(decimals)
-    velocity = [v + allowance * CYCLE / 2 for v in limits.velocity]
-    acceleration = [a + allowance for a in limits.acceleration]
+    allowances = limits.allowances(decimals)
+    velocity = [v + allowance * CYCLE / 2 for v, allowance in zip(limits.velocity, allowances)]
+    acceleration = [a + allowance for a, allowance in zip(limits.acceleration, allowances)]
     rest = (0.0,) * len(limits.names)
     found: list[Excess] = []
     last: TraceEntry | None = None

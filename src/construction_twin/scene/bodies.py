@@ -68,6 +68,8 @@ class RobotBodies:
     root_T_base : pinocchio.SE3
     link_joints : dict of str to int
         The joint that moves each link; 0: nothing does.
+    strokes : array, shape (n,)
+        Largest absolute value of each joint, Pinocchio's order [rad] or [m].
 
     Raises
     ------
@@ -88,6 +90,8 @@ class RobotBodies:
         locked = [index for index, name in enumerate(full.names) if index and name not in wanted]
         self.model, shapes = pinocchio.buildReducedModel(full, shapes, locked, pinocchio.neutral(full))
         self.order = np.array([self.model.joints[self.model.getJointId(name)].idx_q for name in robot.joint_names])
+        self.strokes = np.zeros(len(self.order))
+        self.strokes[self.order] = np.maximum(np.abs(robot.lower), np.abs(robot.upper))
         frames = self.model.frames
         self.link_joints = {frame.name: frame.parentJoint for frame in frames if frame.type == pinocchio.FrameType.BODY}
         base = frames[self.model.getFrameId(robot.base_link)]

@@ -35,27 +35,58 @@ def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], s
         [m/rad], or 1 for linear joints; Pinocchio's order.
     """
     model = robot.model
-    per_body = np.zeros((model.nq, len(bodies)))
-    ancestors = []
-    for column, body in enumerate(bodies):
-        body.geometry.computeLocalAABB()
-        centre = body.placement.act(np.array(body.geometry.aabb_center))
-        distance = float(np.linalg.norm(centre)) + body.geometry.aabb_radius
-        joint, chain = body.joint, set()
-        while joint:
-            index = model.joints[joint].idx_q
-            linear = model.joints[joint].shortname().startswith("JointModelP")
-            chain.add(index)
-            per_body[index, column] = 1.0 if linear else distance
-            distance += float(np.linalg.norm(model.jointPlacements[joint].translation)) + linear * strokes[index]
-            joint = model.parents[joint]
-        ancestors.append(chain)
+    per_body, _ = body_levers(robot, bodies, strokes)
+    ancestors = [_joints_below(robot, body) for body in bodies]
     result = np.zeros((model.nq, len(pairs)))
     for column, (first, second, *_) in enumerate(pairs):
         # a joint below both bodies moves them together
         between = sorted(ancestors[first] ^ ancestors[second])
         result[between, column] = per_body[between, first] + per_body[between, second]
     return result
+
+
+def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """Return how far any point of a body can move when a joint moves by one unit, and how far from the root it can be.
+
+    Parameters
+    ----------
+    robot : RobotBodies
+    bodies : sequence of Body
+    strokes : array, shape (n,)
+        As of `levers`.
+
+    Returns
+    -------
+    levers : array, shape (n, b)
+        [m/rad], or 1 for linear joints; Pinocchio's order. 0 for a joint that does not move the body.
+    reaches : list of float, length b
+        Largest distance of any point of it from the root, whatever the joints do [m].
+    """
+    model = robot.model
+    per_body = np.zeros((model.nq, len(bodies)))
+    reaches = []
+    for column, body in enumerate(bodies):
+        body.geometry.computeLocalAABB()
+        centre = body.placement.act(np.array(body.geometry.aabb_center))
+        distance = float(np.linalg.norm(centre)) + body.geometry.aabb_radius
+        joint = body.joint
+        while joint:
+            index = model.joints[joint].idx_q
+            linear = model.joints[joint].shortname().startswith("JointModelP")
+            per_body[index, column] = 1.0 if linear else distance
+            distance += float(np.linalg.norm(model.jointPlacements[joint].translation)) + linear * strokes[index]
+            joint = model.parents[joint]
+        reaches.append(distance)
+    return per_body, reaches
+
+
+def _joints_below(robot: RobotBodies, body: Body) -> set[int]:
+    """Return the places, in Pinocchio's configuration, of the joints that move a body."""
+    model, joint, places = robot.model, body.joint, set()
+    while joint:
+        places.add(model.joints[joint].idx_q)
+        joint = model.parents[joint]
+    return places
 
 
 def smallest(

@@ -7,7 +7,7 @@ A world answers for the scene it was built from; a changed scene needs a new one
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +17,17 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.plan import Clearance
 from construction_twin.robot import RobotModel
 from construction_twin.scene.bodies import Body, RobotBodies
+from construction_twin.scene.neighbour import Obstacle, key_rows
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.scene.sweep import levers, smallest
+from construction_twin.scene.sweep import body_levers, levers, smallest
 
 #: Pinocchio's broad phases: every box against every box is the fastest for few bodies, a tree for many.
 _FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
 _MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
 _MANY_BODIES = 128
+#: With another arm in the world most bodies stand still: one box for all that moves together comes first.
+_WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
 
 
 @dataclass(frozen=True)
@@ -81,13 +84,73 @@ class CollisionWorld:
         world._build(self._robot_bodies, scene, self.self_collision)
         return world
 
-    def _build(self, robot_bodies: RobotBodies, scene: Scene, self_collision: SelfCollision) -> None:
+    def with_neighbour(self, obstacles: Iterable[Obstacle]) -> CollisionWorld:
+        """Return a world with the same robot and scene, and another arm in it; the scene's version stays the same.
+
+        Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
+        obstacle's); what stands in the world is not.
+
+        Parameters
+        ----------
+        obstacles : iterable of Obstacle
+            Replace those of before.
+        """
+        world = object.__new__(CollisionWorld)
+        world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles))
+        return world
+
+    def facing(self, obstacles: Iterable[Obstacle]) -> CollisionWorld:
+        """Return a world in which nothing but another arm is checked: as `with_neighbour`, but quicker to build and to ask."""
+        world = object.__new__(CollisionWorld)
+        moving = tuple(body for body in self._own if body.link)
+        world._build(self._robot_bodies, self.scene, self.self_collision, moving, tuple(obstacles), facing=True)
+        return world
+
+    def key_rows(self, path: np.ndarray, step: float) -> tuple[list[int], float]:
+        """Return rows of a path between which no point of the arm, or of what it carries, moves further than about a step.
+
+        Parameters
+        ----------
+        path : array, shape (m, n)
+            [rad] or [m], closely sampled.
+        step : float
+            [m]
+
+        Returns
+        -------
+        rows : list of int
+            As of `neighbour.key_rows`.
+        half : float
+            Every pose of the path is this close to one of those [m], at most.
+        """
+        rows = np.empty(np.shape(path))
+        rows[:, self._order] = path
+        moving = [body for body in self._bodies if body.joint]
+        factors, _ = body_levers(self._robot_bodies, moving, np.abs(rows).max(axis=0))
+        travel = np.concatenate(([0.0], np.cumsum((np.abs(np.diff(rows, axis=0)) @ factors).max(axis=1, initial=0.0))))
+        keys = key_rows(travel, step)
+        return keys, float(np.diff(travel[keys], append=travel[-1]).max()) / (2.0 if len(keys) > 1 else 1.0)
+
+    def _build(
+        self,
+        robot_bodies: RobotBodies,
+        scene: Scene,
+        self_collision: SelfCollision,
+        own: tuple[Body, ...] | None = None,
+        obstacles: tuple[Obstacle, ...] = (),
+        facing: bool = False,
+    ) -> None:
         self.robot = robot_bodies.robot
         self.scene = scene
         self.self_collision = self_collision
         self._robot_bodies = robot_bodies
-        self._bodies = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
-        self._pairs = pairs = checked_pairs(self._bodies, scene.padding, self_collision)
+        if own is None:
+            own = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
+        self._own = own
+        met, met_pairs = self._meetings(own, obstacles)
+        self._bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in met)
+        pairs = [] if facing else checked_pairs(own, scene.padding, self_collision)
+        self._pairs = pairs = pairs + met_pairs
         self._names = [(self._bodies[first].owner, self._bodies[second].owner) for first, second, _ in pairs]
         self._model = robot_bodies.model
         self._geometry = pinocchio.GeometryModel()
@@ -106,8 +169,25 @@ class CollisionWorld:
         # the usual order needs no index list, which would cost as much as a check of a few pairs
         self._order = slice(None) if (order == np.arange(len(order))).all() else order
         # whole configurations in, one call per question: boxes around the bodies first, shapes only where the boxes meet
-        manager = _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
+        manager = _WITH_NEIGHBOUR if met else _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
+
+    def _meetings(
+        self, own: tuple[Body, ...], obstacles: tuple[Obstacle, ...]
+    ) -> tuple[list[Obstacle], list[tuple[int, int, float]]]:
+        """Return the obstacles that any moving body can reach, and the pairs that can meet, as of `checked_pairs`."""
+        if not obstacles:
+            return [], []
+        _, reaches = body_levers(self._robot_bodies, own, self._robot_bodies.strokes)
+        moving = np.array([body.joint > 0 for body in own])
+        paddings = self.scene.padding + np.array([body.item.padding if body.item is not None else 0.0 for body in own])
+        met, pairs = [], []
+        for item in obstacles:
+            margins = paddings + item.padding
+            near = np.flatnonzero(moving & (item.distance <= np.array(reaches) + margins))
+            pairs += [(int(first), len(own) + len(met), float(margins[first])) for first in near]
+            met += [item] if len(near) else []
+        return met, pairs
 
     def is_free(self, q: Sequence[float]) -> bool:
         """Return whether nothing touches: the fast question, it ends at the first contact.

@@ -1,0 +1,180 @@
+"""The report as one HTML page that needs no other file: figures inside, tables, timing, what happened. Standard library only.
+
+Everything that comes from a recording is escaped: a bag may come from anywhere.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+
+from construction_twin.evaluation.paper import NOTE
+from construction_twin.evaluation.recording import Recording
+from construction_twin.evaluation.tables import ALIGNMENTS, summary_lines, table_rows
+from construction_twin.units import NANOSECONDS
+
+#: Most rows of a table of what happened; a bag of a restless link may hold thousands.
+MOST_CHANGES = 500
+#: State words that mean that something went wrong.
+FAULTS = {
+    "HOLDING", "STALE", "STOPPED", "FAULT", "REFUSING", "REPLANNING", "HELD",
+    "DISCONNECTED", "GATEWAY_OFFLINE", "NO_CONTROLLER", "MISMATCH", "NEEDS_RESET",
+}  # fmt: skip
+_HEADINGS = {
+    "figure8.png": "Tool path (the paper's Figure 8)",
+    "figure9.png": "Joints (the paper's Figure 9)",
+    "timing.png": "Timing",
+}
+_COLUMNS = ("joint", "avg", "max", "paper avg, rad", "paper max, rad", "avg/paper", "max/paper")
+_STYLE = """
+:root { color-scheme: light dark; }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #8886; }
+table { border-collapse: collapse; display: block; overflow-x: auto; }
+th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #8883; font-variant-numeric: tabular-nums; }
+th:first-child, td:first-child, .text th, .text td { text-align: left; }
+caption { text-align: left; padding: .6rem 0 .2rem; font-weight: 600; }
+img { max-width: 100%; height: auto; background: white; }
+.fault td { background: #d9541e33; } .note { opacity: .75; } ul { padding-left: 1.2rem; }
+"""
+
+
+def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    summary : Mapping
+        As `summary.json` holds it.
+    recording : Recording
+        For its plans and what happened.
+    drawings : Mapping of str to bytes
+        The PNGs, by file name.
+
+    Returns
+    -------
+    html : str
+        ASCII but for what the recording says itself.
+    """
+    title = f"Twin and physical arm: {summary['robot']}"
+    sections = [
+        f"<h1>{escape(title)}</h1>",
+        _facts(summary),
+        *_error_tables(summary),
+        *_figures(drawings),
+        _timing(summary),
+        _plans(recording),
+        _changes(recording),
+        _details(summary),
+    ]
+    body = "\n".join(section for section in sections if section)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def _facts(summary: Mapping) -> str:
+    items = "".join(f"<li>{escape(line)}</li>" for line in summary_lines(summary))
+    return f"<ul>{items}</ul>"
+
+
+def _error_tables(summary: Mapping) -> Iterable[str]:
+    yield "<h2>Errors per joint</h2>"
+    rows = list(table_rows(summary["tables"]))
+    for alignment, meaning in ALIGNMENTS.items():
+        if summary["tables"].get(alignment) is None:
+            yield f"<p>{escape(alignment)}: not available, the recording does not hold what it needs ({escape(meaning)}).</p>"
+            continue
+        cells = [_error_row(*row[1:]) for row in rows if row[0] == alignment]
+        yield _table(_COLUMNS, cells, f"{alignment}: {meaning}")
+    yield f'<p class="note">{escape(NOTE)}.</p>'
+
+
+def _error_row(joint, average, maximum, *rest) -> list[str]:
+    # the last two are those of a linear joint
+    *paper, average_m, maximum_m = rest if len(rest) > 4 else (*rest, None, None)
+    unit = "rad" if average_m is None else "m"
+    errors = (average, maximum) if average_m is None else (average_m, maximum_m)
+    figures = [f"{_number(value, '.4e')} {unit}" for value in errors]
+    return [joint, *figures, *(_number(v, ".4e") for v in paper[:2]), *(_number(v, ".3g") for v in paper[2:])]
+
+
+def _figures(drawings: Mapping[str, bytes]) -> Iterable[str]:
+    for name in sorted(drawings):
+        heading = escape(_HEADINGS.get(name, name))
+        data = base64.b64encode(drawings[name]).decode("ascii")
+        yield f'<h2>{heading}</h2>\n<img alt="{heading}" src="data:image/png;base64,{data}">'
+
+
+def _timing(summary: Mapping) -> str:
+    names = ("p50", "p99", "p99_9", "max")
+    rows = [
+        [label, *(_number(summary[key].get(name), form) for name in names)]
+        for label, key, form in (
+            ("round trip, ms", "round_trip_ms", ".3f"),
+            ("RSI reply time, us", "reply_us", ".0f"),
+        )
+    ]
+    table = _table(("", "p50", "p99", "p99.9", "max"), rows, "Latency")
+    rates = [[name, _number(rate, ".3f")] for name, rate in summary["rate_hz"].items()]
+    counts = [
+        [key.replace("_", " "), _number(summary[key], "d")]
+        for key in ("commands_sent", "commands_lost", "late_replies")
+    ]
+    return f"{table}\n{_table(('stream', 'Hz'), rates, 'Rates')}\n{_table(('count', ''), counts, 'Sent, lost, late')}"
+
+
+def _plans(recording: Recording) -> str:
+    begin = int(recording.twin.stamps[0])
+    rows = [
+        [plan.plan_id, _seconds(plan.start - begin), f"{plan.duration:.3f}", plan.outcome or "under way at the end"]
+        for plan in recording.plans
+    ]
+    return "<h2>Executions</h2>\n" + (
+        _table(("plan", "from, s", "length, s", "outcome"), rows, "", "text") if rows else "<p>None was recorded.</p>"
+    )
+
+
+def _changes(recording: Recording) -> str:
+    begin = int(recording.twin.stamps[0])
+    changes = recording.changes
+    if not changes:
+        return "<h2>Faults and transitions</h2>\n<p>None was recorded.</p>"
+    faults = sum(change.state in FAULTS for change in changes)
+    rows = [[_seconds(c.stamp - begin), c.source, c.state, c.reason] for c in changes[:MOST_CHANGES]]
+    marks = ["fault" if change.state in FAULTS else "" for change in changes[:MOST_CHANGES]]
+    left_off = f" The first {MOST_CHANGES} are shown." if len(changes) > MOST_CHANGES else ""
+    text = f"<p>{len(changes)} changes of state, {faults} of them faults.{left_off}</p>"
+    return f"<h2>Faults and transitions</h2>\n{text}\n" + _table(
+        ("s", "who", "state", "reason"), rows, "", "text", marks
+    )
+
+
+def _details(summary: Mapping) -> str:
+    kept = {key: summary[key] for key in ("skipped_samples", "mock", "environment") if key in summary}
+    return f"<h2>Circumstances</h2>\n<pre>{escape(json.dumps(kept, indent=2))}</pre>"
+
+
+def _table(
+    columns: Sequence[str], rows: Iterable[Sequence[str]], caption: str, kind: str = "", marks: Sequence[str] = ()
+) -> str:
+    head = "".join(f'<th scope="col">{escape(column)}</th>' for column in columns)
+    lines = []
+    for number, row in enumerate(rows):
+        mark = f' class="{marks[number]}"' if marks and marks[number] else ""
+        lines.append(f"<tr{mark}>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>")
+    name = f"<caption>{escape(caption)}</caption>" if caption else ""
+    style = f' class="{kind}"' if kind else ""
+    return f"<table{style}>{name}<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+def _number(value, form: str) -> str:
+    return "unknown" if value is None else format(value, form)
+
+
+def _seconds(nanoseconds: int) -> str:
+    return f"{nanoseconds / NANOSECONDS:.3f}"

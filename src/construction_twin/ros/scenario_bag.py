@@ -1,0 +1,124 @@
+"""Reads the bag of a scenario, and what its driver noted, into a `Run`. Needs no ROS master."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import rosbag
+
+from construction_twin.errors import EvaluationError
+from construction_twin.ros.bag import read_recording
+from construction_twin.scenario.timeline import Change, Run, SyncMoment
+
+BAG, NOTES, TRACE, VERDICT = "scenario.bag", "run.json", "gateway.trace", "verdict.json"
+ARM, MOCK = "mock_rsi/joint_states", "mock_rsi/status"
+#: What is recorded, relative to the robot's namespace.
+TOPICS = (
+    "twin/joint_states",
+    "physical/joint_states",
+    "physical/feedback",
+    "command/joint_states",
+    "sync",
+    "transitions",
+    "plan",
+    "review",
+    "execution",
+    "link",
+    MOCK,
+    ARM,
+)
+
+
+def read_run(folder: Path, namespace: str | None = None) -> Run:
+    """Read a recorded run.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds the bag and the driver's notes.
+    namespace : str, optional
+        The robot's; default: that of the only robot in the bag.
+
+    Raises
+    ------
+    EvaluationError
+        If something is missing.
+    """
+    path = folder / BAG
+    recording = read_recording(path, namespace)
+    prefix = recording.robot.rstrip("/")
+    notes = json.loads((folder / NOTES).read_text())
+    changes = [Change(**change) for change in notes["actions"]]
+    messages: dict[str, list] = {}
+    with rosbag.Bag(str(path)) as bag:
+        wanted = {f"{prefix}/{name}": name for name in ("sync", "link", "execution", MOCK, ARM)}
+        for topic, message, _ in bag.read_messages(topics=list(wanted)):
+            messages.setdefault(wanted[topic], []).append(message)
+    for name in ("sync", "execution", MOCK, ARM):
+        if name not in messages:
+            raise EvaluationError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
+    reports = [json.loads(message.data) for message in messages[MOCK]]
+    changes += [*_states("sync", messages["sync"]), *_states("link", messages.get("link", []))]
+    changes += [*_states("execution", messages["execution"]), *_outcomes(messages["execution"]), *_faults(reports)]
+    arm = messages[ARM]
+    columns = [arm[0].name.index(joint) for joint in recording.joint_names]
+    missed = [report["counters"]["missed"] for report in reports]
+    return Run(
+        recording=recording,
+        changes=tuple(sorted(changes, key=lambda change: change.stamp)),
+        closings=tuple(_closings(messages["sync"])),
+        arm_stamps=np.array([message.header.stamp.to_nsec() for message in arm], dtype=np.int64),
+        arm=np.array([message.position for message in arm])[:, columns],
+        missed=missed[-1] - missed[0],
+        failure=notes["failure"],
+    )
+
+
+def _states(topic: str, messages: list) -> Iterator[Change]:
+    last = None
+    for message in messages:
+        if message.text != last:
+            last = message.text
+            yield Change(message.header.stamp.to_nsec(), topic, last, message.reason)
+
+
+def _outcomes(messages: list) -> Iterator[Change]:
+    last = None
+    for message in messages:
+        found = message.plan_id, message.outcome
+        if message.outcome and found != last:
+            yield Change(message.header.stamp.to_nsec(), "outcome", message.outcome, message.reason)
+        last = found
+
+
+def _faults(reports: list[dict]) -> Iterator[Change]:
+    """Return which faults began and ended, by name, and the RSI sessions that began."""
+    before: set[str] = set()
+    session = reports[0]["session"]
+    for report in reports:
+        now = set(report["faults"])
+        for topic, texts in (("fault", now - before), ("fault_end", before - now)):
+            for text in sorted(texts):
+                name, _, subject = text.partition(" ")
+                yield Change(report["stamp"], topic, name, subject)
+        if report["session"] != session:
+            session = report["session"]
+            yield Change(report["stamp"], "session", str(session), report["reason"])
+        before = now
+
+
+def _closings(messages: list) -> Iterator[SyncMoment]:
+    last = ""
+    for message in messages:
+        if last == "IN_SYNC" and message.text != "IN_SYNC":
+            yield SyncMoment(
+                message.header.stamp.to_nsec(),
+                tuple(message.name),
+                tuple(message.error),
+                tuple(message.threshold),
+                message.servo_lag,
+            )
+        last = message.text

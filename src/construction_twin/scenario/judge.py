@@ -1,0 +1,267 @@
+"""Judges a recorded run of a scenario against its expectation. Pure: works on a `Run` and the gateway's trace.
+
+Errors are physical - twin. Where a pose says which command it answers to, the twin's pose for that command is taken, and
+what the servo lag explains is left in; where it does not (the gateway brakes or holds) the twin's present pose is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from construction_twin.evaluation.alignment import TwinPath, Window, align_by_command, align_lag_removed
+from construction_twin.limits import MotionLimits
+from construction_twin.rsi.trace import TraceEntry
+from construction_twin.rsi.trace_limits import trace_excesses
+from construction_twin.scenario.motion import ROUNDING, distance_after, limit_shares, trace_arrays
+from construction_twin.scenario.scenario import Scenario
+from construction_twin.scenario.timeline import Change, Run, SyncMoment
+from construction_twin.units import NANOSECONDS, radians
+
+#: The arm holds somewhere else than at the goal when a joint is at least this far from it [deg].
+ELSEWHERE_DEG = 1.0
+#: Room for what the last samples of a bag do not cover [ns].
+_MARGIN = NANOSECONDS // 50
+
+
+@dataclass(frozen=True)
+class Check:
+    """One comparison of what was found with what was expected."""
+
+    name: str
+    expected: str
+    found: str
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The outcome of a run.
+
+    Attributes
+    ----------
+    scenario, title : str
+    checks : tuple of Check
+    measured : dict
+        Figures for the table: ``did``, ``detection_s``, ``detection_samples``, ``worst_error_deg``, ``worst_joint``,
+        ``velocity_share``, ``acceleration_share`` (of the corrections), ``arm_velocity_share``,
+        ``arm_acceleration_share`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``;
+        None where there is none.
+    """
+
+    scenario: str
+    title: str
+    checks: tuple[Check, ...]
+    measured: dict
+
+    @property
+    def passed(self) -> bool:
+        """True when every check is."""
+        return all(check.passed for check in self.checks)
+
+    def to_dict(self) -> dict:
+        """Return what verdict.json holds."""
+        return {"passed": self.passed, **asdict(self)}
+
+
+def judge(scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int) -> Verdict:
+    """Judge a run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    run : Run
+    trace : sequence of TraceEntry
+        What the gateway sent, complete.
+    limits : MotionLimits
+        Of the robot's joints, in the recording's order.
+    decimals : int
+        On the wire.
+
+    Raises
+    ------
+    EvaluationError
+        If the recording does not hold what is needed.
+    """
+    expect = scenario.expect
+    checks = [Check("carried out", "every step", run.failure or "every step", not run.failure)]
+    checks += [_order(expect.sync, run.states("sync")), *_finals(run, expect.final), _end(scenario, run)]
+    measured: dict = {"did": describe(run), "missed_replies": run.missed}
+    checks += _detection(scenario, run, measured)
+    checks += _errors(scenario, run, measured)
+    checks += _corrections(trace, limits, decimals, measured)
+    checks += _arm(scenario, run, limits, decimals, measured)
+    checks += _stop(scenario, run, limits, measured)
+    return Verdict(scenario.name, scenario.title, tuple(checks), measured)
+
+
+def describe(run: Run) -> str:
+    """Return what the system did as one line: the states of the gate, of the executor's plan, and of the link."""
+    parts = [" → ".join(run.states("sync")), "plan " + (run.last("outcome") or "not ended")]
+    links = run.states("link")
+    if len(links) > 1:
+        parts.append("link " + " → ".join(links))
+    return "; ".join(parts)
+
+
+def matches(expected: Sequence[str], found: Sequence[str]) -> bool:
+    """Return whether states came in this order; one that ends in ``?`` may be left out."""
+    if not expected:
+        return not found
+    head, rest = expected[0], expected[1:]
+    if found and found[0] == head.rstrip("?") and matches(rest, found[1:]):
+        return True
+    return head.endswith("?") and matches(rest, found)
+
+
+def _order(expected: Sequence[str], found: Sequence[str]) -> Check:
+    return Check("states of the gate", " ".join(expected), " ".join(found), matches(expected, found))
+
+
+def _finals(run: Run, final: dict) -> list[Check]:
+    return [Check(f"final {topic}", value, run.last(topic), run.last(topic) == value) for topic, value in final.items()]
+
+
+def _end(scenario: Scenario, run: Run) -> Check:
+    away = np.degrees(np.abs(run.arm[-1] - np.array(radians(scenario.goal_deg)))).max() if scenario.goal_deg else 0.0
+    found = f"{away:.6f} deg from the goal"
+    if scenario.expect.ends == "goal":
+        bound = scenario.expect.final_error_deg
+        return Check("ends at the goal", f"within {bound:g} deg", found, bool(away <= bound))
+    return Check("holds before the goal", f"at least {ELSEWHERE_DEG:g} deg from it", found, bool(away >= ELSEWHERE_DEG))
+
+
+def _fault(scenario: Scenario, run: Run) -> Change | None:
+    """Return the first fault that began, or when there is none the first call of a person."""
+    return run.first("fault") or (None if any(step.inject for step in scenario.steps) else run.first("call"))
+
+
+def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
+    """How soon the gate closed: from the fault, and in samples from the first one over the threshold."""
+    fault = _fault(scenario, run)
+    closing = next((c for c in run.closings if fault is not None and c.stamp >= max(fault.stamp, run.start)), None)
+    seconds = samples = None
+    if closing is not None:
+        seconds = (closing.stamp - fault.stamp) / NANOSECONDS
+        samples = _samples_over(run, closing, fault.stamp)
+    measured |= {"detection_s": seconds, "detection_samples": samples}
+    checks = []
+    for name, bound, found in (
+        ("detection_s", scenario.expect.detection_s, seconds),
+        ("detection_samples", scenario.expect.detection_samples, samples),
+    ):
+        if bound is not None:
+            text = "not detected" if found is None else f"{found:g}"
+            checks.append(Check(name, f"at most {bound:g}", text, found is not None and found <= bound))
+    return checks
+
+
+def _samples_over(run: Run, closing: SyncMoment, begin: int) -> int | None:
+    """Return the number of samples over the threshold until the gate closed; None when it closed for another reason."""
+    if not closing.error or run.recording.feedback is None:
+        return None
+    shares = [error / threshold for error, threshold in zip(closing.error, closing.threshold)]
+    joint = shares.index(max(shares))
+    if shares[joint] <= 1.0:
+        return None
+    window = Window(min(begin, run.start), closing.stamp, closing.stamp, False)
+    lag = 0.0 if math.isnan(closing.servo_lag) else closing.servo_lag * NANOSECONDS
+    aligned = align_lag_removed(run.recording, window, lag)
+    if aligned is None:
+        return None
+    column = run.recording.joint_names.index(closing.joints[joint])
+    over = np.abs(aligned.errors[:, column]) > closing.threshold[joint]
+    within = np.flatnonzero(~over)
+    return int(len(over) - (within[-1] + 1 if len(within) else 0))
+
+
+def _errors(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
+    worst = _worst_errors(run)
+    joint = int(np.argmax(worst))
+    measured |= {"worst_error_deg": float(worst[joint]), "worst_joint": run.recording.joint_names[joint]}
+    bound = scenario.expect.max_error_deg
+    if bound is None:
+        return []
+    found = f"{worst[joint]:.4f} deg at {run.recording.joint_names[joint]}"
+    return [Check("largest error", f"at most {bound:g} deg", found, bool(worst[joint] <= bound))]
+
+
+def _worst_errors(run: Run) -> np.ndarray:
+    """Return the largest error per joint since the start of the motion, shape (n,) [deg]."""
+    recording = run.recording
+    window = Window(run.start, int(recording.twin.stamps.max()) - _MARGIN, run.start, False)
+    worst = np.zeros(len(recording.joint_names))
+    aligned = align_by_command(recording, window)
+    if aligned is not None:
+        worst = aligned.maximum
+    feedback = recording.feedback
+    present = window.contains(feedback.stamps) & (feedback.command_stamps == 0)
+    if present.any():
+        path = TwinPath(recording.twin, window.start)
+        times = (feedback.stamps[present] - window.start).astype(float)
+        covered = path.covers(times)
+        if covered.any():
+            errors = np.abs(feedback.positions[present][covered] - path(times[covered]))
+            worst = np.maximum(worst, errors.max(axis=0))
+    return np.degrees(worst)
+
+
+def _corrections(trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int, measured: dict) -> list[Check]:
+    if not trace:
+        return [Check("corrections inside the limits", "a trace of the gateway", "an empty one", False)]
+    excesses = trace_excesses(trace, limits, decimals)
+    velocity, acceleration = limit_shares(*trace_arrays(trace), limits, decimals)
+    measured |= {"velocity_share": float(velocity.max()), "acceleration_share": float(acceleration.max())}
+    found = "; ".join(map(str, excesses[:3])) or f"{len(trace)} replies inside"
+    return [Check("corrections inside the limits", "every reply", found, not excesses)]
+
+
+def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, measured: dict) -> list[Check]:
+    """What the arm did with its sound joints; a missed reply stops it dead, so then it is only reported."""
+    faulted = scenario.faulted
+    names = () if faulted is None else tuple(name for name in limits.names if name not in faulted)
+    if not names:
+        measured |= {"arm_velocity_share": None, "arm_acceleration_share": None}
+        return []
+    breaks = np.zeros(len(run.arm), dtype=bool)
+    breaks[0] = True
+    for change in run.changes:
+        if change.topic == "session":
+            # the report of a new session is made in its first cycle
+            near = np.abs(run.arm_stamps - change.stamp).argmin()
+            breaks[max(0, near - 1) : near + 2] = True
+    velocity, acceleration = limit_shares(run.arm, breaks, limits, decimals)
+    columns = [limits.names.index(name) for name in names]
+    v, a = float(velocity[columns].max()), float(acceleration[columns].max())
+    measured |= {"arm_velocity_share": v, "arm_acceleration_share": a}
+    found = f"velocity {v:.3f}, acceleration {a:.3f} of the limits, {run.missed} replies missed"
+    inside = max(v, a) <= 1.0 + ROUNDING
+    return [Check("sound joints inside the limits", "at most 1", found, inside or run.missed > 0)]
+
+
+def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) -> list[Check]:
+    bound = scenario.expect.stop
+    measured |= {"stop_distance_deg": None, "stop_time_s": None}
+    if bound is None:
+        return []
+    event = run.first(*bound.event.split(" ", 1), since=run.start)
+    if event is None:
+        return [
+            Check("stop distance", f"at most {bound.distance_deg:g} deg after {bound.event}", "no such event", False)
+        ]
+    released = [
+        c.stamp
+        for c in run.changes
+        if c.stamp > event.stamp and ((c.topic, c.value) == ("execution", "PLAYING") or c.topic in ("call", "move"))
+    ]
+    distance, rest = distance_after(
+        run.arm_stamps, run.arm, event.stamp, min(released, default=int(run.arm_stamps[-1]))
+    )
+    largest = float(np.degrees(distance).max())
+    measured |= {"stop_distance_deg": largest, "stop_time_s": rest}
+    found = f"{largest:.4f} deg, at rest after {rest:.3f} s"
+    expected = f"at most {bound.distance_deg:g} deg after {bound.event}"
+    return [Check("stop distance", expected, found, largest <= bound.distance_deg)]

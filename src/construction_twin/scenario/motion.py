@@ -1,0 +1,92 @@
+"""How fast and how far an arm moved, from recorded positions. Pure; rad, s, ns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from construction_twin.limits import MotionLimits
+from construction_twin.rsi.trace import TraceEntry
+from construction_twin.units import CYCLE, CYCLE_NS
+
+#: Of a share of a limit: room for the last bits of differences of floating point numbers.
+ROUNDING = 1e-6
+#: After more missed telegrams than one the gateway takes the arm to be standing [ms].
+_STANDSTILL_MS = 8
+
+
+def limit_shares(
+    positions: np.ndarray, breaks: np.ndarray, limits: MotionLimits, decimals: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest velocity and acceleration of each joint as a share of its limit with the format's allowance.
+
+    Parameters
+    ----------
+    positions : array, shape (k, n)
+        Every 4 ms [rad].
+    breaks : array, shape (k,), bool
+        True where a position does not follow the one before: what was before counts for nothing, the arm was at rest.
+    limits : MotionLimits
+    decimals : int
+        On the wire.
+
+    Returns
+    -------
+    velocity, acceleration : array, shape (n,)
+        Greater than 1: the limit was left.
+    """
+    allowance = np.array(limits.allowances(decimals))
+    steps = np.diff(positions, axis=0, prepend=positions[:1])
+    steps[breaks] = 0.0
+    before = np.vstack([np.zeros_like(steps[:1]), steps[:-1]])
+    before[breaks] = 0.0
+    velocity = np.abs(steps).max(axis=0) / CYCLE / (np.array(limits.velocity) + allowance * CYCLE / 2)
+    acceleration = np.abs(steps - before).max(axis=0) / CYCLE**2 / (np.array(limits.acceleration) + allowance)
+    return velocity, acceleration
+
+
+def trace_arrays(entries: Sequence[TraceEntry]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positions of a gateway's trace, and where one does not follow the one before: shapes (k, n) and (k,).
+
+    As in `trace_excesses`, a new session and more than one missed telegram begin from rest.
+    """
+    positions = np.array([entry.position for entry in entries])
+    sessions = np.array([entry.session for entry in entries])
+    ipocs = np.array([entry.ipoc for entry in entries])
+    breaks = np.concatenate([[True], sessions[1:] != sessions[:-1]])
+    positions_before = np.diff(ipocs, prepend=ipocs[:1])
+    standing = (positions_before > _STANDSTILL_MS) & ~breaks
+    # from rest, but a step is still a step: the one before is taken out by repeating the position
+    rows = np.flatnonzero(standing)
+    positions = np.insert(positions, rows, positions[rows - 1], axis=0)
+    breaks = np.insert(breaks, rows, True)
+    return positions, breaks
+
+
+def distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: int) -> tuple[np.ndarray, float]:
+    """Return how far each joint was from where it stood at `begin`, until `end`, and when the arm came to rest.
+
+    Parameters
+    ----------
+    stamps : array, shape (k,)
+        [ns]
+    positions : array, shape (k, n)
+        [rad]
+    begin, end : int
+        [ns]
+
+    Returns
+    -------
+    distance : array, shape (n,)
+        Largest [rad].
+    rest : float
+        From `begin` to the last cycle that moved [s].
+    """
+    inside = np.flatnonzero((stamps >= begin - CYCLE_NS) & (stamps <= end))
+    if not len(inside):
+        return np.zeros(positions.shape[1]), 0.0
+    part = positions[inside]
+    moved = np.flatnonzero(np.abs(np.diff(part, axis=0)).max(axis=1) > 1e-9) if len(part) > 1 else []
+    rest = max(0.0, (stamps[inside[moved[-1] + 1]] - begin) / 1e9) if len(moved) else 0.0
+    return np.abs(part - part[0]).max(axis=0), float(rest)

@@ -1,0 +1,109 @@
+"""What happened in a run, as a list of changes with their moments. Pure; stamps are ROS time [ns]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.evaluation.recording import Recording
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something changed, or somebody did something.
+
+    Attributes
+    ----------
+    stamp : int
+        [ns]
+    topic : str
+        ``sync``, ``link``, ``execution``, ``outcome``, ``fault``, ``fault_end``, ``session`` (RSI's), ``call``, ``move``,
+        ``approve``.
+    value : str
+        The state's word, or what was done.
+    reason : str
+    """
+
+    stamp: int
+    topic: str
+    value: str
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class SyncMoment:
+    """What the gate measured when it left a state.
+
+    Attributes
+    ----------
+    stamp : int
+        [ns]
+    joints : tuple of str
+    error, threshold : tuple of float
+        [rad]; empty when nothing was compared.
+    servo_lag : float
+        As estimated then [s]; nan when unknown.
+    """
+
+    stamp: int
+    joints: tuple[str, ...]
+    error: tuple[float, ...]
+    threshold: tuple[float, ...]
+    servo_lag: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recorded run of a scenario.
+
+    Attributes
+    ----------
+    recording : Recording
+    changes : tuple of Change
+        In order of their stamps.
+    closings : tuple of SyncMoment
+        Of each time the gate left IN_SYNC.
+    arm_stamps : array, shape (k,), int64
+        [ns]
+    arm : array, shape (k, n)
+        True joint positions of the mock arm, every cycle [rad].
+    missed : int
+        Replies that the controller missed during the run.
+    failure : str
+        Why the run was not carried out to its end; empty when it was.
+    """
+
+    recording: Recording
+    changes: tuple[Change, ...]
+    closings: tuple[SyncMoment, ...]
+    arm_stamps: np.ndarray
+    arm: np.ndarray
+    missed: int
+    failure: str = ""
+
+    @property
+    def start(self) -> int:
+        """Nominal stamp of the first motion's first setpoint [ns]; without one the first change."""
+        plans = [plan.start for plan in self.recording.plans if plan.start >= self.arm_stamps[0]]
+        return min(plans, default=self.changes[0].stamp if self.changes else int(self.arm_stamps[0]))
+
+    def states(self, topic: str) -> list[str]:
+        """Return the states of a topic since the start of the motion, with the one that stood then."""
+        values = []
+        for change in self.changes:
+            if change.topic != topic:
+                continue
+            if change.stamp < self.start:
+                values = [change.value]
+            elif not values or values[-1] != change.value:
+                values.append(change.value)
+        return values
+
+    def first(self, topic: str, value: str = "", since: int = 0) -> Change | None:
+        """Return the first change of a topic (to a value) at or after a stamp [ns], or None."""
+        return next((c for c in self.changes if c.topic == topic and c.stamp >= since and value in ("", c.value)), None)
+
+    def last(self, topic: str) -> str:
+        """Return a topic's last value; empty without one."""
+        return next((c.value for c in reversed(self.changes) if c.topic == topic), "")

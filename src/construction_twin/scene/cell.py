@@ -1,0 +1,81 @@
+"""Where the robots of one cell stand. Metres; degrees only in `load_cell` (``rpy_deg``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+import numpy as np
+import pydantic
+from scipy.spatial.transform import Rotation
+
+from construction_twin.errors import ConfigurationError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.scene.objects import relative
+
+_Metres = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
+_Degrees = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-360.0, le=360.0)]
+
+
+class _Place(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    xyz: tuple[_Metres, _Metres, _Metres]
+    rpy_deg: tuple[_Degrees, _Degrees, _Degrees]
+
+
+class Cell:
+    """Robots and where they stand: the root of each one's URDF in ``world``.
+
+    Parameters
+    ----------
+    places : Mapping of str to Pose
+        ``world_T_root`` by the robot's name.
+    """
+
+    def __init__(self, places: Mapping[str, Pose]):
+        self._places = dict(places)
+
+    def world_T_root(self, robot: str) -> Pose:  # noqa: N802 (a transform's name)
+        """Return where a robot stands.
+
+        Raises
+        ------
+        ConfigurationError
+            If the cell has no such robot.
+        """
+        if robot not in self._places:
+            raise ConfigurationError("the cell's robots", sorted(self._places), f"one named {robot!r}")
+        return self._places[robot]
+
+    def root_T_root(self, robot: str, other: str) -> Pose:  # noqa: N802 (a transform's name)
+        """Return where another robot stands, seen from a robot; raises like `world_T_root`."""
+        return relative(self.world_T_root(robot), self.world_T_root(other))
+
+
+def load_cell(description: object) -> Cell:
+    """Build a cell from a parsed YAML file, see config/cell_two_robots.yaml.
+
+    Parameters
+    ----------
+    description : object
+        A mapping of robots' names to ``xyz`` [m] and ``rpy_deg``: about the fixed x, y and z axes, in this order [deg].
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the key, its value and what was expected.
+    """
+    try:
+        places = pydantic.TypeAdapter(dict[str, _Place]).validate_python(description)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigurationError(
+            "/".join(["cell", *map(str, first["loc"])]), first.get("input"), first["msg"]
+        ) from error
+    return Cell(
+        {
+            name: Pose(np.array(place.xyz), Rotation.from_euler("xyz", place.rpy_deg, degrees=True).as_matrix())
+            for name, place in places.items()
+        }
+    )

@@ -1,0 +1,237 @@
+"""Another arm as an obstacle: its shapes where it stands, and along the path that it follows.
+
+A path is not kept as a cloud of all its poses, but as copies of each body at some of them, each with a padding that covers what
+lies between: two neighbouring copies are `step` apart at most, measured as the longest way that any point of the body can have
+gone, so every pose between them lies within half of that of one of the two. Nothing on the path is outside of the padded copies.
+
+Metres; poses of obstacles in the root of the URDF of the robot that must not touch them, where Pinocchio has its world. Joint
+values in rad (m for linear joints), in the order of the other robot's ``joint_names``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import coal
+import numpy as np
+import pinocchio
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot import RobotModel
+from construction_twin.scene.bodies import Body, RobotBodies
+from construction_twin.scene.objects import SceneObject
+from construction_twin.scene.sweep import body_levers
+
+#: Added to every copy's padding [m]: between two rows of a path sampled every 4 ms a joint may go back and forth by 2e-5 rad.
+ROUNDING = 1e-3
+#: Largest difference of a joint between a measured pose and the row of the path that it belongs to [rad] or [m].
+ON_PATH = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """A copy of a body of the other arm. Two are the same only if they are one object.
+
+    Attributes
+    ----------
+    owner : str
+        ``<robot>/<link or carried object>``.
+    placement : pinocchio.SE3
+        In the root of the URDF of the robot that must not touch it.
+    geometry : coal.CollisionGeometry
+    padding : float
+        Distance to keep from it [m].
+    """
+
+    owner: str
+    placement: pinocchio.SE3
+    geometry: coal.CollisionGeometry
+    padding: float = 0.0
+
+    @cached_property
+    def distance(self) -> float:
+        """Distance from the root of our URDF to its nearest point, at least, without the padding [m]; may be negative."""
+        self.geometry.computeLocalAABB()
+        centre = self.placement.act(np.array(self.geometry.aabb_center))
+        return float(np.linalg.norm(centre)) - self.geometry.aabb_radius
+
+    def padded(self, padding: float) -> Obstacle:
+        """Return the same body with so much more distance to keep [m]."""
+        return replace(self, padding=self.padding + padding)
+
+
+@dataclass(frozen=True)
+class SweptPath:
+    """A path of the other arm as obstacles.
+
+    Attributes
+    ----------
+    rows : array, shape (m, n)
+        The path.
+    copies : tuple of (int, Obstacle)
+        Each with the row behind which it is no longer needed.
+    """
+
+    rows: np.ndarray
+    copies: tuple[tuple[int, Obstacle], ...]
+
+    def rest(self, row: int = 0) -> tuple[Obstacle, ...]:
+        """Return what the arm takes up from a row on; a subset of what it takes up from any earlier one."""
+        return tuple(obstacle for last, obstacle in self.copies if last >= row)
+
+    def row_of(self, q: Iterable[float], start: int = 0) -> int | None:
+        """Return the first row from `start` on that a pose belongs to; see `row_of`."""
+        return row_of(self.rows, q, start)
+
+
+def row_of(rows: np.ndarray, q: Iterable[float], start: int = 0) -> int | None:
+    """Return the first row of a path, from `start` on, that a pose belongs to (`ON_PATH`); None for a pose off the path.
+
+    Parameters
+    ----------
+    rows : array, shape (m, n)
+    q : iterable of float, length n
+    start : int, optional
+    """
+    near = np.flatnonzero(np.abs(rows[start:] - np.asarray(q)).max(axis=1) <= ON_PATH)
+    return start + int(near[0]) if len(near) else None
+
+
+class Neighbour:
+    """Another robot, seen from where this one stands.
+
+    Parameters
+    ----------
+    name : str
+    robot : RobotModel
+    root_T_root : Pose
+        Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
+    step : float
+        Largest way of any point of a body between two copies of it [m].
+
+    Raises
+    ------
+    ConfigurationError
+        If its shapes cannot be read.
+    """
+
+    def __init__(self, name: str, robot: RobotModel, root_T_root: Pose, step: float):
+        self.name = name
+        self.step = step
+        self._robot_bodies = RobotBodies(robot)
+        self._standing: tuple[np.ndarray, np.ndarray, tuple[Obstacle, ...]] | None = None
+        self._root_T_root = pinocchio.SE3(root_T_root.rotation, root_T_root.position)
+        self._use(self._robot_bodies.bodies)
+
+    def carrying(self, items: Iterable[SceneObject]) -> Neighbour:
+        """Return the same robot with what its links carry; objects that stand in the world are left out.
+
+        Raises
+        ------
+        SceneError
+            If it has no such link, or a mesh cannot be used.
+        """
+        items = tuple(items)
+        names = [item.name for item in items]
+        other = object.__new__(Neighbour)
+        other.__dict__.update(self.__dict__)
+        carried = (self._robot_bodies.place(item, names) for item in items if item.link)
+        other._use((*self._robot_bodies.bodies, *carried))
+        return other
+
+    def _use(self, bodies: tuple[Body, ...]) -> None:
+        self._bodies = bodies
+        self._standing = None
+        self._levers, reaches = body_levers(self._robot_bodies, bodies, self._robot_bodies.strokes)
+        self._reach = max(reaches, default=0.0)
+
+    def along(self, path: np.ndarray) -> SweptPath:
+        """Return everything that the arm takes up on a path.
+
+        Parameters
+        ----------
+        path : array, shape (m, n)
+            Joint values so close to each other that what lies between two rows hardly matters (every 4 ms).
+        """
+        path = np.atleast_2d(np.asarray(path, dtype=float))
+        rows = np.empty(path.shape)
+        rows[:, self._robot_bodies.order] = path
+        steps = np.abs(np.diff(rows, axis=0)) @ self._levers
+        travel = np.vstack([np.zeros(len(self._bodies)), np.cumsum(steps, axis=0)])
+        keys = [key_rows(column, self.step) for column in travel.T]
+        placements = self._placements(rows, sorted(set().union(*map(set, keys))))
+        copies = []
+        for index, body in enumerate(self._bodies):
+            gaps = np.diff(travel[keys[index], index], prepend=0.0, append=travel[-1, index])
+            # one copy alone stands for the whole path, whichever end is farther
+            paddings = np.maximum(gaps[:-1], gaps[1:]) / (2.0 if len(keys[index]) > 1 else 1.0) + ROUNDING
+            lasts = [*keys[index][1:], len(rows) - 1]
+            owner = f"{self.name}/{body.owner}"
+            carried = body.item.padding if body.item is not None else 0.0
+            copies += [
+                (int(last), Obstacle(owner, placements[row, index], body.geometry, float(padding) + carried))
+                for row, last, padding in zip(keys[index], lasts, paddings)
+            ]
+        return SweptPath(path, tuple(copies))
+
+    def between(self, start: Iterable[float], end: Iterable[float]) -> tuple[Obstacle, ...]:
+        """Return what the arm takes up at two poses and straight (in joint values) between them.
+
+        For an arm whose measured pose trails its command: it may be anywhere on the way.
+        """
+        start, end = np.array(start, dtype=float), np.array(end, dtype=float)
+        if self._standing is not None:
+            known_start, known_end, obstacles = self._standing
+            # noise within what the padding covers: who has looked at these need not look again
+            if max(self._way(start - known_start), self._way(end - known_end)) <= ROUNDING / 2.0:
+                return obstacles
+        count = 1 + int(np.ceil(self._way(end - start) / self.step))
+        shares = np.linspace(0.0, 1.0, count + 1)[:, None]
+        obstacles = tuple(item.padded(ROUNDING) for item in self.along(start + shares * (end - start)).rest())
+        self._standing = start, end, obstacles
+        return obstacles
+
+    def _way(self, change: np.ndarray) -> float:
+        """Return how far any point of any body moves, at most, when the joints change by so much [m]."""
+        ordered = np.zeros(len(change))
+        ordered[self._robot_bodies.order] = np.abs(change)
+        return float((ordered @ self._levers).max(initial=0.0))
+
+    def anywhere(self) -> tuple[Obstacle, ...]:
+        """Return all that the arm can reach, as one ball: for an arm of which nothing is known."""
+        return (Obstacle(self.name, self._root_T_root, coal.Sphere(self._reach), ROUNDING),)
+
+    def _placements(self, rows: np.ndarray, wanted: Iterable[int]) -> dict[tuple[int, int], pinocchio.SE3]:
+        """Return where each body is at some rows, by row and body."""
+        model = self._robot_bodies.model
+        data = model.createData()
+        placements = {}
+        for row in wanted:
+            pinocchio.forwardKinematics(model, data, rows[row])
+            for index, body in enumerate(self._bodies):
+                placements[row, index] = self._root_T_root * data.oMi[body.joint] * body.placement
+        return placements
+
+
+def key_rows(travel: np.ndarray, step: float) -> list[int]:
+    """Return rows of a path that are about a step apart, the first and the last among them.
+
+    Parameters
+    ----------
+    travel : array, shape (m,)
+        Way from the first row to each; never falls.
+    step : float
+
+    Returns
+    -------
+    rows : list of int
+        Ascending. Just the first where the whole way is shorter than `ROUNDING`.
+    """
+    total = float(travel[-1])
+    if total <= ROUNDING:
+        return [0]
+    targets = np.linspace(0.0, total, 1 + int(np.ceil(total / step)))
+    rows = np.searchsorted(travel, targets[1:-1] + 1e-12, side="right") - 1
+    return np.unique([0, *rows, len(travel) - 1]).tolist()

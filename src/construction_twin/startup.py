@@ -1,0 +1,185 @@
+"""What a start waits for, in the order in which things come up, and what a person can do about it. Pure; times in s."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: Something is reported as waited for when it has been missing this long [s]: what comes up by itself is no news.
+PATIENCE = 1.0
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """What was started, and where the rest should be.
+
+    Attributes
+    ----------
+    namespace : str
+        Of the robot, absolute.
+    arm : str
+        ``mock``, ``real`` or ``none``.
+    broker : str
+        HOST:PORT
+    rsi : str
+        HOST:PORT on which the gateway should listen; port 0: that of the Ethernet XML.
+    gateway : bool
+        The gateway is started on this machine.
+    """
+
+    namespace: str
+    arm: str
+    broker: str
+    rsi: str
+    gateway: bool
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was heard so far.
+
+    Attributes
+    ----------
+    link, sync, execution : tuple of (str, str), or None
+        State word and reason of the three reports.
+    feedback, twin, scene : bool
+        Whether a pose of the arm, a pose of the twin, a scene has come.
+    """
+
+    link: tuple[str, str] | None = None
+    sync: tuple[str, str] | None = None
+    execution: tuple[str, str] | None = None
+    feedback: bool = False
+    twin: bool = False
+    scene: bool = False
+
+
+@dataclass(frozen=True)
+class Missing:
+    """What is waited for.
+
+    Attributes
+    ----------
+    what : str
+    reason : str
+        What the system says about it; may be empty.
+    action : str
+        What to do.
+    """
+
+    what: str
+    reason: str
+    action: str
+
+    def __str__(self) -> str:
+        return f"waiting for {self.what}{f' ({self.reason})' if self.reason else ''}: {self.action}"
+
+
+class StartUp:
+    """Turns what is seen into lines for the operator, each once.
+
+    Parameters
+    ----------
+    deployment : Deployment
+
+    Attributes
+    ----------
+    missing : Missing or None
+        What is waited for now.
+    """
+
+    def __init__(self, deployment: Deployment):
+        self._deployment = deployment
+        self.missing: Missing | None = Missing("the nodes", "", "nothing to do yet")
+        self._since = 0.0
+        self._said: Missing | None = None
+        self._ready = False
+
+    def update(self, seen: Seen, now: float) -> list[str]:
+        """Take what is seen; return the lines that are news.
+
+        Parameters
+        ----------
+        seen : Seen
+        now : float
+            On a clock that never runs back [s].
+        """
+        missing = first_missing(seen, self._deployment)
+        if missing != self.missing or not self._since:
+            self.missing, self._since = missing, now
+        if missing is None:
+            return self._become_ready()
+        if missing == self._said or now - self._since < PATIENCE:
+            return []
+        text = f"not ready any more, {missing}" if self._ready else str(missing)
+        self._said, self._ready = missing, False
+        return [text]
+
+    def _become_ready(self) -> list[str]:
+        if self._ready and self._said is None:
+            return []
+        self._ready, self._said = True, None
+        robot = self._deployment.namespace.strip("/")
+        return [f"ready; plan with `rosrun construction_twin twin --robot {robot} plan ...`, look with `... watch`"]
+
+
+def first_missing(seen: Seen, deployment: Deployment) -> Missing | None:
+    """Return the first thing that is not there yet, None when everything is."""
+    if deployment.arm == "none":
+        return _twin(seen, deployment) or _gate(seen)
+    return _link(seen, deployment) or _twin(seen, deployment) or _armed(seen, deployment) or _gate(seen)
+
+
+def _link(seen: Seen, deployment: Deployment) -> Missing | None:
+    """Broker, gateway, configuration, controller, first feedback."""
+    state, reason = seen.link or ("", "")
+    real = deployment.arm == "real"
+    if not state:
+        return Missing("the bridge", "no report", "mqtt_bridge does not run; its reason stands in its log")
+    if state == "DISCONNECTED":
+        return Missing(f"the MQTT broker {deployment.broker}", reason, "start it, or give broker_host and broker_port")
+    if state == "GATEWAY_OFFLINE":
+        here = f"read its lines here; is UDP port {deployment.rsi} taken?"
+        there = f"start rsi_gateway on the cell PC with --broker {deployment.broker}"
+        return Missing("the gateway", reason, here if deployment.gateway else there)
+    if state == "MISMATCH":
+        return Missing("the gateway's configuration", reason, "export it again, copy it, restart the gateway")
+    if state == "NO_CONTROLLER":
+        program = f"start the RSI program; the controller sends to {deployment.rsi}"
+        return Missing("the controller (RSI)", reason, program if real else "look why mock_rsi does not send")
+    if not seen.feedback:
+        return Missing(
+            "the first pose of the arm", reason, "look at `/diagnostics` of mqtt_bridge: what does it refuse?"
+        )
+    return None
+
+
+def _twin(seen: Seen, deployment: Deployment) -> Missing | None:
+    if not seen.twin:
+        return Missing("the twin", "", f"look why {deployment.namespace}/virtual_robot publishes nothing")
+    if not seen.scene:
+        return Missing("the scene", "", f"look why {deployment.namespace}/scene publishes nothing; is its file right?")
+    return None
+
+
+def _armed(seen: Seen, deployment: Deployment) -> Missing | None:
+    state, reason = seen.link or ("", "")
+    if state == "NEEDS_RESET":
+        call = f"remove the cause, then rosservice call {deployment.namespace}/reset"
+        return Missing("a reset", reason, call)
+    if state == "RESYNC":
+        return Missing(
+            "twin and arm to take the same pose", reason, "nothing to do, it goes on by itself once the arm rests"
+        )
+    return None
+
+
+def _gate(seen: Seen) -> Missing | None:
+    if seen.link is not None and seen.link[0] == "MIRROR":
+        return None  # the arm leads; the gate is closed on purpose
+    state, reason = seen.sync or ("", "no report of pca_monitor")
+    if state != "IN_SYNC":
+        action = "call reset" if state in ("STOPPED", "FAULT") else "it opens when twin and arm agree"
+        return Missing("the gate to open", f"{state or 'silent'}: {reason}", action)
+    if seen.execution is None or seen.execution[0] == "WAITING":
+        return Missing("the executor", seen.execution[1] if seen.execution else "no report", "it follows the gate")
+    return None

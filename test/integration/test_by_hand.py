@@ -1,0 +1,257 @@
+#!/usr/bin/env python3
+"""An operator does the whole job: with the marker's drags and menu as rviz sends them, and with the command `twin`."""
+
+import subprocess
+import sys
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from construction_twin.msg import Review
+from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerInit, MarkerArray
+
+from construction_twin.frames import rotation_to_abc
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.ros.operator_client import pose_to_msg
+from construction_twin.units import radians
+
+#: Cycles over which an arm that must not move is watched.
+WATCH = 200
+FRAME = "kr120/twin/base_link"
+
+
+class Rviz:
+    """Sends what rviz sends of the marker, and sees what it shows."""
+
+    def __init__(self):
+        self._init = rospy.wait_for_message("tool_marker/update_full", InteractiveMarkerInit, 20.0)
+        self._verdicts: list[MarkerArray] = []
+        rospy.Subscriber("tool_marker/update_full", InteractiveMarkerInit, self._on_init)
+        rospy.Subscriber("tool_marker/verdict", MarkerArray, self._verdicts.append)
+        self._publisher = rospy.Publisher("tool_marker/feedback", InteractiveMarkerFeedback, queue_size=10)
+        wait(lambda: self._publisher.get_num_connections(), "the marker to listen")
+        wait(lambda: self._init.markers and self._init.markers[0].menu_entries, "the marker with its menu")
+
+    def _on_init(self, message):
+        self._init = message
+
+    @property
+    def text(self) -> str:
+        return " ".join(self._verdicts[-1].markers[1].text.split()) if self._verdicts else ""
+
+    @property
+    def colour(self) -> str:
+        r, g = self._verdicts[-1].markers[0].color.r, self._verdicts[-1].markers[0].color.g
+        return "green" if g > r else "red" if g < 0.2 else "orange"
+
+    def drag(self, pose: Pose, steps: int = 20) -> None:
+        """Drag the marker to a pose: many positions on the way, then the mouse is let go."""
+        start = self._init.markers[0].pose.position
+        for share in np.linspace(0.0, 1.0, steps):
+            message = pose_to_msg(pose)
+            for axis in "xyz":
+                setattr(
+                    message.position, axis, (1 - share) * getattr(start, axis) + share * getattr(message.position, axis)
+                )
+            self._send(InteractiveMarkerFeedback.POSE_UPDATE, message)
+        self._send(InteractiveMarkerFeedback.MOUSE_UP, message)
+
+    def choose(self, title: str) -> None:
+        """Choose an entry of the menu."""
+        entry = next(entry for entry in self._init.markers[0].menu_entries if entry.title == title)
+        self._send(InteractiveMarkerFeedback.MENU_SELECT, self._init.markers[0].pose, entry.id)
+
+    def wait_for(self, colour: str, text: str) -> None:
+        """Wait until the marker shows a colour and a text."""
+        try:
+            wait(lambda: self._verdicts and text in self.text and self.colour == colour, f"{colour} and {text!r}", 60.0)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; it shows {self.colour} and {self.text!r}") from None
+
+    def _send(self, event: int, pose, entry: int = 0) -> None:
+        message = InteractiveMarkerFeedback(
+            client_id="test rviz", marker_name="tool", event_type=event, pose=pose, menu_entry_id=entry
+        )
+        message.header.frame_id = FRAME
+        self._publisher.publish(message)
+
+
+class ByHandTest(unittest.TestCase):
+    """Every test begins at rest at home."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_by_hand")
+        cls.client = TwinClient()
+        cls.chain = Chain(cls.client.robot)
+        cls.client.wait_until_ready()
+        cls.rviz = Rviz()
+
+    def setUp(self):
+        self.client.wait_until_ready()
+        self.client.go_to(HOME)
+        self.rviz.choose("Back to the tool")
+        self.rviz.wait_for("green", "the marker follows the tool")
+
+    def twin(self, *words: str) -> subprocess.CompletedProcess:
+        """Run the command line as a script would: nobody at the terminal."""
+        command = ["rosrun", "construction_twin", "twin", "--robot", "kr120", *map(str, words)]
+        return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=120.0)
+
+    def done(self, *words: str) -> str:
+        run = self.twin(*words)
+        self.assertEqual((run.returncode, run.stderr), (0, ""), run.stdout)
+        return run.stdout
+
+    def assert_rests(self, stream: Stream):
+        since = len(stream.messages)
+        stream.wait_for_more(WATCH)
+        positions = stream.positions(since)
+        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+
+    # -- the marker
+
+    def test_marker_from_drag_to_finished_motion(self):
+        missed = self.client.mock_counter("missed")
+        goal = self.chain.forward(radians(LEFT))
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            self.rviz.drag(goal)
+            self.rviz.wait_for("green", "can be reached")
+            plans = len(self.client.plans)
+            self.rviz.choose("Plan")
+            self.client.wait(lambda: len(self.client.plans) > plans, "a plan")
+            plan = self.client.plans[-1]
+            self.rviz.wait_for("green", f"plan {plan.id[:8]} waits for approval")
+            self.rviz.choose("Preview")
+            self.rviz.wait_for("green", "the ghost plays")
+            self.assert_rests(arm)
+            self.rviz.choose("Approve")
+            self.client.wait_for_outcome(plan.id, "finished", 30.0)
+            wait(arm.at_rest, "the arm to rest")
+            for stream in (arm, twin):
+                reached = self.chain.forward(stream.positions(-1)[0])
+                np.testing.assert_allclose(reached.position, goal.position, atol=1e-4)
+                np.testing.assert_allclose(reached.rotation, goal.rotation, atol=1e-4)
+            self.client.assert_within_limits(arm, missed)
+        self.assertEqual(rospy.wait_for_message("review", Review, 5.0).reviewer, "tester")
+
+    def test_marker_plans_a_straight_line_and_rejects_it(self):
+        start = self.chain.forward(radians(HOME))
+        with Stream("mock_rsi/joint_states") as arm:
+            self.rviz.drag(Pose(start.position + (0.0, 0.0, -0.2), start.rotation))
+            self.rviz.wait_for("green", "can be reached")
+            plans = len(self.client.plans)
+            self.rviz.choose("Plan straight line")
+            self.client.wait(lambda: len(self.client.plans) > plans, "a plan")
+            plan = self.client.plans[-1]
+            self.assertEqual(plan.planner, "cartesian")
+            path = np.array([(point.x, point.y, point.z) for point in plan.tool_path])
+            np.testing.assert_allclose(path[:, :2], np.broadcast_to(start.position[:2], (len(path), 2)), atol=1e-3)
+            self.rviz.wait_for("green", f"plan {plan.id[:8]} waits for approval")
+            self.rviz.choose("Reject")
+            self.rviz.wait_for("green", "Reject: ")
+            verdict = rospy.wait_for_message("review", Review, 5.0)
+            self.assertEqual((verdict.plan_id, verdict.approved), (plan.id, False))
+            self.rviz.choose("Approve")
+            self.rviz.wait_for("green", "no plan waits for approval")
+            self.assert_rests(arm)
+
+    def test_marker_tells_why_a_pose_is_none(self):
+        here = self.chain.forward(radians(HOME))
+        plans = len(self.client.plans)
+        self.rviz.drag(Pose(np.array([4.0, 0.0, 1.5]), here.rotation))
+        self.rviz.wait_for("red", "out of reach by")
+        self.rviz.choose("Plan")
+        self.rviz.wait_for("red", "Plan: the target is out of the arm's reach")
+        self.rviz.drag(Pose(np.array([1.6, 0.0, -0.1]), here.rotation))
+        self.rviz.wait_for("orange", "would touch")
+        self.rviz.choose("Plan")
+        self.rviz.wait_for("orange", "touches")
+        self.assertEqual(len(self.client.plans), plans)
+
+    def test_marker_stops_a_motion(self):
+        self.rviz.drag(self.chain.forward(radians(RIGHT)))
+        self.rviz.wait_for("green", "can be reached")
+        plans = len(self.client.plans)
+        self.rviz.choose("Plan")
+        self.client.wait(lambda: len(self.client.plans) > plans, "a plan")
+        plan = self.client.plans[-1]
+        self.rviz.wait_for("green", "waits for approval")
+        with Stream("mock_rsi/joint_states") as arm:
+            self.rviz.choose("Approve")
+            wait(lambda: arm.moved(2.0), "the arm to move")
+            self.rviz.choose("Stop")
+            self.client.wait_for_outcome(plan.id, "stopped")
+
+    # -- the command line
+
+    def test_command_line_from_plan_to_finished_motion(self):
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            self.assertIn("waiting for review", self.done("plan", "--speed", 50, "--joints", *LEFT))
+            plan = self.client.plans[-1]
+            shown = self.done("show")
+            for part in (plan.id, plan.hash, "clearance", "largest shares", "joint_a1 30.000 deg"):
+                self.assertIn(part, shown)
+            self.assertEqual(self.twin("approve").returncode, 5, "nobody was asked, nobody said yes")
+            self.assert_rests(arm)
+            self.assertIn("plan 0000 is not under review", self.twin("approve", "0000", "--yes").stderr)
+            said = self.done("approve", plan.id[:8], "--yes", "--wait", "--reviewer", "Ada")
+            self.assertIn("finished", said)
+            self.client.assert_at(LEFT, twin, arm)
+        self.client.wait_until_ready()
+        self.assertIn("ready", self.done("status", "--ready"))
+        self.assertEqual(self.twin("approve", "--yes").returncode, 1)
+        self.assertEqual(self.twin("show").returncode, 1)
+        self.assertIn("waiting for review", self.done("home"))
+        self.assertIn("finished", self.done("approve", "--yes", "--wait"))
+
+    def test_command_line_plans_poses_and_lines_in_mm_and_deg(self):
+        home = self.chain.forward(radians(HOME))
+        x, y, z = home.position * 1e3
+        pose = "--pose", x, y, z - 150.0, *np.degrees(rotation_to_abc(home.rotation))
+        self.assertIn("made by", self.done("plan", *pose))
+        np.testing.assert_allclose(self.client.plans[-1].tool_path[-1].z * 1e3, z - 150.0, atol=0.01)
+        self.assertIn("cartesian", self.done("plan", *pose, "--line", "--tool-speed", 100))
+        self.assertGreater(self.client.plans[-1].duration, 1.5)
+        self.done("reject", "--reason", "a test")
+
+    def test_command_line_refuses_in_one_sentence(self):
+        for words, code, sentence in (
+            (("plan", "--pose", 4000, 0, 1500, 0, 90, 0), 1, "out of the arm's reach"),
+            (("plan", "--joints", 1, 2, 3), 2, "expected 6 values"),
+            (("plan", "--joints", 400, *LEFT[1:]), 1, "outside its range"),
+            (("plan",), 2, "required"),
+            (("--robot", "nobody", "--timeout", 1, "stop"), 3, "no robot of this name; known here: /kr120"),
+        ):
+            with self.subTest(words):
+                run = self.twin(*words)
+                self.assertEqual(run.returncode, code, run.stderr)
+                self.assertIn(sentence, run.stderr)
+                self.assertNotIn("Traceback", run.stderr)
+
+    def test_command_line_reports_a_motion_that_was_stopped(self):
+        self.done("plan", "--joints", *RIGHT)
+        command = ["rosrun", "construction_twin", "twin", "--robot", "kr120", "approve", "--yes", "--wait"]
+        with Stream("mock_rsi/joint_states") as arm:
+            waiting = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            wait(lambda: arm.moved(2.0), "the arm to move")
+            self.done("stop")
+            said, _ = waiting.communicate(timeout=30.0)
+        self.assertEqual(waiting.returncode, 4, said)
+        self.assertIn("stopped", said)
+
+    def test_watch_shows_one_picture(self):
+        picture = self.done("watch", "--once")
+        for part in ("IN_SYNC", "ARMED", "joint_a6", "round trip", "late replies", "Hz", "policy"):
+            self.assertIn(part, picture)
+
+    def test_every_node_reports_diagnostics(self):
+        nodes = {"tool_marker", "startup", "scene", "planner", "preview", "executor", "pca_monitor", "virtual_robot"}
+        nodes |= {"mqtt_bridge", "mqtt_review", "mock_rsi"}
+        self.client.wait(lambda: self.client.diagnosed_nodes() >= nodes, f"diagnostics of {nodes}", 5.0)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "by_hand", ByHandTest, sys.argv)

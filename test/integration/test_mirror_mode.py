@@ -1,0 +1,100 @@
+#!/usr/bin/env python3
+"""Mirror mode with the whole system: the twin follows the arm's own program, nothing is commanded, and nobody jumps."""
+
+import sys
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from construction_twin.msg import Link, Sync
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+from twin_client import LEFT, Stream, TwinClient
+
+from construction_twin.units import CYCLE, format_allowance, radians
+
+#: Where the arm goes by itself [deg].
+JOGGED = (10.0, -85.0, 85.0, 5.0, 85.0, -10.0)
+
+
+class MirrorTest(unittest.TestCase):
+    """One robot: command, mirror, command, emergency stop."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_mirror_mode")
+        cls.client = TwinClient()
+        cls.mirror = rospy.ServiceProxy("mirror", SetBool)
+
+    def test_the_arm_leads_and_then_follows_again(self):
+        client = self.client
+        client.wait_until_ready()
+        with Stream("twin/joint_states") as twin, Stream("physical/joint_states") as physical:
+            session = client.link.session
+            answer = self.mirror(True)
+            self.assertTrue(answer.success, answer.message)
+            client.wait(lambda: client.link.state == Link.MIRROR, "the link to mirror")
+            client.wait(lambda: client.link.gateway_state == "ready", "the gateway's session to end")
+            client.wait(lambda: client.sync.state == Sync.WAITING, "the gate to wait")
+            self.assertNotEqual(client.link.session, session)
+            commands = client.link.commands_sent
+            entered = len(twin.messages)
+            client.inject("jog", value=radians(JOGGED), duration=3.0)
+            client.wait(lambda: physical.moved(3.0), "the arm to move by itself")
+            refused = self.mirror(False)
+            self.assertFalse(refused.success)
+            self.assertIn("still changing", refused.message)
+            client.assert_at(JOGGED, physical)
+            client.wait(lambda: np.abs(twin.positions(-1)[0] - radians(JOGGED)).max() < 2e-5, "the twin to arrive")
+            self.assert_no_jump(twin, entered)
+            self.assertEqual(client.link.commands_sent, commands)
+            self.assertEqual(client.sync.state, Sync.WAITING)
+
+            answer = self.mirror(False)
+            self.assertTrue(answer.success, answer.message)
+            client.wait_until_ready()
+            self.assert_no_jump(twin)
+            plan = client.start(LEFT, duration=3.0)
+            client.wait_for_outcome(plan.plan_id, "finished")
+            client.assert_at(LEFT, twin, physical)
+            self.assertFalse([name for name in client.gateway_counters() if name.startswith("stops_")])
+        client.assert_trace_within_limits()
+        self.panic_button()
+
+    def panic_button(self):
+        """One call stops executor and gateway; a person goes on."""
+        client = self.client
+        with Stream("physical/joint_states") as physical:
+            plan = client.start(JOGGED, duration=4.0)
+            client.wait(lambda: physical.moved(3.0), "the arm to move")
+            answer = client.call("emergency_stop")
+            self.assertTrue(answer.success, answer.message)
+            client.wait(lambda: client.link.state == Link.NEEDS_RESET, "the link to need a reset")
+            client.wait_for_outcome(plan.plan_id, "dropped")
+            client.wait(physical.at_rest, "the arm to rest")
+            client.wait(lambda: client.gateway_counters().get("stop_took_s"), "the gateway's report of the stop")
+        report = client.gateway_counters()
+        stated, moved = (np.array(report[f"stop_{name}_deg"].split(), float) for name in ("distance", "moved"))
+        self.assertEqual(report["stop_cause"], "stop")
+        self.assertEqual((stated.shape, moved.shape), ((6,), (6,)))
+        self.assertTrue((moved <= stated + 1e-6).all(), report)
+        self.assertGreater(stated.max(), 0.0)
+        self.assertFalse(self.mirror(False).success)
+        answer = client.call("reset")
+        self.assertTrue(answer.success, answer.message)
+        client.wait_until_ready()
+
+    def assert_no_jump(self, twin: Stream, since: int = 0):
+        """Every step of the twin is inside its velocity limits for the time between the stamps."""
+        messages: list[JointState] = twin.messages[since:]
+        stamps = np.array([message.header.stamp.to_nsec() for message in messages]) / 1e9
+        # stamps of mirrored poses are those of reception: messages come in bunches, the steps are those of the arm's cycles
+        cycles = np.maximum(np.round(np.diff(stamps) / CYCLE), 1.0)[:, None]
+        steps = np.abs(np.diff(twin.positions(since)[: len(messages)], axis=0))
+        allowed = np.array(self.client.robot.velocity) * CYCLE + format_allowance(3) * CYCLE**2
+        self.assertTrue((steps <= allowed * cycles).all(), f"largest step {np.rad2deg(steps.max())} deg")
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "mirror", MirrorTest, sys.argv)

@@ -1,0 +1,59 @@
+#!/usr/bin/env python3
+"""A shipped scenario as a user runs it: `test_scenario.py NAME broker_port:=N rsi_port:=N` starts launch/scenario.launch and reads its verdict."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import rostest
+
+#: The name and the ports; what rostest adds begins with `--` or `__`. In sys.argv itself `port:=N` would be a remapping.
+ARGUMENTS = [argument for argument in sys.argv[1:] if not argument.startswith(("-", "_"))]
+#: Longest that a scenario may take, with start-up and judgement, on a busy machine [s].
+TIME_LIMIT = 150
+
+
+class ScenarioTest(unittest.TestCase):
+    """One run of one scenario."""
+
+    def test_the_cell_does_what_the_scenario_expects(self):
+        name, *ports = ARGUMENTS
+        with tempfile.TemporaryDirectory() as results:
+            trace = f"gateway_trace:={results}/trace"
+            command = [
+                "roslaunch",
+                "construction_twin",
+                "scenario.launch",
+                f"scenario:={name}",
+                f"results_dir:={results}",
+            ]
+            launch = subprocess.Popen(
+                [*command, trace, *ports],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                env=os.environ | {"COLUMNS": "160"},
+            )
+            try:
+                output, _ = launch.communicate(timeout=TIME_LIMIT)
+            except subprocess.TimeoutExpired:
+                launch.send_signal(signal.SIGINT)  # lets it end its nodes
+                output, _ = launch.communicate()
+            path = Path(results) / name / "verdict.json"
+            self.assertTrue(path.is_file(), f"there is no verdict:\n{output[-6000:]}")
+            verdict = json.loads(path.read_text())
+        states = [f"{c['at_s']:9.3f} {c['topic']} {c['value']}: {c['reason']}" for c in verdict["changes"]]
+        failed = [f"{c['name']}: {c['found']}; expected {c['expected']}" for c in verdict["checks"] if not c["passed"]]
+        self.assertTrue(verdict["passed"], "\n".join([*failed, *states]))
+        self.assertIn(f"{name}: passed", output)
+        print(json.dumps(verdict["measured"]), flush=True)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "scenario", ScenarioTest, sys.argv)

@@ -1,0 +1,135 @@
+#!/usr/bin/env python3
+"""The arm on its track: planned as one chain, reviewed, executed over MQTT and RSI, evaluated; in the right order and units."""
+
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import numpy as np
+import rospy
+import rostest
+import tf2_ros
+from construction_twin.msg import CartesianWaypoint
+from construction_twin.srv import PlanCartesian, PlanToPose
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from mqtt_listener import MqttListener
+from twin_client import Stream, TwinClient
+
+from construction_twin.evaluation.report import write_report
+from construction_twin.frames import rotation_to_quaternion
+from construction_twin.kinematics.chain import Chain
+from construction_twin.ros.bag import read_recording
+from construction_twin.ros.recorder import Recorder
+
+#: In the robot's order: the track [mm], then A1 to A6 [deg]; no two alike.
+HOME = (0.0, 0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
+GOAL = (612.3, 11.0, -80.0, 85.0, 24.0, 65.0, -36.0)
+#: The same as the wire has it.
+GOAL_STRING = b"+011.000,-080.000,+085.000,+024.000,+065.000,-036.000,+00612.300"
+#: Half of the last digit of a mm, and what the corrections' six decimals add [m].
+FINAL_TRACK_ERROR = 5.1e-7
+
+
+class TrackTest(unittest.TestCase):
+    """Every test begins at rest at home."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_track")
+        cls.client = TwinClient()
+        cls.chain = Chain(cls.client.robot)
+        for service in ("plan_to_pose", "plan_cartesian"):
+            rospy.wait_for_service(service, 60.0)
+        cls.mqtt = MqttListener(rospy.get_param("~broker_port"), ("twin/kr120/command", "twin/kr120/state"))
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.mqtt.close()
+
+    def setUp(self):
+        self.client.wait_until_ready(60.0)
+        self.client.go_to(HOME)
+
+    def execute(self, answer, arm: Stream) -> np.ndarray:
+        """Approve a plan, wait for its end and return where the mock arm then rests, shape (7,)."""
+        self.assertTrue(answer.success, answer.message)
+        self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
+        verdict = self.client.review(answer.plan_id, answer.plan_hash)
+        self.assertTrue(verdict.success, verdict.message)
+        self.client.wait_for_outcome(answer.plan_id, "finished", answer.duration + 20.0)
+        self.client.wait(arm.at_rest, "the arm to rest")
+        return arm.positions(-1)[0]
+
+    def test_joints_and_wire(self):
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm, Stream("physical/joint_states") as physical:
+            self.assertEqual(tuple(arm.messages[0].name), self.client.robot.joint_names)
+            self.execute(self.client.plan_to(GOAL, 3.0), arm)
+            self.client.assert_at(GOAL, arm, physical)
+            self.assertLess(abs(arm.positions(-1)[0][0] - 0.6123), FINAL_TRACK_ERROR)
+            for topic in ("twin/kr120/command", "twin/kr120/state"):
+                with self.subTest(topic):
+                    self.client.wait(lambda t=topic: self.mqtt.last.get(t) == GOAL_STRING, f"{GOAL_STRING} on {topic}")
+            self.client.assert_within_limits(arm, missed)
+
+    def test_tf_puts_the_arm_where_the_track_is(self):
+        with Stream("mock_rsi/joint_states") as arm:
+            self.execute(self.client.plan_to(GOAL, 3.0), arm)
+        buffer = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(buffer)
+        expected = self.chain.forward(self.client.si(GOAL)).position
+
+        def place(side: str) -> np.ndarray:
+            transform = buffer.lookup_transform("world", f"kr120/{side}/tool0", rospy.Time(0), rospy.Duration(10.0))
+            where = transform.transform.translation
+            return np.array((where.x, where.y, where.z))
+
+        for side in ("twin", "physical"):
+            self.client.wait(lambda s=side: np.abs(place(s) - expected).max() < 2e-5, f"{side} tool at {expected}")
+        listener.unregister()
+
+    def test_a_pose_out_of_the_arms_own_reach(self):
+        # 2.9 m along the rail: the arm reaches 2.5 m, so the track must move
+        goal = PoseStamped(pose=Pose(Point(2.9, 0.3, 1.2), Quaternion(0.0, 1.0, 0.0, 0.0)))
+        answer = rospy.ServiceProxy("plan_to_pose", PlanToPose)(goal=goal, source="test")
+        with Stream("mock_rsi/joint_states") as arm:
+            q = self.execute(answer, arm)
+        np.testing.assert_allclose(self.chain.forward(q).position, (2.9, 0.3, 1.2), atol=2e-4)
+        self.assertGreater(q[0], 0.2)
+
+    def test_a_straight_line_along_the_rail(self):
+        start = self.chain.forward(self.client.si(HOME))
+        end = start.position + np.array((1.0, 0.2, 0.0))
+        pose = Pose(Point(*end), Quaternion(*rotation_to_quaternion(start.rotation)))
+        service = rospy.ServiceProxy("plan_cartesian", PlanCartesian)
+        answer = service(waypoints=[CartesianWaypoint(pose=pose)], speed=0.4, source="test")
+        self.assertEqual(answer.fraction, 1.0, answer.message)
+        with Stream("mock_rsi/joint_states") as arm:
+            q = self.execute(answer, arm)
+            tools = np.array([self.chain.forward(one).position for one in arm.positions()[::10]])
+        np.testing.assert_allclose(self.chain.forward(q).position, end, atol=2e-4)
+        along = (end - start.position) / np.linalg.norm(end - start.position)
+        away = tools - start.position
+        away -= np.outer(away @ along, along)
+        self.assertLess(np.linalg.norm(away, axis=1).max(), 1e-3)
+
+    def test_the_evaluation_has_metres_for_the_track(self):
+        topics = ["twin/joint_states", "physical/joint_states", "physical/feedback", "plan", "execution", "link"]
+        with tempfile.TemporaryDirectory() as folder:
+            bag = Path(folder) / "track.bag"
+            with Recorder(bag, [rospy.resolve_name(t) for t in topics], rospy.resolve_name("recorder")) as recorder:
+                self.client.wait(recorder.connected, "the recorder")
+                with Stream("mock_rsi/joint_states") as arm:
+                    self.execute(self.client.plan_to(GOAL, 3.0), arm)
+                recorder.stop(20.0)
+            report = write_report(read_recording(bag, rospy.get_namespace()), self.client.robot, folder)
+            table = report.summary["tables"]["lag_removed"]
+            self.assertLess(table["track"]["avg_m"], 1e-6)
+            self.assertLess(table["joint_a1"]["avg_rad"], 1e-5)
+            self.assertLess(report.summary["final_error_m"]["track"], 1e-6)
+            self.assertTrue((Path(folder) / "figure8.png").stat().st_size)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "track", TrackTest, sys.argv)

@@ -1,0 +1,59 @@
+"""Every launch file is one that roslaunch accepts, and `--ros-args` explains every argument of it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from roslaunch import rlutil
+
+ROOT = Path(__file__).resolve().parents[2]
+LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
+
+
+def name_of(path: Path) -> str:
+    return path.stem
+
+
+@pytest.mark.parametrize("path", LAUNCHES, ids=name_of)
+def test_roslaunch_accepts_it(path):
+    # parts of bringup have arguments without a default
+    assert rlutil.check_roslaunch(str(path), ignore_unset_args=True) is None
+
+
+@pytest.mark.parametrize("path", LAUNCHES, ids=name_of)
+def test_ros_args_explains_every_argument(path):
+    run = subprocess.run(
+        ["roslaunch", "--ros-args", str(path)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "COLUMNS": "80"},
+    )
+    assert run.returncode == 0, run.stderr
+    undocumented = run.stdout.count("undocumented")
+    given = [arg.get("name") for arg in ElementTree.parse(path).getroot().findall("arg") if "value" not in arg.attrib]
+    assert given and all(name in run.stdout for name in given)
+    assert undocumented == 0
+
+
+@pytest.mark.parametrize(
+    "argument, sentence",
+    [
+        ("arm:=foo", "preflight: arm:=foo: expected mock, real or none"),
+        ("robot_config:=/no/such.yaml", "preflight: robot_config:=/no/such.yaml: expected the absolute path"),
+        ("scene:=/no/such.yaml", "preflight: scene:=/no/such.yaml: expected the absolute path"),
+    ],
+)
+def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins(argument, sentence):
+    run = subprocess.run(
+        ["roslaunch", "--nodes", "construction_twin", "bringup.launch", argument],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode != 0 or "Invalid" in run.stderr
+    assert sentence in run.stderr and "Traceback" not in run.stderr

@@ -1,0 +1,64 @@
+"""Forwarding a speed limit: changes at once, repeats rarely, silence as silence, and to a new session what still holds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from construction_twin.mqtt.speed_forwarder import PERIOD, SpeedForwarder
+from construction_twin.units import NANOSECONDS
+
+MS = 1_000_000
+
+
+def sent(
+    forwarder: SpeedForwarder, until: int, session: str = "s1", source_period: int | None = None, limit: float = 0.5
+) -> list:
+    """Poll every 20 ms up to `until` [ns]; the source speaks every `source_period` [ns]."""
+    found = []
+    for now in range(0, until, 20 * MS):
+        if source_period and now % source_period == 0:
+            forwarder.on_limit(limit, now)
+        value = forwarder.poll(session, now)
+        if value is not None:
+            found.append((now, value))
+    return found
+
+
+def test_nothing_is_sent_before_a_source_spoke_or_without_a_session():
+    assert sent(SpeedForwarder(0.5), NANOSECONDS) == []
+    assert sent(SpeedForwarder(0.5), NANOSECONDS, "", 100 * MS) == []
+
+
+def test_repeats_are_sent_five_times_a_second_however_fast_they_come():
+    times = [now for now, _ in sent(SpeedForwarder(0.5), NANOSECONDS, "s1", 20 * MS)]
+    assert times == list(range(0, NANOSECONDS, PERIOD))
+
+
+def test_a_source_that_falls_silent_is_not_repeated():
+    forwarder = SpeedForwarder(0.5)
+    forwarder.on_limit(0.5, 0)
+    assert sent(forwarder, 5 * NANOSECONDS) == [(0, 0.5)]
+
+
+def test_a_change_is_sent_at_once():
+    forwarder = SpeedForwarder(0.5)
+    forwarder.on_limit(0.5, 0)
+    assert forwarder.poll("s1", 0) == 0.5
+    forwarder.on_limit(0.2, 20 * MS)
+    assert forwarder.poll("s1", 20 * MS) == 0.2
+
+
+def test_a_new_session_is_told_what_still_holds_and_nothing_old():
+    forwarder = SpeedForwarder(0.5)
+    forwarder.on_limit(0.5, 0)
+    assert forwarder.poll("s1", 0) == 0.5
+    assert forwarder.poll("s2", 400 * MS) == 0.5 and forwarder.poll("s2", 420 * MS) is None
+    assert forwarder.poll("s3", 600 * MS) is None
+
+
+@pytest.mark.parametrize("limit", [-0.001, 1.001, math.nan, math.inf])
+def test_what_is_no_share_is_not_taken(limit):
+    forwarder = SpeedForwarder(0.5)
+    assert not forwarder.on_limit(limit, 0) and forwarder.poll("s1", 0) is None
