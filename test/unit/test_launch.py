@@ -18,10 +18,26 @@ def name_of(path: Path) -> str:
     return path.stem
 
 
-@pytest.mark.parametrize("path", LAUNCHES, ids=name_of)
+def is_whole(path: Path) -> bool:
+    """Return whether a launch file can be started as it is: every argument has a default."""
+    arguments = ElementTree.parse(path).getroot().findall("arg")
+    return all({"default", "value"} & set(arg.attrib) for arg in arguments)
+
+
+WHOLE = [path for path in LAUNCHES if is_whole(path)]
+
+
+@pytest.mark.parametrize("path", WHOLE, ids=name_of)
 def test_roslaunch_accepts_it(path):
-    # parts of bringup have arguments without a default
-    assert rlutil.check_roslaunch(str(path), ignore_unset_args=True) is None
+    assert rlutil.check_roslaunch(str(path)) is None
+
+
+def test_every_part_belongs_to_a_whole():
+    """A part gets its arguments from the file that includes it, and is checked with it."""
+    includes = "".join(path.read_text() for path in WHOLE)
+    parts = sorted(set(LAUNCHES) - set(WHOLE))
+    assert {"bringup", "experiment"} <= set(map(name_of, WHOLE))
+    assert [part.name for part in parts if f"launch/{part.name}" not in includes] == []
 
 
 @pytest.mark.parametrize("path", LAUNCHES, ids=name_of)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from bisect import bisect_right
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,14 +55,16 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     changes = [Change(**change) for change in notes["actions"]]
     messages: dict[str, list] = {}
     with rosbag.Bag(str(path)) as bag:
-        wanted = {f"{prefix}/{name}": name for name in ("sync", "link", "execution", MOCK, ARM)}
+        wanted = {f"{prefix}/{name}": name for name in ("sync", "transitions", "link", "execution", MOCK, ARM)}
         for topic, message, _ in bag.read_messages(topics=list(wanted)):
             messages.setdefault(wanted[topic], []).append(message)
     for name in ("sync", "execution", MOCK, ARM):
         if name not in messages:
             raise EvaluationError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
     reports = [json.loads(message.data) for message in messages[MOCK]]
-    changes += [*_states("sync", messages["sync"]), *_states("link", messages.get("link", []))]
+    transitions = messages.get("transitions", [])
+    changes += [*_states("sync", messages["sync"][:1]), *_transitions(transitions)]
+    changes += _states("link", messages.get("link", []))
     changes += [*_states("execution", messages["execution"]), *_outcomes(messages["execution"]), *_faults(reports)]
     arm = messages[ARM]
     columns = [arm[0].name.index(joint) for joint in recording.joint_names]
@@ -69,7 +72,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     return Run(
         recording=recording,
         changes=tuple(sorted(changes, key=lambda change: change.stamp)),
-        closings=tuple(_closings(messages["sync"])),
+        closings=tuple(_closings(transitions, messages["sync"])),
         arm_stamps=np.array([message.header.stamp.to_nsec() for message in arm], dtype=np.int64),
         arm=np.array([message.position for message in arm])[:, columns],
         missed=missed[-1] - missed[0],
@@ -110,15 +113,17 @@ def _faults(reports: list[dict]) -> Iterator[Change]:
         before = now
 
 
-def _closings(messages: list) -> Iterator[SyncMoment]:
-    last = ""
+def _transitions(messages: list) -> Iterator[Change]:
+    """Return every change of the gate's state: two of them may come within one cycle, which `sync` does not show."""
     for message in messages:
-        if last == "IN_SYNC" and message.text != "IN_SYNC":
-            yield SyncMoment(
-                message.header.stamp.to_nsec(),
-                tuple(message.name),
-                tuple(message.error),
-                tuple(message.threshold),
-                message.servo_lag,
-            )
-        last = message.text
+        yield Change(message.header.stamp.to_nsec(), "sync", message.to_text, message.reason)
+
+
+def _closings(transitions: list, syncs: list) -> Iterator[SyncMoment]:
+    stamps = [sync.header.stamp.to_nsec() for sync in syncs]
+    for message in transitions:
+        if message.from_text == "IN_SYNC":
+            stamp = message.header.stamp.to_nsec()
+            last = syncs[max(0, bisect_right(stamps, stamp) - 1)]
+            measured = tuple(message.name), tuple(message.error), tuple(message.threshold)
+            yield SyncMoment(stamp, *measured, last.servo_lag)

@@ -10,10 +10,12 @@ from rich.console import Console
 
 from construction_twin.errors import ConstructionTwinError
 from construction_twin.robot import read_robot_files
-from construction_twin.ros.evaluate import DESCRIPTION, XACRO, package_file
+from construction_twin.ros.evaluate import package_file
 from construction_twin.ros.scenario_node import judge_folder
 from construction_twin.scenario.scenario import read_scenario
 from construction_twin.scenario.table import markdown_table, print_verdict, put_into, read_verdicts
+
+XACRO, DESCRIPTION = "urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"
 
 
 def main(arguments: list[str]) -> int:

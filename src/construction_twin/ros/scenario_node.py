@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from construction_twin.errors import ConstructionTwinError, ScenarioError
 from construction_twin.limits import MotionLimits
-from construction_twin.msg import Execution, Link, Plan, Sync
+from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot import RobotModel
 from construction_twin.ros.experiment_node import RestDetector
 from construction_twin.ros.params import robot_from_parameters
@@ -65,6 +65,7 @@ class ScenarioDriver:
         #: What was seen and done, in order; `actions` is what this program did itself.
         self.seen: list[Change] = []
         self.actions: list[Change] = []
+        self._passed: list[Change] = []
         self._plan: Plan | None = None
         self._approved = ""
         self._execution = Execution()
@@ -72,6 +73,7 @@ class ScenarioDriver:
         self._moved = 0
         for topic, kind in zip(STATES, (Sync, Link, Execution)):
             rospy.Subscriber(topic, kind, self._on_state, callback_args=topic, queue_size=50)
+        rospy.Subscriber("transitions", Transition, self._on_transition, queue_size=50)
         rospy.Subscriber("execution", Execution, self._on_execution)
         rospy.Subscriber("plan", Plan, self._on_plan)
         self._rest = RestDetector(_REST_BAND, _REST_TIME)
@@ -154,7 +156,8 @@ class ScenarioDriver:
 
     def _entered(self, topic: str, state: str) -> int:
         """Return when a state was entered since the last step [ns]; 0 when it was not."""
-        return next((c.stamp for c in self.seen if (c.topic, c.value) == (topic, state) and c.stamp >= self._since), 0)
+        changes = [*self._passed, *self.seen]
+        return next((c.stamp for c in changes if (c.topic, c.value) == (topic, state) and c.stamp >= self._since), 0)
 
     def _move(self, move: Move) -> None:
         self._note("move", str(move.goal_deg))
@@ -214,6 +217,10 @@ class ScenarioDriver:
     def _on_state(self, message, topic: str) -> None:
         if message.text != self.now(topic):
             self.seen.append(Change(message.header.stamp.to_nsec(), topic, message.text, message.reason))
+
+    def _on_transition(self, message: Transition) -> None:
+        # a state that is left within the same cycle, as HOLDING for REPLANNING, is not on `sync`
+        self._passed.append(Change(message.header.stamp.to_nsec(), "sync", message.to_text, message.reason))
 
     def _on_execution(self, message: Execution) -> None:
         self._execution = message

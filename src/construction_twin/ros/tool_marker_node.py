@@ -1,6 +1,4 @@
-"""tool_marker: the operator's handle in rviz. Drag it to a pose and see at once whether the arm can go there; plan, review and stop by
-its menu.
-"""
+"""tool_marker: the operator's handle in rviz: drag it, see at once whether the arm can go there; plan, review, stop by its menu."""
 
 from __future__ import annotations
 

@@ -221,4 +221,7 @@ def _confirmed() -> bool:
     if not sys.stdin.isatty():
         print("twin: nobody can be asked here; look at the plan, then give --yes", file=sys.stderr)
         return False
-    return input("approve, and so start it? [y/N] ").strip().lower() in ("y", "yes")
+    try:
+        return input("approve, and so start it? [y/N] ").strip().lower() in ("y", "yes")
+    except EOFError:
+        return False  # Ctrl-D
