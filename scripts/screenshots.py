@@ -33,7 +33,9 @@ IMAGES = ROOT / "docs" / "images"
 SIZE, WEIGHT = (1100, 760), 300_000
 #: Longest wait for a state, and for something to be drawn [s].
 READY, DRAWN = 180.0, 150.0
-GOAL = (55.0, -70.0, 75.0, 20.0, 60.0, -40.0)
+GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
+#: Further away and higher, so that the text over the arm is in the picture.
+WITH_TEXT = {"Distance": 6.0, "Focal Point": {"X": 0.6, "Y": 0.0, "Z": 1.7}}
 #: Joint that stalls, and how far the arm has moved when it does [deg].
 STALLED, MOVED = "joint_a1", 12.0
 
@@ -125,10 +127,10 @@ def shoot_one(camera: Camera) -> None:
     plan = make_plan(client, GOAL)
     with Stream("preview/joint_states") as ghost:
         rospy.ServiceProxy("preview_plan", PreviewPlan)(speed=2.0, loop=False)
-        wait(lambda: ghost.moved(GOAL[0] - 1.0), "the ghost to reach the goal", READY)
-    camera.shoot("plan", "twin", {"orange": 0.02, "pink": 0.0005})
+        wait(lambda: ghost.moved(abs(GOAL[0]) - 1.0), "the ghost to reach the goal", READY)
+    camera.shoot("plan", "twin", {"orange": 0.015, "pink": 0.0003}, **WITH_TEXT)
     hold(client, plan.plan_id, plan.plan_hash)
-    camera.shoot("holding", "twin", {"orange": 0.005, "violet|red": 0.005})
+    camera.shoot("holding", "twin", {"orange": 0.003, "violet|red": 0.003}, **WITH_TEXT)
 
 
 def ready_client() -> TwinClient:
@@ -144,6 +146,7 @@ def ready_client() -> TwinClient:
 
 def make_plan(client: TwinClient, goal: tuple[float, ...]) -> PlanToJointsResponse:
     """Have a motion planned; the goal in deg, and mm for linear joints."""
+    rospy.wait_for_service("plan_to_joints", READY)
     answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(goal=client.si(goal), duration=8.0, source="the README")
     assert answer.success, answer.message
     return answer
@@ -217,7 +220,7 @@ def photograph(scene: str) -> int:
         display = stack.enter_context(VirtualDisplay(SIZE))
         try:
             SCENES[scene][2](Camera(display, folder))
-        except (AssertionError, ConstructionTwinError) as error:
+        except (AssertionError, ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
             print(f"screenshots: {scene}: {error}", file=sys.stderr)
             return 1
     return 0
