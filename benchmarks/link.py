@@ -72,8 +72,15 @@ def measure_routes(rounds: int, seconds: float, rate_seconds: float, realtime: i
             for k in range(rounds)
         ],
         "max_rate_hz_floor": highest["floor"],
+        "bare_sockets": bare_sockets(seconds, realtime),
     }
     return result | {"max_rate_hz": highest["ours"]}, details
+
+
+def bare_sockets(seconds: float, realtime: int) -> dict:
+    """Return how long as many wake-ups take as a round trip has, between processes that only receive and send."""
+    taken = run_worker("link_wake.py", "--seconds", seconds, "--realtime", realtime)
+    return {"hops": taken["hops"]} | spread_ms(taken["latencies"])
 
 
 def pooled(outcomes: list[dict]) -> dict:
@@ -126,6 +133,10 @@ def show(result: dict, details: dict) -> None:
             row = result[route][subject]
             print(f"{route:13s}{subject:7s}" + "".join(f"{row[column]!s:>16s}" for column in columns))
     if "max_rate_hz" in result:
+        wake = details["bare_sockets"]
+        print(
+            f"{wake['hops']} bare sockets in a row, as a round trip has: p50 {wake['p50_ms']} ms, p99 {wake['p99_ms']} ms"
+        )
         print(f"highest rate without loss [Hz]: {result['max_rate_hz']}; floor: {details['max_rate_hz_floor']}")
     for load, row in result.get("reply_us", {}).items():
         print(f"reply time, {load} [us]: {row}; the gateway ended {details['reply_state'][load]}")

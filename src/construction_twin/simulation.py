@@ -101,9 +101,9 @@ class SimulatedChain:
         #: Changes of the gate's state, oldest first.
         self.transitions: list[Transition] = []
         self.planner = planner
-        self.twin = VirtualRobot(None)
+        self.twin = VirtualRobot(None, robot.linear)
         ids = map(str, itertools.count(1))
-        self.supervisor = LinkSupervisor(config.hash, config.decimals, config.start_tolerance, lambda: next(ids))
+        self.supervisor = LinkSupervisor.of(config, lambda: next(ids))
         #: What the gateway answered [rad]: (IPOC, correction).
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []

@@ -14,49 +14,17 @@ import rostest
 from construction_twin.msg import Link, Plan, Review
 from construction_twin.srv import ReviewPlan, ReviewPlanResponse
 from diagnostic_msgs.msg import DiagnosticArray
+from tablet import Tablet
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from twin_client import wait
 
 from construction_twin.mqtt.account import load_account
-from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.site import main as make_site
 
 PORT = 18846
 TOPICS = Topics("twin", "kr120")
-
-
-class Tablet:
-    """What a tablet sees, by topic; the newest message last."""
-
-    def __init__(self, account: Path):
-        self.heard: dict[str, list[tuple[bytes, bool]]] = {TOPICS.plan: [], TOPICS.review_ack: []}
-        broker = Broker("localhost", PORT, account=load_account(account))
-        self.client = make_client(broker, unique_id("kr120", "tablet"), "unused")
-        self.client.on_connect = lambda client, *_: client.subscribe(
-            subscriptions(client, [(t, 1) for t in self.heard])
-        )
-        self.client.on_message = lambda c, u, message: self.heard[message.topic].append(
-            (message.payload, message.retain)
-        )
-        self.client.connect_async(broker.host, broker.port, broker.keepalive)
-        self.client.loop_start()
-
-    @property
-    def plan(self) -> dict | None:
-        payload = self.heard[TOPICS.plan][-1][0] if self.heard[TOPICS.plan] else b""
-        return json.loads(payload) if payload else None
-
-    def answer(self, payload: bytes, retain: bool = False) -> dict:
-        """Publish on `review`; return the answer."""
-        count = len(self.heard[TOPICS.review_ack])
-        self.client.publish(TOPICS.review, payload, qos=1, retain=retain)
-        wait(lambda: len(self.heard[TOPICS.review_ack]) > count, "an answer on review/ack")
-        return json.loads(self.heard[TOPICS.review_ack][count][0])
-
-    def verdict(self, plan: dict, verdict: str, **changes) -> dict:
-        document = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": verdict, "reviewer": "Anna"}
-        return self.answer(json.dumps(document | changes).encode())
 
 
 class MqttReviewTest(unittest.TestCase):
@@ -78,7 +46,7 @@ class MqttReviewTest(unittest.TestCase):
         for name, value in (("host", "localhost"), ("port", PORT), ("account", str(account))):
             rospy.set_param(f"mqtt_review/{name}", value)
         cls._start("mqtt_review", f"__ns:={rospy.get_namespace().rstrip('/')}")
-        cls.tablet = Tablet(cls.folder / "site/accounts/kr120-tablet/account.json")
+        cls.tablet = Tablet(cls.folder / "site/accounts/kr120-tablet/account.json", PORT, TOPICS)
         cls.addClassCleanup(cls.tablet.client.disconnect)
         wait(cls.tablet.client.is_connected, "the tablet's connection")
         wait(lambda: cls.plans.get_num_connections() and cls.verdicts.get_num_connections(), "mqtt_review")

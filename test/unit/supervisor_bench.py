@@ -8,7 +8,7 @@ import math
 import pytest
 
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
-from construction_twin.units import NANOSECONDS
+from construction_twin.units import NANOSECONDS, last_digit
 
 HASH, DECIMALS = "cafe", 3
 TOLERANCE = math.radians(0.05)
@@ -28,7 +28,9 @@ class Bench:
 
     def __init__(self):
         ids = map(str, itertools.count(1))
-        self.supervisor = LinkSupervisor(HASH, DECIMALS, TOLERANCE, lambda: next(ids))
+        self.supervisor = LinkSupervisor(
+            HASH, DECIMALS, (TOLERANCE,) * len(POSE), (last_digit(DECIMALS),) * len(POSE), lambda: next(ids)
+        )
         self.now = 100 * NANOSECONDS
         self.gateway = {"state": "ready", "reason": "", "session": "", "hash": HASH, "decimals": DECIMALS}
         self.pose: tuple[float, ...] | None = POSE

@@ -49,6 +49,8 @@ def test_routes_have_the_promised_figures(files):
             assert 0 <= figures["lost"] < figures["sent"]
             assert 0.0 < figures["p50_ms"] <= figures["p99_ms"] <= figures["p99_9_ms"] <= figures["max_ms"]
             assert figures["cpu_s_per_1000"] > 0.0
+    assert files[1]["bare_sockets"]["hops"] == 6
+    assert 0.0 < files[1]["bare_sockets"]["p50_ms"] <= files[1]["bare_sockets"]["max_ms"]
     assert set(files[0]["max_rate_hz"]) == set(files[1]["max_rate_hz_floor"]) == {"ros_to_mqtt", "mqtt_to_ros"}
 
 

@@ -14,6 +14,7 @@ from gateway_cell import following
 from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.supervisor import LinkSupervisor
 from construction_twin.ros.mqtt_bridge_node import MqttBridgeNode
+from construction_twin.units import last_digit
 
 
 class Refusals:
@@ -38,7 +39,7 @@ def bridge(ros_time):
     """The node without its connections: everything between a message on `status` and the reports."""
     node = MqttBridgeNode.__new__(MqttBridgeNode)
     node._lock = threading.Lock()
-    node._supervisor = LinkSupervisor("hash", 3, 1e-3, lambda: "s1")
+    node._supervisor = LinkSupervisor("hash", 3, (1e-3,) * 6, (last_digit(3),) * 6, lambda: "s1")
     node._connection = SimpleNamespace(sentence="")
     node._diagnostics = Refusals()
     node._state_check = StateCheck(0.1)

@@ -28,7 +28,7 @@ READ_ONLY = dataclasses.replace(PLAIN, onlysend=True, receive=(), holdon=())
 
 def link(cell) -> LinkSupervisor:
     """Return the bridge's side of the link, with the gateway's status."""
-    supervisor = LinkSupervisor(cell.config.hash, cell.config.decimals, cell.config.start_tolerance, lambda: "s1")
+    supervisor = LinkSupervisor.of(cell.config, lambda: "s1")
     supervisor.on_connection(True)
     supervisor.on_status(cell.gateway.status(), cell.now)
     return supervisor
@@ -214,7 +214,7 @@ class TrackCell(Cell):
         super().__init__()
         self.config = config = TRACK_CONFIG
         self.gateway = Gateway(config)
-        self.codec = type(self.codec)(2, config.decimals)
+        self.codec = type(self.codec).of_config(config)
         start = (2.0, 0.1)
         mock = MockConfig(
             TRACK, start, config.lower, config.upper, config.velocity, config.acceleration, config.layout, config.units

@@ -128,6 +128,7 @@ def test_status_shows_the_playout():
         "jitter_ms": 0.0,
         "lead_ms": 16.0,
         "to_move_ms": 0.0,
+        "put_off_ms": 0.0,
         "rate_percent": 0.0,
         "drift_ppm": None,
         "smoothing_ms": 0.0,

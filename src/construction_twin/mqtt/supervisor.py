@@ -8,13 +8,13 @@ only then, with a command stream within the start tolerance of the arm, is the g
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 
 from construction_twin.errors import ReviewError
 from construction_twin.limits import outside_tolerance
 from construction_twin.mqtt.messages import Control
+from construction_twin.rsi.config import GatewayConfig
 from construction_twin.units import NANOSECONDS
 
 #: A pose or command older than this is not used for a decision [ns].
@@ -48,18 +48,29 @@ class LinkSupervisor:
     config_hash : str
         Hash of the configuration that this side would give the gateway.
     decimals : int
-    start_tolerance : float
-        [rad]
+    start_tolerances : tuple of float, shape (n,)
+        Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
+    last_digits : tuple of float, shape (n,)
+        What the last decimal on the wire is worth [rad], [m], as `MotionLimits.last_digits`.
     new_id : callable
         Returns a new unique id.
     """
 
-    def __init__(self, config_hash: str, decimals: int, start_tolerance: float, new_id: Callable[[], str]):
+    def __init__(
+        self,
+        config_hash: str,
+        decimals: int,
+        start_tolerances: Sequence[float],
+        last_digits: Sequence[float],
+        new_id: Callable[[], str],
+    ):
         self._hash = config_hash
         self._decimals = decimals
-        self._tolerance = start_tolerance
+        self._tolerances = tuple(start_tolerances)
         # an arm that rests between two values of the wire flickers by one digit
-        self._rest_band = max(start_tolerance / 50, math.radians(1.5 * 10.0**-decimals))
+        self._rest_bands = tuple(
+            max(tolerance / 50, 1.5 * digit) for tolerance, digit in zip(start_tolerances, last_digits)
+        )
         self._new_id = new_id
         self.state = LinkState.DISCONNECTED
         self.reason = "not connected to the broker yet"
@@ -83,6 +94,12 @@ class LinkSupervisor:
         self._pending: Control | None = None
         self._sent_at = 0
 
+    @classmethod
+    def of(cls, config: GatewayConfig, new_id: Callable[[], str]) -> LinkSupervisor:
+        """Return the supervisor of a robot whose gateway runs `config`."""
+        digits = config.limits.last_digits(config.decimals)
+        return cls(config.hash, config.decimals, config.start_tolerances, digits, new_id)
+
     # -- events
 
     def on_connection(self, connected: bool) -> None:
@@ -97,7 +114,7 @@ class LinkSupervisor:
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
         """Take the arm's pose [rad]."""
-        if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_band) is not None:
+        if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
             self._rest_pose, self._moved_at = q, now
         self._pose, self._pose_at = q, now
 
@@ -347,7 +364,7 @@ class LinkSupervisor:
 
     def _within_tolerance(self, now: int) -> bool:
         fresh = self._command is not None and now - self._command_at < FRESH and now - self._pose_at < FRESH
-        return fresh and outside_tolerance(self._command, self._pose, self._tolerance) is None
+        return fresh and outside_tolerance(self._command, self._pose, self._tolerances) is None
 
     def _enter(self, state: LinkState, reason: str) -> None:
         self.state, self.reason = state, reason

@@ -10,8 +10,9 @@ import rospy
 from construction_twin.ros.joint_stream import now_ns
 from construction_twin.units import CYCLE_NS
 
-#: Setpoints that are late by no more than this are sent one after the other, so that none is missing [ns].
-CATCH_UP = 50_000_000
+#: Setpoints that are late by no more than this are sent one after the other, so that none is missing [ns]. Below the gateway's
+#: `silence` of 0.1 s: what the gateway bridges need not end a plan.
+CATCH_UP = 80_000_000
 
 
 def cycles() -> Iterator[tuple[int, int]]:

@@ -57,9 +57,7 @@ class MqttBridgeNode:
         self._codec = JointStringCodec.of(robot, config.decimals)
         self._properties = config.properties and settings.protocol == "5"
         self._lock = threading.Lock()
-        self._supervisor = LinkSupervisor(
-            config.hash, config.decimals, config.start_tolerance, lambda: uuid.uuid4().hex
-        )
+        self._supervisor = LinkSupervisor.of(config, lambda: uuid.uuid4().hex)
         self._speed = SpeedForwarder(config.speed_limit_deadline)
         self._sequence = 0
         self._state_check = StateCheck(settings.max_state_age)

@@ -1,0 +1,125 @@
+#!/usr/bin/env python3
+"""The whole system on a site's broker: TLS, an account for everyone, and a person at a tablet who approves what the arm then does."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from construction_twin.msg import Execution
+from tablet import Tablet
+from twin_client import LEFT, RIGHT, Stream, TwinClient, wait
+
+from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.messages import Control, Topics
+from construction_twin.mqtt.site import main as make_site
+from construction_twin.units import radians
+
+PORT = 18860
+TOPICS = Topics("twin", "kr120")
+
+
+class SiteTest(unittest.TestCase):
+    """Bringup with broker_config, bridge_account and gateway_account."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = Path(tempfile.mkdtemp())
+        cls.addClassCleanup(shutil.rmtree, cls.folder)
+        site = cls.folder / "site"
+        arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
+        assert make_site([str(site), *arguments]) == 0
+        command = ["roslaunch", "construction_twin", "bringup.launch", f"broker_config:={site}/broker/mosquitto.conf",
+                   "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260",
+                   f"bridge_account:={site}/accounts/kr120-bridge/account.json",
+                   f"gateway_account:={site}/accounts/kr120-gateway/account.json"]  # fmt: skip
+        cls.output: list[str] = []
+        # the test's own namespace is not bringup's
+        outside = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
+        launch = subprocess.Popen(
+            command, env=outside, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        )
+        threading.Thread(target=lambda: cls.output.extend(launch.stdout), daemon=True).start()
+        cls.addClassCleanup(cls._end, launch)
+        try:
+            wait(lambda: rospy.has_param("gateway/decimals"), "bringup's parameters", 60.0)
+        except AssertionError as error:
+            raise AssertionError(f"{error}\n{''.join(cls.output)[-3000:]}") from None
+        rospy.init_node("test_site")
+        cls.client = TwinClient()
+        cls.tablet = Tablet(site / "accounts/kr120-tablet/account.json", PORT, TOPICS)
+        cls.addClassCleanup(cls.tablet.client.disconnect)
+
+    @staticmethod
+    def _end(launch: subprocess.Popen) -> None:
+        launch.send_signal(signal.SIGINT)
+        launch.wait(30.0)
+
+    def setUp(self):
+        try:
+            self.client.wait_until_ready()
+        except AssertionError as error:
+            self.fail(f"{error}\n{''.join(self.output)[-3000:]}")
+        wait(self.tablet.client.is_connected, "the tablet's connection")
+
+    def test_a_plan_approved_at_the_tablet_is_executed_by_twin_and_arm(self):
+        with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
+            planned = self.client.plan_to(LEFT)
+            wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
+            still = arm.positions()
+            answer = self.tablet.verdict(self.tablet.plan, "approved", reason="looked at it")
+            self.assertTrue(answer["ok"], answer)
+            self.client.wait_for_outcome(planned.plan_id, "finished")
+            self.assertTrue((still == still[0]).all(), "the arm moved before anybody had approved")
+            self.client.assert_at(LEFT, twin, arm)
+        wait(lambda: self.tablet.plan is None, "the plan taken away")
+
+    def test_a_plan_rejected_at_the_tablet_moves_nothing(self):
+        planned = self.client.plan_to(RIGHT)
+        wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
+        with Stream("physical/joint_states") as arm:
+            self.assertTrue(self.tablet.verdict(self.tablet.plan, "rejected", reason="too close")["ok"])
+            self.assertFalse(self.client.review(planned.plan_id, planned.plan_hash).success)
+            arm.wait_for_more(100)
+            self.assertTrue((arm.positions() == arm.positions()[0]).all())
+        self.assertEqual(self.client.execution.state, Execution.IDLE)
+
+    def test_the_tablet_can_neither_command_nor_control(self):
+        before = self.client.gateway_counters()
+        payload = JointStringCodec(6).encode(radians(RIGHT))
+        control = Control("1", self.client.link.session, "stop", None).to_json()
+        with Stream("physical/joint_states") as arm:
+            for topic, content in ((TOPICS.command, payload), (TOPICS.control, control)):
+                self.tablet.client.publish(topic, content, qos=1).wait_for_publish(10.0)
+            arm.wait_for_more(250)
+            self.assertTrue((arm.positions() == arm.positions()[0]).all())
+        self.assertTrue(self.client.armed() and self.client.in_sync(), self.client.describe())
+        after = self.client.gateway_counters()
+        refused = {name for name in after if name.startswith("refused") and after[name] != before.get(name)}
+        self.assertEqual(refused, set(), "what the broker refuses never reaches the gateway")
+
+    def test_nobody_without_an_account_is_let_in(self):
+        answers: list[object] = []
+        stranger = make_client(Broker("127.0.0.1", PORT), unique_id("kr120", "stranger"), "unused")
+        stranger.on_connect = lambda c, u, f, reason, p: answers.append(reason)
+        stranger.on_disconnect = lambda c, u, f, reason, p: answers.append(reason)
+        stranger.connect_async("127.0.0.1", PORT, 10)
+        stranger.loop_start()
+        self.addCleanup(stranger.loop_stop)
+        self.addCleanup(stranger.disconnect)
+        wait(lambda: answers, "the broker's answer to a client without TLS")
+        self.assertTrue(all(reason.is_failure for reason in answers), json.dumps([str(a) for a in answers]))
+        self.assertFalse(stranger.is_connected())
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "site", SiteTest, sys.argv)
