@@ -351,7 +351,9 @@ class Executor:
         if off is not None:
             distance = plan.trajectory.positions[0][off] - self._setpoint[off]
             joint, unit = self._robot.joint_names[off], "m" if self._robot.linear[off] else "rad"
-            raise ReviewError(f"plan {plan.id} starts {distance:.6f} {unit} from the present pose at {joint}; plan again")
+            raise ReviewError(
+                f"plan {plan.id} starts {distance:.6f} {unit} from the present pose at {joint}; plan again"
+            )
 
     def _halt(self, reason: str) -> str:
         if self.state in RESTING or self.plan_start == 0:

@@ -1,6 +1,7 @@
 """The motion check that the gate and the gateway share: what a stream of setpoints may do from one to the next.
 
-Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, linear joints in m, stamps in ns.
+Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, linear joints in m, stamps
+in ns.
 """
 
 from __future__ import annotations

@@ -131,7 +131,8 @@ def test_roles_and_their_topics_are_documented():
 
 
 @pytest.mark.parametrize(
-    "file", ["rsi/gateway", "rsi/mock", "ros/evaluate", "ros/gateway_config", "mqtt/broker", "mqtt/site", "cli/arguments"]
+    "file",
+    ["rsi/gateway", "rsi/mock", "ros/evaluate", "ros/gateway_config", "mqtt/broker", "mqtt/site", "cli/arguments"],
 )
 def test_command_line_options_are_documented(file):
     text = (ROOT / f"src/construction_twin/{file}.py").read_text()

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from construction_twin.robot import read_robot_files
+from construction_twin.robot import home_positions, read_robot_files
 from construction_twin.ros.executor_node import Settings as ExecutorSettings
 from construction_twin.ros.experiment_node import ExperimentSettings
 from construction_twin.ros.mqtt_bridge_node import Settings as BridgeSettings
@@ -50,8 +50,8 @@ DEPLOYMENT = {
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
     "neighbour": {"name", "self_collision"},
-    "planner": {"self_collision", "base_frame"},
-    "tool_marker": {"self_collision", "base_frame", "reviewer"},
+    "planner": {"self_collision", "tf_prefix"},
+    "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
 }
 #: Names of partner nodes: they follow from the launch files' own node names.
 PARTNERS = {"gate", "executor"}
@@ -210,8 +210,8 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
         (SeparationSettings, "separation", {}),
         (NeighbourSettings, "neighbour", {"name": "b", "self_collision": "/tmp/pairs.yaml"}),
-        (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "base_frame": "", "reviewer": "me"}),
-        (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "base_frame": ""}),
+        (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
+        (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
     ],
 )
 def test_the_shipped_configuration_is_accepted(model, name, deployment):
@@ -228,5 +228,5 @@ def test_the_shipped_gateway_settings_make_a_configuration():
 
 def test_rviz_begins_at_the_robot_s_home():
     publisher = config("joint_state_publisher")
-    assert publisher["zeros"] == dict(zip(ROBOT.joint_names, ROBOT.home))
+    assert home_positions(ROOT / "config/kr120.yaml") == dict(zip(ROBOT.joint_names, ROBOT.home))
     assert (publisher["rate"], publisher["source_list"]) == (50, ["twin/joint_states"])

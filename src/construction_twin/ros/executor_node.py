@@ -29,6 +29,7 @@ from construction_twin.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.publisher import Publisher
 from construction_twin.speed_limit import LimitState, SpeedLimit
 from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
 from construction_twin.units import NANOSECONDS
@@ -77,8 +78,8 @@ class ExecutorNode:
         self._reported: tuple = ()
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._next = JointPublisher("next/joint_states", robot.joint_names)
-        self._execution = rospy.Publisher("execution", Execution, queue_size=10, latch=True)
-        self._verdicts = rospy.Publisher("review", Review, queue_size=10, latch=True)
+        self._execution = Publisher("execution", Execution, queue_size=10, latch=True)
+        self._verdicts = Publisher("review", Review, queue_size=10, latch=True)
         self._subscribe(robot.joint_names, settings.arm)
         rospy.Service("review_plan", ReviewPlan, self._on_review)
         rospy.Service("stop", Trigger, self._on_stop)

@@ -10,6 +10,7 @@ import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.errors import PayloadError
+from construction_twin.ros.publisher import Publisher
 from construction_twin.units import NANOSECONDS
 
 #: Messages a publisher keeps for a subscriber that is busy: one second of stream.
@@ -71,7 +72,7 @@ class JointPublisher:
     """Publishes poses of one robot on one topic."""
 
     def __init__(self, topic: str, names: tuple[str, ...]):
-        self._publisher = rospy.Publisher(topic, JointState, queue_size=QUEUE, tcp_nodelay=True)
+        self._publisher = Publisher(topic, JointState, queue_size=QUEUE, tcp_nodelay=True)
         self._names = list(names)
 
     def publish(self, stamp: int, q: tuple[float, ...]) -> None:

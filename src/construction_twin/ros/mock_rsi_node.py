@@ -19,6 +19,7 @@ from construction_twin.ros.diagnostics import ERROR, OK, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.publisher import Publisher
 from construction_twin.rsi.mock import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.rsi.mock_faults import KINDS, Fault
 from construction_twin.rsi.mock_network import MockRsi
@@ -49,7 +50,7 @@ class MockRsiNode:
         self._cycle = 0
         self._reported: tuple[int, bool, int] | None = None
         self._joints = JointPublisher("~joint_states", self._robot.joint_names)
-        self._status = rospy.Publisher("~status", String, queue_size=5, latch=True)
+        self._status = Publisher("~status", String, queue_size=5, latch=True)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         rospy.Service("~restart", Trigger, self._on_restart)
         rospy.Service("~inject", InjectFault, self._on_inject)

@@ -29,6 +29,7 @@ from construction_twin.ros.joint_stream import QUEUE, JointPublisher, JointSubsc
 from construction_twin.ros.mqtt_connection import MqttSettings, broker_of, report_of
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.publisher import Publisher
 
 #: Period at which the link's state is looked at [s].
 POLL = 0.02
@@ -68,8 +69,8 @@ class MqttBridgeNode:
         self._reported_at = 0.0
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._physical = JointPublisher("physical/joint_states", robot.joint_names)
-        self._feedback = rospy.Publisher("physical/feedback", Feedback, queue_size=QUEUE, tcp_nodelay=True)
-        self._link = rospy.Publisher("link", Link, queue_size=10, latch=True)
+        self._feedback = Publisher("physical/feedback", Feedback, queue_size=QUEUE, tcp_nodelay=True)
+        self._link = Publisher("link", Link, queue_size=10, latch=True)
         self._topics = Topics(settings.prefix, robot.name)
         self._client = self._connect(broker_of(settings))
         gate = rospy.resolve_name(settings.gate)

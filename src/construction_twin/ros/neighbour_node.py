@@ -16,6 +16,7 @@ from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.neighbour import ArmListener, OtherArm, neighbour_settings
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import robot_from_parameters
+from construction_twin.ros.publisher import Publisher
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.scene.world import CollisionWorld
@@ -42,7 +43,7 @@ class NeighbourNode:
         self._other = OtherArm(robot.name, settings, self._diagnostics.refuse, streams=True)
         self._own = ArmListener(robot, self._diagnostics.refuse, streams=True)
         self._horizon = braking_horizon(robot, self._other.robot, 1.0 / settings.rate, DELAY)
-        self._publisher = rospy.Publisher("conflict", ConflictMsg, queue_size=10)
+        self._publisher = Publisher("conflict", ConflictMsg, queue_size=10)
         self._timer = rospy.Timer(rospy.Duration(1.0 / settings.rate), self._on_timer)
         rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, self._horizon)
 

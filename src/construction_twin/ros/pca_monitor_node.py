@@ -28,6 +28,7 @@ from construction_twin.ros.joint_stream import (
 from construction_twin.ros.live_settings import NAMESPACE, Behaviour, LiveSettings
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.publisher import Publisher
 from construction_twin.ros.transition_report import TransitionReport
 from construction_twin.srv import PlanToJoints
 from construction_twin.sync_table import SyncState, Transition
@@ -75,7 +76,7 @@ class PcaMonitorNode:
         self._transitions = TransitionReport(settings.transition_file, names)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._command = JointPublisher("command/joint_states", names)
-        self._sync = rospy.Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True)
+        self._sync = Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
         self._live = LiveSettings(settings, names, self._robot.linear, self._configure, self._diagnostics.refuse)
         self._subscribe(names, rospy.resolve_name(settings.executor))

@@ -34,6 +34,7 @@ from construction_twin.ros.neighbour import OtherArm, neighbour_settings
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.ros.plan_requests import plan_request, read_waypoints, tool_waypoints, trajectory_waypoints
+from construction_twin.ros.publisher import Publisher
 from construction_twin.ros.scene_convert import scene_from_msg, tf_frame
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
@@ -95,8 +96,8 @@ class PlannerNode:
         self._other = self._beside and OtherArm(self._robot.name, self._beside, self._diagnostics.refuse, streams=False)
         self._tf = tf2_ros.Buffer()
         self._tf_listener = tf2_ros.TransformListener(self._tf)
-        self._publisher = rospy.Publisher("plan", PlanMsg, queue_size=1, latch=True)
-        self._outcome_publisher = rospy.Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
+        self._publisher = Publisher("plan", PlanMsg, queue_size=1, latch=True)
+        self._outcome_publisher = Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
         self._scene_subscriber = rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
         rospy.Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, queue_size=10)

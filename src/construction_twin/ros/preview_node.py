@@ -21,6 +21,7 @@ from construction_twin.ros.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.publisher import Publisher
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
 
 #: Period of the ghost's poses [s].
@@ -55,7 +56,7 @@ class PreviewNode:
         self._drawn: str | None = None
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._ghost = JointPublisher("preview/joint_states", self._robot.joint_names)
-        self._markers = rospy.Publisher("plan_markers", MarkerArray, queue_size=2, latch=True)
+        self._markers = Publisher("plan_markers", MarkerArray, queue_size=2, latch=True)
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
         rospy.Subscriber("review", Review, self._on_review, queue_size=5)
         rospy.Subscriber("execution", Execution, self._on_execution, queue_size=10)

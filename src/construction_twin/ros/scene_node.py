@@ -23,6 +23,7 @@ from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.publisher import Publisher
 from construction_twin.ros.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
 from construction_twin.scene.edits import SceneFile
 from construction_twin.scene.objects import Scene, SceneObject, product, read_scene, relative
@@ -92,8 +93,8 @@ class SceneNode:
         self._diagnostics = NodeDiagnostics(self._robot.name, lambda: self._state)
         self._tf = tf2_ros.Buffer()
         self._tf_listener = tf2_ros.TransformListener(self._tf)
-        self._scene_publisher = rospy.Publisher("scene", SceneMsg, queue_size=1, latch=True)
-        self._marker_publisher = rospy.Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
+        self._scene_publisher = Publisher("scene", SceneMsg, queue_size=1, latch=True)
+        self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
         with self._busy:
             self._publish_scene()

@@ -14,6 +14,7 @@ from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import from_time, now_ns
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters
+from construction_twin.ros.publisher import Publisher
 from construction_twin.separation import SeparationLimit, SpeedTable
 
 
@@ -37,7 +38,7 @@ class SeparationNode:
         self._measured = rospy.Time()
         self._said = ("", 0.0)
         self._diagnostics = NodeDiagnostics(rospy.get_namespace().strip("/"), self._report)
-        self._publisher = rospy.Publisher("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True)
+        self._publisher = Publisher("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True)
         rospy.Subscriber("separation_distance", Range, self._on_range, queue_size=1, tcp_nodelay=True)
         self._timer = rospy.Timer(rospy.Duration(1.0 / settings.rate), self._on_timer)
 

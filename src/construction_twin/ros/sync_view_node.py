@@ -16,6 +16,7 @@ from construction_twin.msg import Sync
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.publisher import Publisher
 from construction_twin.ros.scene_convert import tf_frame
 from construction_twin.sync_picture import COLOURS, Shape, headline, visual_shapes, worst_joint
 from construction_twin.sync_table import SyncState
@@ -56,7 +57,7 @@ class SyncViewNode:
         self._heard = -math.inf
         self._shown: tuple[SyncState, str] | None = None
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        self._markers = rospy.Publisher("sync_markers", MarkerArray, queue_size=2, latch=True)
+        self._markers = Publisher("sync_markers", MarkerArray, queue_size=2, latch=True)
         rospy.Subscriber("sync", Sync, self._on_sync, queue_size=1)
         self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
 

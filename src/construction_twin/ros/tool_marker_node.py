@@ -29,8 +29,9 @@ from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.node import run_node
 from construction_twin.ros.operator_client import OperatorClient, pose_to_msg
 from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.publisher import Publisher
 from construction_twin.ros.robot_listener import RobotListener
-from construction_twin.ros.scene_convert import scene_from_msg
+from construction_twin.ros.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.tool_marker_shapes import NAME, tool_marker, verdict_markers
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -45,7 +46,7 @@ _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Settings(pydantic.BaseModel):
-    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `base_frame`, `reviewer` in the launch file.
+    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix`, `reviewer` in the launch file.
 
     Attributes
     ----------
@@ -55,8 +56,8 @@ class Settings(pydantic.BaseModel):
         [s]
     self_collision : str
         YAML of the link pairs that are not checked.
-    base_frame : str
-        tf frame that is the robot's base; empty: its `base_link`.
+    tf_prefix : str
+        Of the tf frames of the robot's links; empty: none.
     reviewer : str
         Who approves and rejects by the menu.
     """
@@ -68,7 +69,7 @@ class Settings(pydantic.BaseModel):
     ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=10.0)]
     service_timeout: _Positive
     self_collision: str
-    base_frame: str
+    tf_prefix: str
     reviewer: Annotated[str, pydantic.Field(min_length=1)]
 
 
@@ -82,7 +83,7 @@ class ToolMarkerNode:
         ik = IkSettings(budget_s=self._settings.ik_budget)
         self._solver = inverse_kinematics(Chain(self._robot), ik, np.random.default_rng(0), time.monotonic)
         self._self_collision = read_self_collision(self._settings.self_collision, self._robot)
-        self._frame = self._settings.base_frame or self._robot.base_link
+        self._frame = tf_frame(self._settings.tf_prefix, self._robot.base_link)
         self._news = threading.Condition()
         self._scene: Scene | None = None
         self._world: CollisionWorld | None = None
@@ -98,7 +99,7 @@ class ToolMarkerNode:
         self._client = OperatorClient(rospy.get_namespace(), self._settings.service_timeout, "tool_marker")
         self._listener = RobotListener(rospy.get_namespace(), self._robot)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        self._verdicts = rospy.Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)
+        self._verdicts = Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)
         self._drawn: MarkerArray | None = None
         self._server = InteractiveMarkerServer("tool_marker")
         self._menu = self._make_menu()

@@ -13,6 +13,7 @@ from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.review_log import iso_time
 from construction_twin.ros.joint_stream import to_time
 from construction_twin.ros.params import ros_home
+from construction_twin.ros.publisher import Publisher
 from construction_twin.sync_log import TransitionLog
 from construction_twin.sync_table import SyncState, Transition
 
@@ -50,7 +51,7 @@ class TransitionReport:
         self._names = names
         self._log = TransitionLog(ros_home() / Path(file).expanduser(), names)
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
-        self._publisher = rospy.Publisher("transitions", TransitionMsg, queue_size=50, latch=True)
+        self._publisher = Publisher("transitions", TransitionMsg, queue_size=50, latch=True)
         rospy.loginfo("transitions are recorded in %s", self._log.path)
 
     def report(self, change: Transition) -> None:

@@ -255,7 +255,8 @@ def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) ->
     released = [
         c.stamp
         for c in run.changes
-        if c.stamp > event.stamp and ((c.topic, c.value) == ("execution", "PLAYING") or c.topic in ("call", "move", "fault_end"))
+        if c.stamp > event.stamp
+        and ((c.topic, c.value) == ("execution", "PLAYING") or c.topic in ("call", "move", "fault_end"))
     ]
     distance, rest = distance_after(
         run.arm_stamps, run.arm, event.stamp, min(released, default=int(run.arm_stamps[-1]))
