@@ -101,7 +101,10 @@ class BringupTest(unittest.TestCase):
         listener.unregister()
 
     def test_every_node_reports_diagnostics(self):
-        self.client.wait(lambda: self.client.diagnosed_nodes() >= set(NODES), f"diagnostics of each of {NODES}", 5.0)
+        try:
+            self.client.wait(lambda: self.client.diagnosed_nodes() >= set(NODES), f"diagnostics of each of {NODES}")
+        except AssertionError as error:
+            self.fail(f"{error}; heard of {sorted(self.client.diagnosed_nodes())}")
 
     def test_gateway_and_bridge_count_one_session(self):
         counters = self.client.gateway_counters

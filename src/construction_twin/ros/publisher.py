@@ -8,7 +8,8 @@ import rospy
 class Publisher(rospy.Publisher):
     """As `rospy.Publisher`; what is published while the node shuts down is dropped.
 
-    rospy closes topics before it ends the threads of timers and subscribers: without this every Ctrl-C would print tracebacks.
+    rospy closes topics before it ends the threads of timers and subscribers, and before `rospy.is_shutdown` says so: without this
+    every Ctrl-C would print tracebacks.
     """
 
     def publish(self, *args, **kwds) -> None:
@@ -16,5 +17,5 @@ class Publisher(rospy.Publisher):
         try:
             super().publish(*args, **kwds)
         except rospy.ROSException:
-            if not rospy.is_shutdown():
+            if not rospy.core.is_shutdown_requested():
                 raise
