@@ -46,7 +46,7 @@ class GateSettings:
     give_up_time : float
         A gate that is closed this long stays closed until there is a new command session [s].
     escalate_count, escalate_time : int, float
-        So does one that closes this often within this time [s].
+        So does one that closes this often within this time, but not for stale feedback [s].
     compares : bool
         False without a physical arm: the gate then only checks the motion.
     """
@@ -294,8 +294,10 @@ class Gate:
         self._agreed, self._agreed_since = False, None
         self._policy, self._closed_at = settings.policy, now
         self._fire(event, reason, now)
-        self._closings.append(now)
-        while self._closings[0] < now - settings.escalate_time * NANOSECONDS:
+        if event is not SyncEvent.FEEDBACK_STALE:
+            # silence is the link's to judge: the arm has contradicted nobody
+            self._closings.append(now)
+        while self._closings and self._closings[0] < now - settings.escalate_time * NANOSECONDS:
             self._closings.popleft()
         if self._policy == STOP:
             self._fire(SyncEvent.POLICY_STOP, f"the policy is to stop; {reason}; call reset", now)

@@ -57,8 +57,12 @@ TABLE: dict[SyncState, dict[SyncEvent, SyncState]] = {
     SyncState.HOLDING: _ANEW | _END | {SyncEvent.REPLAN_ASKED: SyncState.REPLANNING},
     SyncState.REPLANNING: _ANEW | _GIVE_UP | {SyncEvent.REPLAN_FAILED: SyncState.HOLDING},
     SyncState.STALE: _ANEW
-    | _END
-    | {SyncEvent.POSE_DIFFERS: SyncState.HOLDING, SyncEvent.REPLAN_ASKED: SyncState.REPLANNING},
+    | _GIVE_UP
+    | {
+        SyncEvent.POLICY_STOP: SyncState.STOPPED,
+        SyncEvent.POSE_DIFFERS: SyncState.HOLDING,
+        SyncEvent.REPLAN_ASKED: SyncState.REPLANNING,
+    },
     # whoever sent what no robot can execute is not asked for a new plan
     SyncState.FAULT: _ANEW | _END,
     # a person has to see to it: only a new command session leads out

@@ -64,9 +64,15 @@ class Arm:
         except AssertionError as error:
             raise AssertionError(f"{error}; {self.describe()}; {self.verdicts}") from None
 
+    @property
+    def has_arm(self) -> bool:
+        """Whether there is a physical arm behind the twin."""
+        return rospy.get_param(f"/{self.name}/executor/arm") != "none"
+
     def wait_until_ready(self) -> None:
         def ready() -> bool:
-            return (self.state(Link), self.state(Sync), self.state(Execution)) == ("ARMED", "IN_SYNC", "IDLE")
+            armed = not self.has_arm or self.state(Link) == "ARMED"
+            return armed and (self.state(Sync), self.state(Execution)) == ("IN_SYNC", "IDLE")
 
         self.wait(ready, "link ARMED, sync IN_SYNC, execution IDLE", 60.0)
 
@@ -145,7 +151,23 @@ class TwoRobotsTest(unittest.TestCase):
         for arm in (self.one, self.two):
             arm.wait_until_ready()
 
+    def test_1_both_move_at_once(self):
+        arms = self.one, self.two
+        with Stream(f"/{ONE}/twin/joint_states") as twin_1, Stream(f"/{TWO}/twin/joint_states") as twin_2:
+            plans = [arm.plan_well(AWAY[arm.name]) for arm in arms]
+            for arm, plan in zip(arms, plans):
+                answer = arm.approve(plan)
+                self.assertTrue(answer.success, answer.message)
+            for arm, plan, twin in zip(arms, plans, (twin_1, twin_2)):
+                arm.finish(plan)
+                arm.wait_until_ready()
+                wait(twin.at_rest, "the twin to rest")
+                np.testing.assert_array_less(np.abs(twin.positions(-1)[0] - radians(AWAY[arm.name])), BOUND)
+        for arm in arms:
+            arm.go(HOME)
+
     def test_1_both_move_at_once_inside_the_bounds(self):
+        self.need_arms()
         arms = self.one, self.two
         with (
             Stream(f"/{ONE}/twin/joint_states", JointState) as twin_1,
@@ -168,6 +190,13 @@ class TwoRobotsTest(unittest.TestCase):
         for arm in arms:
             arm.go(HOME)
 
+    def need_arms(self) -> None:
+        if not self.one.has_arm:
+            self.skipTest(
+                "without physical arms: two whole robots at 250 Hz need some 2.5 cores; on a machine that has them: "
+                "TWO_ROBOTS_ARM=mock make test ARGS=two_robots"
+            )
+
     def assert_errors(self, run: Recording, arm: Arm) -> None:
         start = from_time(arm.newest[Execution].plan_start)
         self.assertGreater(start, 0)
@@ -181,6 +210,7 @@ class TwoRobotsTest(unittest.TestCase):
         np.testing.assert_array_less(final, BOUND)
 
     def test_2_a_fault_in_one_leaves_the_other_alone(self):
+        self.need_arms()
         held = self.one.start(AWAY[ONE])
         running = self.two.start(AWAY[TWO])
         self.one.stall(True)

@@ -251,6 +251,17 @@ class TestEscalation:
             self.violate(cell, 1.1)
         assert cell.state is SyncState.IN_SYNC and cell.gate.violations == 6
 
+    def test_silence_is_not_counted_as_a_violation_of_the_pose(self):
+        cell = bench(escalate_count=2, escalate_time=60.0)
+        for _ in range(4):
+            cell.feedback = False
+            cell.run(0.2)
+            assert cell.state is SyncState.STALE
+            cell.feedback = True
+            cell.opened()
+        self.violate(cell, 0.3)
+        assert cell.state is SyncState.IN_SYNC
+
     def test_a_new_session_begins_counting_anew(self):
         cell = bench(escalate_count=2)
         self.violate(cell, 0.3)

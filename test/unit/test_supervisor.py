@@ -179,3 +179,29 @@ class TestWhileArmed:
         armed.set_gateway("offline", "connection lost")
         armed.run(0.04)
         assert armed.state is LinkState.GATEWAY_OFFLINE
+
+
+class TestRefusedArm:
+    def test_the_next_attempt_is_another_session_s(self, bench):
+        """As when the gateway was armed, its answer came too late, and the session has had its turn."""
+        bench.answering = False
+        while not bench.sent:
+            bench.poll()
+        bench.set_gateway("ready")
+        bench.refuse(bench.sent[0], "session has had its turn; begin another")
+        assert "had its turn" in bench.supervisor.reason
+        bench.answering = True
+        bench.run(2 * RETRY / NANOSECONDS + 1.0)
+        assert bench.state is LinkState.ARMED
+        first, second = [control.session for control in bench.sent if control.verb == "arm"]
+        assert first != second == bench.supervisor.session
+
+    def test_a_refusal_that_lasts_is_asked_no_more_often_than_before(self, bench):
+        bench.answering = False
+        for _ in range(200):
+            control = bench.poll()
+            bench.set_gateway("ready")
+            if control is not None:
+                bench.refuse(control, "no")
+        assert bench.state is LinkState.RESYNC
+        assert 2 <= len(bench.sent) <= 200 * 0.02 / (RETRY / NANOSECONDS) + 1

@@ -90,6 +90,7 @@ class LinkSupervisor:
         self._was_armed = False
         self._reset_wanted = False
         self._asked_for = False
+        self._arm_refused = False
         self._stopped: str | None = None
         self._pending: Control | None = None
         self._sent_at = 0
@@ -133,6 +134,7 @@ class LinkSupervisor:
         if not answer.get("ok"):
             # stays pending: asked again after the usual pause, not with every poll
             self.reason = f"gateway refused {verb}: {answer.get('reason')}"
+            self._arm_refused = verb == "arm"
             return
         self._pending = None
         if verb == "arm":
@@ -344,9 +346,15 @@ class LinkSupervisor:
             return None
         if gateway != "ready" or self._fault:
             return self._send("reset", now) if gateway != "braking" else None
-        if self._within_tolerance(now):
-            return self._send("arm", now, self._hash)
-        return None
+        if not self._within_tolerance(now):
+            return None
+        if self._arm_refused:
+            # a session that was armed and whose answer was lost has had its turn: the next attempt is another one's
+            asked_for = self._asked_for
+            self._begin_session(f"another session, because {self.reason}")
+            self._asked_for = asked_for
+            return None
+        return self._send("arm", now, self._hash)
 
     def _send(self, verb: str, now: int, value: object = None, session: str | None = None) -> Control:
         self._pending = Control(self._new_id(), self.session if session is None else session, verb, value)
@@ -356,6 +364,7 @@ class LinkSupervisor:
     def _begin_session(self, reason: str) -> None:
         self.session = self._new_id()
         self._pending, self._stopped, self._asked_for = None, None, False
+        self._arm_refused = False
         self._command = None
         self._enter(LinkState.RESYNC, reason)
 
