@@ -8,9 +8,14 @@ import subprocess
 import time
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from construction_twin.mqtt.messages import Topics
+
+# how long an example takes is the machine's affair, not the product's
+hypothesis.settings.register_profile("any_machine", deadline=None)
+hypothesis.settings.load_profile("any_machine")
 
 ROOT = Path(__file__).resolve().parents[2]
 _prefixes = (f"test{number}" for number in itertools.count())
