@@ -372,3 +372,12 @@ def test_commands_of_the_session_before_the_reset_are_refused_after_it():
     cell.arm("s2")
     cell.send(cell.measured, session="s1")
     assert (cell.count("refused_session"), cell.state) == (1, State.ARMED)
+
+
+def test_properties_that_cannot_be_read_are_refused_while_nobody_commands():
+    cell = following()
+    cell.control("stop")
+    cell.cycle(100)
+    unreadable = PayloadError("properties", "seq is not a whole number")
+    cell.gateway.on_command(cell.codec.encode(cell.held()), unreadable, cell.now)
+    assert (cell.count("refused_not_armed"), cell.state) == (1, State.HOLDING)

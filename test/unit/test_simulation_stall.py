@@ -104,9 +104,9 @@ class TestDetection:
         received, errors = aligned_errors(stall)
         threshold = stall.closed.comparison.threshold[A3]
         first = received[errors > threshold][0]
-        # five cycles are allowed; it is none: the sample itself closes the gate
+        # five cycles are allowed; it is one at most: what a joint falls behind may pass for servo lag for one sample
         assert 0 <= stall.closed.at - first <= 5 * CYCLE_NS
-        assert stall.closed.at == first
+        assert stall.closed.at - first <= 1.5 * CYCLE_NS
         assert stall.closed.event is SyncEvent.POSE_DIFFERS and stall.closed.reason.startswith("joint_a3 differs by")
 
     def test_commands_freeze_on_that_cycle(self, stall):

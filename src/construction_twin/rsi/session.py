@@ -230,7 +230,7 @@ class Gateway:
         except PayloadError as error:
             self._note_refusal(error.reason, error)
             if error.reason in ("session", "not_armed"):
-                self._note_stranger(properties and properties.session, now)
+                self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
         try:
             self._take(stamp, q, now)

@@ -96,7 +96,7 @@ class Step(_Model):
 class StopBound(_Model):
     """From an event (``fault NAME``, ``call NAME``, ``sync STATE``) on the arm moves no further than this [deg]."""
 
-    event: Annotated[str, pydantic.Field(pattern=r"^(fault|call|sync) \S+$")]
+    event: Annotated[str, pydantic.Field(pattern=r"^(fault|call|sync|execution) \S+$")]
     distance_deg: _Positive
 
 
