@@ -56,7 +56,7 @@ class GateSettings:
     thresholds: Mapping[str, float] = field(default_factory=dict)
     aligned: bool = True
     lag_allowance: float = 0.05
-    lag_margin: float = 0.04
+    lag_margin: float = 0.06
     feedback_timeout: float = 0.1
     agree_share: float = 0.8
     agree_time: float = 0.1

@@ -158,7 +158,7 @@ class ComparisonSettings:
 
     threshold: tuple[float, ...]
     lag_allowance: float = 0.05
-    lag_margin: float = 0.04
+    lag_margin: float = 0.06
     aligned: bool = True
 
 

@@ -28,7 +28,7 @@ from construction_twin.ros.watch import watch
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
 #: How long to wait for a latched message that may not exist [s].
-LATCHED = 1.0
+LATCHED = 2.0
 
 
 class Command:
@@ -129,6 +129,7 @@ class Command:
             topic = f"{self._namespace}/execution"
             raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")
         # before the first plan since the start there is none; a latched one is here within a moment
+        listener.wait(lambda: listener.publishers("plan") > 0, self._options.timeout)
         listener.wait(lambda: listener.newest("plan") is not None, min(LATCHED, self._options.timeout))
         # its latched verdict, if there is one, arrives beside the plan, not before it
         listener.wait(lambda: listener.newest("review") is not None, min(LATCHED, self._options.timeout) / 2)
