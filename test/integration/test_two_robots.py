@@ -194,7 +194,7 @@ class TwoRobotsTest(unittest.TestCase):
         if not self.one.has_arm:
             self.skipTest(
                 "without physical arms: two whole robots at 250 Hz need some 2.5 cores; on a machine that has them: "
-                "TWO_ROBOTS_ARM=mock make test ARGS=two_robots"
+                "TWO_ROBOTS_ARM=mock rostest construction_twin two_robots.test"
             )
 
     def assert_errors(self, run: Recording, arm: Arm) -> None:
