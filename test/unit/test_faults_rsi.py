@@ -82,7 +82,7 @@ def test_after_a_cut_longer_than_timeout_the_next_session_begins_where_the_arm_s
         cell.wait(lambda: cell.commander.link is LinkState.NEEDS_RESET, "the link to need a reset")
         assert any("no telegram for" in reason for reason in cell.gateway_reasons("no_controller"))
         assert cell.packets[-1].measured == stopped, "nothing drives the arm to the twin"
-        assert cell.finish() == 1
+        assert cell.finish() >= 1, "a person is needed"
         report("cut of 0.8 s", cell)
         assert cell.counter("rsi_sessions") > sessions
         assert_recovered(cell)
@@ -114,7 +114,7 @@ def test_a_killed_gateway_joins_the_running_session_and_waits_for_the_next(tmp_p
         cell.wait(lambda: cell.mock.said("timeout: 1000 cycles"), "the controller to stop")
         stopped = cell.packets[-1].measured
         assert {packet.measured for packet in cell.packets[killed + 5 :]} == {stopped}, "HOLDON"
-        assert cell.finish() == 1
+        assert cell.finish() >= 1, "a person is needed"
         found = report("gateway killed", cell)
         assert found.missed >= 999
         assert len([entry for entry in cell.entries() if entry.session == 1]) == 0, (
