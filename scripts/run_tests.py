@@ -20,7 +20,14 @@ RESULTS = ROOT / ".ws" / "test_results"
 #: Longest that one rostest may take [s]; each test in it has a limit of its own.
 TIME_LIMIT = 400
 #: Unit tests that run gateway, mock controller or bridge as processes in real time: they need the machine for themselves.
-ALONE = ("test_faults_", "test_fuzz", "test_bench_link", "test_gateway_program", "test_gateway_service", "test_mock_udp")
+ALONE = (
+    "test_faults_",
+    "test_fuzz",
+    "test_bench_link",
+    "test_gateway_program",
+    "test_gateway_service",
+    "test_mock_udp",
+)
 
 
 def count(file: Path) -> tuple[int, int]:
