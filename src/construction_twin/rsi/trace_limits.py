@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from construction_twin.limits import RANGE_SLACK, MotionLimits
+from construction_twin.rsi.state import State
 from construction_twin.rsi.trace import TraceEntry
 from construction_twin.units import CYCLE
 
@@ -46,6 +47,10 @@ class Excess:
         return f"entry {self.index}, IPOC {self.ipoc}: {self.axis} {self.kind} {self.value:.6g}; limit {self.limit:.6g}"
 
 
+#: States in which the gateway adds nothing to what the controller's own program does.
+_LED = (State.READY, State.ARMED)
+
+
 def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals: int) -> list[Excess]:
     """Return every place where a trace leaves the limits; empty when it stays inside.
 
@@ -73,6 +78,9 @@ def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals
         if entry.ipoc - last.ipoc > _STANDSTILL_MS:
             step = rest
         new = tuple([q - before for q, before in zip(entry.position, last.position)])
+        if entry.state in _LED:
+            # the pose follows the controller's own motion: what it does, and what it does in a missed cycle, is not the gateway's
+            new = step = rest
         for axis, q in enumerate(entry.position):
             name = limits.names[axis]
             if not limits.lower[axis] - RANGE_SLACK <= q <= limits.upper[axis] + RANGE_SLACK:
