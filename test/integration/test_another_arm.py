@@ -36,16 +36,6 @@ class AnotherArmTest(unittest.TestCase):
         self.client.wait_until_ready(60.0)
         self.client.go_to(HOME)
 
-    def execute(self, answer, arm: Stream) -> np.ndarray:
-        """Approve a plan, wait for its end and return where the mock arm then rests, shape (6,) [rad]."""
-        self.assertTrue(answer.success, answer.message)
-        self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
-        verdict = self.client.review(answer.plan_id, answer.plan_hash)
-        self.assertTrue(verdict.success, verdict.message)
-        self.client.wait_for_outcome(answer.plan_id, "finished", answer.duration + 20.0)
-        self.client.wait(arm.at_rest, "the arm to rest")
-        return arm.positions(-1)[0]
-
     def test_the_joints_are_those_of_its_urdf_and_begin_at_its_home(self):
         shown = rospy.wait_for_message("joint_states", JointState, 20.0)
         self.assertEqual(set(shown.name), {"pan", "lift", "elbow", "wrist_1", "wrist_2", "wrist_3"})
@@ -55,7 +45,7 @@ class AnotherArmTest(unittest.TestCase):
     def test_to_joints(self):
         missed = self.client.mock_counter("missed")
         with Stream("mock_rsi/joint_states") as arm, Stream("physical/joint_states") as physical:
-            self.execute(self.client.plan_to(GOAL, 0.0), arm)
+            self.client.execute(self.client.plan_to(GOAL, 0.0), arm)
             self.client.assert_at(GOAL, arm, physical)
             self.client.assert_within_limits(arm, missed)
 
@@ -64,7 +54,7 @@ class AnotherArmTest(unittest.TestCase):
         pose = Pose(Point(*wanted.position), Quaternion(*rotation_to_quaternion(wanted.rotation)))
         answer = rospy.ServiceProxy("plan_to_pose", PlanToPose)(goal=PoseStamped(pose=pose), source="test")
         with Stream("mock_rsi/joint_states") as arm:
-            q = self.execute(answer, arm)
+            q = self.client.execute(answer, arm)
         np.testing.assert_allclose(self.chain.forward(q).position, wanted.position, atol=1e-4)
 
     def test_along_a_line(self):
@@ -75,7 +65,7 @@ class AnotherArmTest(unittest.TestCase):
         answer = service(waypoints=[CartesianWaypoint(pose=pose)], speed=0.1, source="test")
         self.assertEqual(answer.fraction, 1.0, answer.message)
         with Stream("mock_rsi/joint_states") as arm:
-            q = self.execute(answer, arm)
+            q = self.client.execute(answer, arm)
         np.testing.assert_allclose(self.chain.forward(q).position, end, atol=1e-4)
 
 

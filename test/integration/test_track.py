@@ -51,21 +51,11 @@ class TrackTest(unittest.TestCase):
         self.client.wait_until_ready(60.0)
         self.client.go_to(HOME)
 
-    def execute(self, answer, arm: Stream) -> np.ndarray:
-        """Approve a plan, wait for its end and return where the mock arm then rests, shape (7,)."""
-        self.assertTrue(answer.success, answer.message)
-        self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
-        verdict = self.client.review(answer.plan_id, answer.plan_hash)
-        self.assertTrue(verdict.success, verdict.message)
-        self.client.wait_for_outcome(answer.plan_id, "finished", answer.duration + 20.0)
-        self.client.wait(arm.at_rest, "the arm to rest")
-        return arm.positions(-1)[0]
-
     def test_joints_and_wire(self):
         missed = self.client.mock_counter("missed")
         with Stream("mock_rsi/joint_states") as arm, Stream("physical/joint_states") as physical:
             self.assertEqual(tuple(arm.messages[0].name), self.client.robot.joint_names)
-            self.execute(self.client.plan_to(GOAL, 3.0), arm)
+            self.client.execute(self.client.plan_to(GOAL, 3.0), arm)
             self.client.assert_at(GOAL, arm, physical)
             self.assertLess(abs(arm.positions(-1)[0][0] - 0.6123), FINAL_TRACK_ERROR)
             for topic in ("twin/kr120/command", "twin/kr120/state"):
@@ -75,7 +65,7 @@ class TrackTest(unittest.TestCase):
 
     def test_tf_puts_the_arm_where_the_track_is(self):
         with Stream("mock_rsi/joint_states") as arm:
-            self.execute(self.client.plan_to(GOAL, 3.0), arm)
+            self.client.execute(self.client.plan_to(GOAL, 3.0), arm)
         buffer = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(buffer)
         expected = self.chain.forward(self.client.si(GOAL)).position
@@ -94,7 +84,7 @@ class TrackTest(unittest.TestCase):
         goal = PoseStamped(pose=Pose(Point(2.9, 0.3, 1.2), Quaternion(0.0, 1.0, 0.0, 0.0)))
         answer = rospy.ServiceProxy("plan_to_pose", PlanToPose)(goal=goal, source="test")
         with Stream("mock_rsi/joint_states") as arm:
-            q = self.execute(answer, arm)
+            q = self.client.execute(answer, arm)
         np.testing.assert_allclose(self.chain.forward(q).position, (2.9, 0.3, 1.2), atol=2e-4)
         self.assertGreater(q[0], 0.2)
 
@@ -106,7 +96,7 @@ class TrackTest(unittest.TestCase):
         answer = service(waypoints=[CartesianWaypoint(pose=pose)], speed=0.4, source="test")
         self.assertEqual(answer.fraction, 1.0, answer.message)
         with Stream("mock_rsi/joint_states") as arm:
-            q = self.execute(answer, arm)
+            q = self.client.execute(answer, arm)
             tools = np.array([self.chain.forward(one).position for one in arm.positions()[::10]])
         np.testing.assert_allclose(self.chain.forward(q).position, end, atol=2e-4)
         along = (end - start.position) / np.linalg.norm(end - start.position)
@@ -121,7 +111,7 @@ class TrackTest(unittest.TestCase):
             with Recorder(bag, [rospy.resolve_name(t) for t in topics], rospy.resolve_name("recorder")) as recorder:
                 self.client.wait(recorder.connected, "the recorder")
                 with Stream("mock_rsi/joint_states") as arm:
-                    self.execute(self.client.plan_to(GOAL, 3.0), arm)
+                    self.client.execute(self.client.plan_to(GOAL, 3.0), arm)
                 recorder.stop(20.0)
             report = write_report(read_recording(bag, rospy.get_namespace()), self.client.robot, folder)
             table = report.summary["tables"]["lag_removed"]

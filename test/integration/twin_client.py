@@ -211,6 +211,16 @@ class TwinClient:
         assert answer.success, answer.message
         return plan
 
+    def execute(self, answer, arm: Stream) -> np.ndarray:
+        """Approve a plan, wait for its end and return where the mock arm, heard by `arm`, then rests, shape (n,) [rad], [m]."""
+        assert answer.success, answer.message
+        self.wait(lambda: self.plans and self.plans[-1].id == answer.plan_id, "the plan")
+        verdict = self.review(answer.plan_id, answer.plan_hash)
+        assert verdict.success, verdict.message
+        self.wait_for_outcome(answer.plan_id, "finished", answer.duration + 20.0)
+        self.wait(arm.at_rest, "the arm to rest")
+        return arm.positions(-1)[0]
+
     def go_to(self, goal_deg: Sequence[float]) -> None:
         """Move to a pose at the default speed and wait until a plan could be approved again; nothing if it is there already."""
         with Stream("physical/joint_states") as physical:

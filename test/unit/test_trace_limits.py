@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from gateway_cell import CONFIG, Cell, slow
@@ -81,3 +82,17 @@ def test_what_is_found_says_where_and_how_much(kind):
     found = trace_excesses(entries, LIMITS, 3)[0]
     assert found.kind == kind
     assert f"A1 {kind} {found.value:.6g}; limit {found.limit:.6g}" in str(found)
+
+
+@pytest.mark.parametrize("state", [State.READY, State.ARMED])
+def test_where_the_pose_follows_the_controller_only_its_range_is_judged(state):
+    """And the first cycle of a stream is judged as one from rest."""
+    led = [replace(entry, state=state) for entry in trace([10 * WIDE, 0.0, 10 * WIDE])]
+    assert kinds(led) == []
+    assert kinds([*led, replace(led[-1], ipoc=led[-1].ipoc + 4, state=State.FOLLOWING)]) == []
+    begun = replace(
+        led[-1], ipoc=led[-1].ipoc + 4, state=State.FOLLOWING, position=(led[-1].position[0] + 2 * WIDE, 0.0)
+    )
+    assert kinds([*led, begun]) == [(4, "A1", "acceleration")]
+    outside = replace(led[-1], position=(LIMITS.upper[0] + 0.1, 0.0))
+    assert kinds([*led[:-1], outside]) == [(3, "A1", "range")]

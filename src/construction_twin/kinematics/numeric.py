@@ -200,6 +200,7 @@ class _Search:
         self._check_reach()
 
     def nearest(self) -> IkSolution:
+        """Return the solution nearest to the seed among those found before patience or budget ran out; a typed error without any."""
         best = None
         idle = 0
         for solution in self._solutions():
@@ -214,6 +215,7 @@ class _Search:
         return best
 
     def all(self) -> list[IkSolution]:
+        """Return every solution found, whole turns too, nearest first; a typed error without any."""
         found: list[IkSolution] = []
         idle = 0
         for solution in self._solutions():

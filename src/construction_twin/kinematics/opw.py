@@ -107,6 +107,7 @@ class _Axis:
     direction: np.ndarray
 
     def nearest(self, point: np.ndarray) -> np.ndarray:
+        """Return the point on the axis that is nearest to `point`, shape (3,) [m]."""
         return self.point + self.direction * ((point - self.point) @ self.direction)
 
 

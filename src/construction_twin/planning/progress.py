@@ -266,6 +266,7 @@ class _Limits(LinearConstraint):
         self._squares = np.column_stack((np.zeros(len(top)), top**2))
 
     def compute_constraint_params(self, _path, grid):
+        """Return the constraint's coefficients at every stage, as toppra asks for them."""
         both_signs = np.concatenate((np.eye(self.dof), -np.eye(self.dof)))
         bounds = np.concatenate((self._acceleration, self._acceleration))
         none = np.zeros_like(self._first)

@@ -57,6 +57,7 @@ class _EdgeValidator(ob.MotionValidator):
         self._joints = joints
 
     def checkMotion(self, first, second, *last_valid) -> bool:  # noqa: N802 (OMPL's name)
+        """Return whether the straight edge between two states is free."""
         # the last valid state is not filled in: planners that ask for it then drop the edge as a whole
         return self._edges.free(_values(first, self._joints), _values(second, self._joints))
 

@@ -12,6 +12,7 @@ import rosgraph
 import rospy
 
 from construction_twin.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.files import write_whole
 from construction_twin.ros.params import robot_from_parameters, ros_home
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.export import gateway_config
@@ -78,11 +79,3 @@ def run_gateway() -> None:
     rospy.signal_shutdown("handing over to the gateway")
     arguments = rospy.myargv(sys.argv)[1:]
     os.execv(sys.executable, [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", str(path), *arguments])
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file in one step: whoever reads it meanwhile sees the old text or the new one, never a part."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)

@@ -21,6 +21,7 @@ class _Memory:
         return thing in self._known
 
     def add(self, thing: object) -> None:
+        """Remember a thing; of too many the oldest is forgotten."""
         if thing in self._known:
             return
         self._known.add(thing)
