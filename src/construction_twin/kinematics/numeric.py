@@ -200,7 +200,7 @@ class _Search:
         self._check_reach()
 
     def nearest(self) -> IkSolution:
-        """Return the solution nearest to the seed among those found before patience or budget ran out; a typed error without any."""
+        """Return the nearest solution found before patience or budget ran out; a typed error without any."""
         best = None
         idle = 0
         for solution in self._solutions():
