@@ -1,4 +1,4 @@
-"""Writes krl/: KRL programs, RSI contexts and Ethernet XMLs for the controller, all from the one table of channels below.
+"""Writes krl/: KRL programs, RSI contexts and Ethernet XMLs for the controller, all from the one table of channels in krl_variants.py.
 
 Every file says who may use it and that it was not tried on a controller. Run it after a change; a test compares.
 Facts: the numbers of objects, parameters and channels are those of KUKA's RSI (docs/controller.md names where they come from).
@@ -12,41 +12,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from krl_program import program
+from krl_variants import ADDRESS, FLAG, NOTICE, PORT, PRECISION, SENTYPE, SPAN, TIMEOUT, TRACK, VARIANTS, Variant
+
 ROOT = Path(__file__).resolve().parents[1]
-
-#: Address of the PC and its UDP port; the user edits the address.
-ADDRESS, PORT, SENTYPE = "192.168.1.10", 49152, "ImFree"
-TIMEOUT, FLAG, PRECISION = 100, 1, 6
-#: Length of each axis' range [deg]: a correction can never be larger, wherever the session starts. KR 120 R2500 pro.
-SPAN = {"A1": 370, "A2": 135, "A3": 275, "A4": 700, "A5": 250, "A6": 700}
-#: Placeholder for a track [mm]: longer than any.
-TRACK = 30000
-NOTICE = "construction_twin. Written from published facts, NOT TRIED ON A CONTROLLER: check every value before use (docs/controller.md)."
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One set of files: its name, whether it moves E1, whether it only listens."""
-
-    name: str
-    external: bool = False
-    read_only: bool = False
-
-    @property
-    def ethernet(self) -> str:
-        """Name of the Ethernet XML."""
-        return f"{self.name}_ethernet.xml"
-
-    @property
-    def channels(self) -> list[tuple[str, str, int, int]]:
-        """RECEIVE: TAG, TYPE, INDX, HOLDON."""
-        if self.read_only:
-            return []
-        axes = [(f"AK.A{i}", "DOUBLE", i + 1, 1) for i in range(1, 7)]
-        return [("Stop", "BOOL", 1, 0), *axes, *([("EK.E1", "DOUBLE", 8, 1)] if self.external else [])]
-
-
-VARIANTS = (Variant("ctwin"), Variant("ctwin_e1", external=True), Variant("ctwin_ro", read_only=True))
 
 
 @dataclass(frozen=True)
@@ -293,125 +262,6 @@ def rsix(variant: Variant) -> str:
             lines.append(f'        <Parameter{more} Name="{name}" ParamId="{number}" ParamValue="{value}"/>')
         lines += ["      </Parameters>", "    </RsiObject>"]
     return "\n".join([*lines, "  </RsiObjects>", "</RsiContext>"]) + "\n"
-
-
-# -- KRL -----------------------------------------------------------------------------------------------------------------
-
-
-def program(variant: Variant, rsi41: bool) -> str:
-    """Return the KRL program of a context."""
-    context = variant.name if rsi41 else f"{variant.name}.rsi"
-    body = _read_only_body() if variant.read_only else _motion_body(variant, rsi41)
-    limits = rsi41 and not variant.read_only
-    lines = [
-        "&ACCESS RVP",
-        "&REL 1",
-        f"&COMMENT construction_twin, RSI {'4.1 and later' if rsi41 else '3.x'}: not tried on a controller",
-        f"DEF {variant.name}()",
-        *(f"; {line}" for line in _heading(variant, rsi41)),
-        "DECL INT ret, container",
-        "",
-        ";FOLD INI",
-        "  ;FOLD BASISTECH INI",
-        "    GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM()",
-        "    INTERRUPT ON 3",
-        "    BAS(#INITMOV, 0)",
-        "  ;ENDFOLD (BASISTECH INI)",
-        ";ENDFOLD (INI)",
-        "",
-        "; block coincidence: a motion to where the arm already stands",
-        "PTP $AXIS_ACT_MEAS",
-        "",
-        f'ret = RSI_CREATE("{context}", container, TRUE)',
-        *_check("ret"),
-        *(["", "ctwin_limits(container)"] if limits else []),
-        "",
-        *body,
-        "",
-        "ret = RSI_OFF()",
-        *_check("ret"),
-        "ret = RSI_DELETE(container)",
-        *_check("ret"),
-        "END",
-    ]
-    if limits:
-        lines += ["", *_limits(variant)]
-    return "\n".join(lines) + "\n"
-
-
-def _heading(variant: Variant, rsi41: bool) -> list[str]:
-    files = f"{variant.name}.rsix" if rsi41 else f"{variant.name}.rsi, .rsi.diagram and .rsi.xml"
-    lines = [
-        NOTICE,
-        f"Needs {files}, and {variant.ethernet}, in Config/User/Common/SensorInterface.",
-        "Start rsi_gateway on the PC first: the exchange begins with RSI_ON.",
-    ]
-    if variant.read_only:
-        return [*lines, "The controller only reports (ONLYSEND TRUE): nothing on the PC can move the arm."]
-    return [*lines, "The PC moves the arm from RSI_MOVECORR on. First runs: T1, commissioning mode of the gateway."]
-
-
-def _check(name: str) -> list[str]:
-    return [f"IF ({name} <> RSIOK) THEN", "  HALT", "ENDIF"]
-
-
-def _motion_body(variant: Variant, rsi41: bool) -> list[str]:
-    note = (
-        "the bounds of the corrections are set from the soft limits above"
-        if rsi41
-        else "bounds of the corrections: wide ones in the context; soft limits and the gateway's own range hold"
-    )
-    return [
-        f"; {note}",
-        "; absolute: a correction is the offset from this pose, and a missed reply holds it (HOLDON 1)",
-        "ret = RSI_ON(#ABSOLUTE, #IPO_FAST)",
-        *_check("ret"),
-        "",
-        "; returns when the gateway sends Stop 1, at rest",
-        "RSI_MOVECORR()",
-    ]
-
-
-def _read_only_body() -> list[str]:
-    return [
-        "ret = RSI_ON(#ABSOLUTE, #IPO_FAST)",
-        *_check("ret"),
-        "",
-        "; no RSI_MOVECORR: with ONLYSEND nothing corrects. Put your own motions in place of the loop.",
-        "LOOP",
-        "  WAIT SEC 1.0",
-        "ENDLOOP",
-    ]
-
-
-def _limits(variant: Variant) -> list[str]:
-    axes: list[tuple[str, int, str]] = [(axis, index, "AxisCorr_1") for index, axis in enumerate(SPAN, 1)]
-    if variant.external:
-        axes.append(("E1", 7, "AxisCorrExt_1"))
-    lines = [
-        "DEF ctwin_limits(container :IN)",
-        "; From here to the soft limits, per axis: AXISCORR would clamp a larger correction without a message.",
-        "DECL INT container, ret",
-        "DECL REAL below, above, most",
-        "",
-    ]
-    for axis, index, name in axes:
-        lines += [
-            f"below = $SOFTN_END[{index}] - $AXIS_ACT_MEAS.{axis}",
-            f"above = $SOFTP_END[{index}] - $AXIS_ACT_MEAS.{axis}",
-            "most = above",
-            "IF (-below > above) THEN",
-            "  most = -below",
-            "ENDIF",
-            f'ret = RSI_SetPublicPar(container, "{name}", "LowerLim{axis}", below)',
-            *_check("ret"),
-            f'ret = RSI_SetPublicPar(container, "{name}", "UpperLim{axis}", above)',
-            *_check("ret"),
-            f'ret = RSI_SetPublicPar(container, "AxisCorrMon_1", "Max{axis}", most)',
-            *_check("ret"),
-            "",
-        ]
-    return [*lines, "END"]
 
 
 # -- files ---------------------------------------------------------------------------------------------------------------
