@@ -1,4 +1,4 @@
-"""The newest pose on a 250 Hz stream, for nodes that ask for it now and then: a message is decoded only when somebody asks."""
+"""The newest pose on a 250 Hz stream, for nodes that ask for it now and then."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ from sensor_msgs.msg import JointState
 from construction_twin.errors import PoseUnknownError
 from construction_twin.ros.joint_stream import joint_values
 
+#: Between two looks at the socket while nobody asks [s]: of what has come in the meantime only the newest is kept.
+PAUSE = 0.02
+#: How long somebody who asks waits for what lies in the socket, or for the stream's next message [s].
+NEXT_MESSAGE = 0.01
+
 
 class LatestPose:
-    """Listens to a `sensor_msgs/JointState` topic.
+    """Listens to a `sensor_msgs/JointState` topic, in bundles: waking up for every message would cost several times as much.
 
     Parameters
     ----------
@@ -26,8 +31,9 @@ class LatestPose:
     def __init__(self, topic: str, names: tuple[str, ...]):
         self._names = names
         self._news = threading.Condition()
+        self._asked = threading.Event()
         self._newest: tuple[float, rospy.AnyMsg] | None = None
-        # undecoded, listening costs about half
+        self._looks = 0
         self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=1, tcp_nodelay=True)
 
     def pose(self, oldest: float, patience: float = 0.0) -> tuple[float, ...]:
@@ -53,6 +59,9 @@ class LatestPose:
             If it does not hold exactly these joints with finite positions.
         """
         with self._news:
+            looks = self._looks
+            self._asked.set()
+            self._news.wait_for(lambda: self._looks > looks, NEXT_MESSAGE)
             if not self._news.wait_for(lambda: self._age() <= oldest, patience):
                 raise PoseUnknownError(self._subscriber.resolved_name, self._age(), oldest)
             _, message = self._newest
@@ -63,9 +72,13 @@ class LatestPose:
         self._subscriber.unregister()
 
     def _receive(self, message: rospy.AnyMsg) -> None:
+        self._asked.clear()
         with self._news:
             self._newest = time.monotonic(), message
+            self._looks += 1
             self._news.notify_all()
+        # rospy reads on when this returns
+        self._asked.wait(PAUSE)
 
     def _age(self) -> float:
         return math.inf if self._newest is None else time.monotonic() - self._newest[0]

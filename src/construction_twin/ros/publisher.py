@@ -1,16 +1,28 @@
-"""A ROS publisher that timers and callbacks may use until the very end."""
+"""A ROS publisher for streams: it sends at once, no subscriber can make it wait, and it is quiet while the node shuts down."""
 
 from __future__ import annotations
 
+import socket
+import threading
+from collections import deque
+
 import rospy
+from rospy.exceptions import TransportException, TransportTerminated
 
 
 class Publisher(rospy.Publisher):
-    """As `rospy.Publisher`; what is published while the node shuts down is dropped.
+    """As `rospy.Publisher` with a `queue_size`, but a message goes out in the caller's thread; see `DirectConnection`.
 
-    rospy closes topics before it ends the threads of timers and subscribers, and before `rospy.is_shutdown` says so: without this
-    every Ctrl-C would print tracebacks.
+    What is published while the node shuts down is dropped: rospy closes topics before it ends the threads of timers and subscribers,
+    and before `rospy.is_shutdown` says so. Without this every Ctrl-C would print tracebacks.
     """
+
+    def __init__(self, name: str, data_class: type, queue_size: int, **options):
+        super().__init__(name, data_class, queue_size=queue_size, **options)
+        # A subscriber that connects before this line gets rospy's own queue: slower, nothing else.
+        add_connection = self.impl.add_connection
+        self.impl.set_queue_size(None)
+        self.impl.add_connection = lambda connection: add_connection(DirectConnection(connection, queue_size))
 
     def publish(self, *args, **kwds) -> None:
         """Publish a message; ROSException unless the node is shutting down."""
@@ -19,3 +31,75 @@ class Publisher(rospy.Publisher):
         except rospy.ROSException:
             if not rospy.core.is_shutdown_requested():
                 raise
+
+
+class DirectConnection:
+    """One subscriber's connection, in place of `rospy.impl.tcpros_pubsub.QueuedConnection`.
+
+    rospy's queue hands every message to a thread of the connection, so that a slow subscriber holds nobody up. That costs two thread
+    switches per message and subscriber. Here a message is sent by whoever publishes it as long as the socket takes it without
+    waiting; only what it does not take goes to a thread, which ends when the subscriber has caught up.
+
+    Parameters
+    ----------
+    connection : rospy.impl.transport.Transport
+    queue_size : int
+        Messages kept for a subscriber that is busy; of more the oldest are dropped.
+    """
+
+    def __init__(self, connection, queue_size: int):
+        self._connection = connection
+        self._lock = threading.Lock()
+        self._queue: deque[bytes] = deque(maxlen=queue_size)
+        self._catching_up = False
+        self._error: TransportException | OSError | None = None
+
+    def __getattr__(self, name: str):
+        return getattr(self._connection, name)
+
+    def write_data(self, data: bytes) -> bool:
+        """Send a message, or put it behind those that the subscriber has not taken yet.
+
+        Raises
+        ------
+        TransportTerminated
+            When the subscriber is gone; rospy then forgets the connection.
+        """
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            if self._catching_up:
+                self._queue.append(data)
+                return True
+            sent = self._send(data)
+            if sent < len(data):
+                self._catching_up = True
+                threading.Thread(target=self._catch_up, args=(data[sent:],), daemon=True).start()
+        return True
+
+    def _send(self, data: bytes) -> int:
+        """Send what the socket takes without waiting; return how many bytes."""
+        if self._connection.done or self._connection.socket is None:
+            raise TransportTerminated("connection closed")
+        try:
+            sent = self._connection.socket.send(data, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            self._connection.close()
+            raise TransportTerminated(str(error)) from error
+        self._connection.stat_bytes += sent
+        self._connection.stat_num_msg += 1
+        return sent
+
+    def _catch_up(self, rest: bytes) -> None:
+        """Send the rest of a message and what has been queued since, waiting for the subscriber."""
+        try:
+            while rest:
+                self._connection.write_data(rest)
+                with self._lock:
+                    rest = self._queue.popleft() if self._queue else b""
+                    self._catching_up = bool(rest)
+        except (TransportException, OSError) as error:
+            with self._lock:
+                self._error = error

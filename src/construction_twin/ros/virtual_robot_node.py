@@ -17,6 +17,9 @@ from construction_twin.ros.node import run_node
 from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.twin import TwinClock, VirtualRobot
 
+#: Between two looks at the arm's stream while the twin needs nothing from it [s].
+PAUSE = 0.02
+
 
 class Settings(NodeSettings):
     """Private parameters, given in launch/twin.launch: the physical arm, and the only node whose commands count."""
@@ -37,6 +40,9 @@ class VirtualRobotNode:
         self._limits = MotionLimits.of(robot)
         self._session: str | None = None
         self._leads = False
+        # the twin needs the arm's poses: it has none of its own, or follows
+        self._needs_arm = threading.Event()
+        self._needs_arm.set()
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._twin = JointPublisher("twin/joint_states", robot.joint_names)
         names, refuse = robot.joint_names, self._diagnostics.refuse
@@ -71,6 +77,10 @@ class VirtualRobotNode:
                 rospy.loginfo("took over the physical arm's pose")
                 if self._leads:
                     self._robot.begin_mirror(self._limits)
+            if self._robot.pose is not None and not self._leads:
+                self._needs_arm.clear()
+        # rospy reads on when this returns: messages that nobody needs are taken in bundles, which costs a fraction
+        self._needs_arm.wait(PAUSE)
 
     def _on_link(self, message: Link) -> None:
         leads = message.state == Link.MIRROR
@@ -81,12 +91,14 @@ class VirtualRobotNode:
                 if self._session is not None and not leads:
                     self._robot.restart()
                     self._clock.restart()
+                    self._needs_arm.set()
                 self._session = message.session
             if leads is self._leads:
                 return
             self._leads = leads
             if leads:
                 self._robot.begin_mirror(self._limits)
+                self._needs_arm.set()
             else:
                 self._robot.end_mirror()
         rospy.loginfo("follows the physical arm" if leads else "executes commands")
