@@ -16,6 +16,7 @@ from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, 
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.twin import TwinClock, VirtualRobot
+from construction_twin.units import CYCLE_NS
 
 #: Between two looks at the arm's stream while the twin needs nothing from it [s].
 PAUSE = 0.02
@@ -79,8 +80,9 @@ class VirtualRobotNode:
                     self._robot.begin_mirror(self._limits)
             if self._robot.pose is not None and not self._leads:
                 self._needs_arm.clear()
-        # rospy reads on when this returns: messages that nobody needs are taken in bundles, which costs a fraction
-        self._needs_arm.wait(PAUSE)
+        # rospy reads on when a bundle's last message is done with: what nobody needs is taken in bundles, which costs a fraction
+        if now_ns() - stamp < CYCLE_NS:
+            self._needs_arm.wait(PAUSE)
 
     def _on_link(self, message: Link) -> None:
         leads = message.state == Link.MIRROR
