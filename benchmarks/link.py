@@ -139,7 +139,8 @@ def show(result: dict, details: dict) -> None:
         )
         print(f"highest rate without loss [Hz]: {result['max_rate_hz']}; floor: {details['max_rate_hz_floor']}")
     for load, row in result.get("reply_us", {}).items():
-        print(f"reply time, {load} [us]: {row}; the gateway ended {details['reply_state'][load]}")
+        beside = details["reply"][load]
+        print(f"reply time, {load} [us]: {row}; the gateway ended {beside['state']}; machine: {beside['machine']}")
     for name, value in details.get("end_to_end", {}).items():
         print(f"{name}: {value}")
     if "fleet" in result:
@@ -178,10 +179,10 @@ def measure(options: argparse.Namespace) -> tuple[dict, dict]:
     if "routes" in options.parts:
         result, details = measure_routes(options.rounds, options.seconds, options.rate_seconds, options.realtime)
     if "reply" in options.parts:
-        result["reply_us"], details["reply_state"] = {}, {}
+        result["reply_us"], details["reply"] = {}, {}
         for name in ("idle", "loaded"):
-            reply, state = link_reply.measure(options.reply_seconds, name == "loaded", options.realtime)
-            result["reply_us"][name], details["reply_state"][name] = reply, state
+            reply, beside = link_reply.measure(options.reply_seconds, name == "loaded", options.realtime)
+            result["reply_us"][name], details["reply"][name] = reply, beside
     if "fleet" in options.parts:
         result["fleet"], fleet = measure_fleet(options.fleet, options.fleet_seconds, options.realtime)
         details |= fleet

@@ -9,14 +9,17 @@ from pathlib import Path
 
 from link_cell import Cell, Commander, reply_spread, shipped_config
 from link_world import REALTIME, World
+from machine import MachineProbe
 
 #: Time from arming to the beginning of the measurement [s].
 SETTLE = 2.0
 _BUSY = "while True: pass"
 
 
-def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dict, str]:
-    """Return the spread of the reply time [us], late replies and cycles while a motion is streamed, and the gateway's state at the end.
+def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dict, dict]:
+    """Return the spread of the reply time [us], late replies and cycles while a motion is streamed; and what goes with it.
+
+    That is the gateway's ``state`` at the end, and the ``machine``'s own pauses in the meantime; see `MachineProbe`.
 
     On a machine that does not run the mock controller in time the stream gets ahead of it, and the gateway brakes: it goes on answering.
 
@@ -39,8 +42,11 @@ def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dic
             for core in range(os.cpu_count()):
                 world.start(f"busy{core}", [sys.executable, "-c", _BUSY])
             commander.stream(SETTLE)
+        probe = world.enter_context(MachineProbe(realtime))
         before = commander.next_status()
+        probe.taken()
         commander.stream(seconds)
+        machine = probe.taken()
         result = reply_spread(before, commander.next_status())
         commander.close()
-        return result, commander.status["state"]
+        return result, {"state": commander.status["state"], "machine": machine}

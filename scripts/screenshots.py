@@ -26,13 +26,15 @@ from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PreviewPla
 from twin_client import Stream, TwinClient, wait  # noqa: E402
 
 from construction_twin.errors import ConstructionTwinError  # noqa: E402
-from construction_twin.screenshot import VirtualDisplay, bare_view, share  # noqa: E402
+from construction_twin.screenshot import VirtualDisplay, bare_view, extent, share  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 #: Size of a picture [pixels], and the most it may weigh [bytes].
 SIZE, WEIGHT = (1100, 760), 300_000
 #: Longest wait for a state, and for something to be drawn [s].
 READY, DRAWN = 180.0, 150.0
+#: Least share of the picture's width and height that the arm takes up.
+LARGE = 0.2
 GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
 #: Further away and higher, so that the text over the arm is in the picture.
 WITH_TEXT = {"Distance": 6.0, "Focal Point": {"X": 0.6, "Y": 0.0, "Z": 1.7}}
@@ -95,8 +97,9 @@ class Camera:
             assert rviz.poll() is None, f"rviz ended with {rviz.returncode}"
             pixels = self._display.capture(raw)
             shares = {colours: round(sum(share(pixels, one) for one in colours.split("|")), 5) for colours in least}
-            # twice in a row: meshes come one by one
-            settled = settled + 1 if all(shares[colour] >= least[colour] for colour in least) else 0
+            # several times in a row: meshes come one by one; all of the arm, not a patch of its colour
+            whole = all(one > LARGE for one in extent(pixels, "orange"))
+            settled = settled + 1 if whole and all(shares[colour] >= least[colour] for colour in least) else 0
             return settled > 3
 
         try:

@@ -1,7 +1,8 @@
 """Runs the whole loop of one robot for an hour and says whether it drifts, grows or loses anything: `make soak`.
 
 Gateway, mock controller, bridge, broker and a commander on ROS that moves the arm all the time. Every minute a line: resident memory per
-process, late replies, lost commands and states, and the distance from a command to its RSI packet beyond the playout's delay.
+process, late replies, lost commands and states, the distance from a command to its RSI packet beyond the playout's delay, and how often
+and for how long the machine itself ran nobody (benchmarks/machine.py): late replies beside no such pause are ours.
 `python scripts/soak.py --minutes 5` is a shorter run. The exit code is 0 when the verdict is good.
 """
 
@@ -20,6 +21,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 import rospy  # noqa: E402
 from link_fleet import Fleet, command_to_rsi  # noqa: E402
 from link_world import REALTIME, World, end_in_order, environment, resident_mb  # noqa: E402
+from machine import MachineProbe  # noqa: E402
 
 from construction_twin.realtime import release_realtime  # noqa: E402
 
@@ -39,13 +41,19 @@ CYCLES = (
 
 @dataclass(frozen=True)
 class Minute:
-    """What one interval showed: memory [MB] per process, counts, distance [ms], the gateway's state."""
+    """What one interval showed: memory [MB] per process, counts, the gateway's state.
+
+    The distance [ms] is None unless the playout's delay was the same at both ends of the interval: an adaptive delay that moves is
+    no drift.
+    """
 
     memory: tuple[float, ...]
     late: int
     lost: int
     distance: float | None
     state: str
+    pauses: int = 0
+    stood_ms: float = 0.0
 
 
 @dataclass
@@ -53,6 +61,7 @@ class Soak:
     """The loop and what has been seen of it."""
 
     fleet: Fleet
+    probe: MachineProbe
     minutes: list[Minute] = field(default_factory=list)
 
     def __post_init__(self):
@@ -61,20 +70,25 @@ class Soak:
     def run(self, interval: float) -> Minute:
         """Let the loop run for an interval [s]; return what it showed."""
         self.fleet.ask("taken")
+        delay = self._status()["playout"]["delay_ms"]
+        self.probe.taken()
         self.fleet.gates.sent.clear()
         self.fleet.gates.received.clear()
         self.fleet.gates.stream(interval)
         commands, states = self.fleet.ask("taken")
         status = self._status()
         distances = command_to_rsi(states)
-        playout = status["playout"]["delay_ms"]
-        distance = statistics.median(distances) / 1e6 - playout if distances else None
+        steady = distances and abs(status["playout"]["delay_ms"] - delay) < 1.0
+        distance = statistics.median(distances) / 1e6 - delay if steady else None
         before, self._counts = self._counts, self._counters()
         late, lost = (now - then for now, then in zip(self._counts, before))
         lost += sum(later[1] - earlier[1] - 1 for earlier, later in zip(states, states[1:]))
         lost += max(0, len(self.fleet.gates.sent) - len(commands) - 1)  # one may be on its way
         memory = tuple(round(resident_mb(pid), 1) for pid in self.fleet.pids)
-        self.minutes.append(Minute(memory, late, lost, distance, status["state"]))
+        machine = self.probe.taken()
+        self.minutes.append(
+            Minute(memory, late, lost, distance, status["state"], machine["pauses"], machine["stood_ms"])
+        )
         return self.minutes[-1]
 
     def _status(self) -> dict:
@@ -94,7 +108,9 @@ def verdict(minutes: list[Minute]) -> list[str]:
     wrong = []
     late, lost = sum(minute.late for minute in minutes), sum(minute.lost for minute in minutes)
     if late:
-        wrong.append(f"{late} cycles late, skipped or irregular")
+        pauses, stood = sum(minute.pauses for minute in minutes), sum(minute.stood_ms for minute in minutes)
+        machine = f"the machine ran nobody on a core {pauses} times, {stood:.0f} ms in all"
+        wrong.append(f"{late} cycles late, skipped or irregular; {machine}")
     if lost:
         wrong.append(f"{lost} commands or states lost")
     odd = [minute.state for minute in minutes if minute.state != "following"]
@@ -129,14 +145,21 @@ def main(arguments: list[str] | None = None) -> int:
         if not fleet.start(60.0):
             print("[soak] the gateway was not armed within 60 s")
             return 1
-        soak = Soak(fleet)
+        soak = Soak(fleet, world.enter_context(MachineProbe(options.realtime)))
         columns = "".join(f"{name + ' MB':>12s}" for name in PROCESSES)
-        print(f"{'minute':>7s}{columns}{'late':>6s}{'lost':>6s}{'beyond delay':>14s}  state", flush=True)
+        print(
+            f"{'minute':>7s}{columns}{'late':>6s}{'lost':>6s}{'beyond delay':>14s}{'pauses':>8s}{'ms':>8s}  state",
+            flush=True,
+        )
         for number in range(max(1, round(options.minutes * 60.0 / options.interval))):
             minute = soak.run(options.interval)
             memory = "".join(f"{value:12.1f}" for value in minute.memory)
             distance = "-" if minute.distance is None else f"{minute.distance:+.2f} ms"
-            print(f"{number + 1:7d}{memory}{minute.late:6d}{minute.lost:6d}{distance:>14s}  {minute.state}", flush=True)
+            machine = f"{minute.pauses:8d}{minute.stood_ms:8.0f}"
+            print(
+                f"{number + 1:7d}{memory}{minute.late:6d}{minute.lost:6d}{distance:>14s}{machine}  {minute.state}",
+                flush=True,
+            )
         fleet.dismiss()
         rospy.signal_shutdown("done")
         release_realtime()

@@ -99,6 +99,23 @@ def read_picture(path: Path) -> np.ndarray:
 
 def share(pixels: np.ndarray, colour: str) -> float:
     """Return which share of a picture has one of the `COLOURS`, light or in shadow."""
+    return float(_has(pixels, colour).mean())
+
+
+def extent(pixels: np.ndarray, colour: str) -> tuple[float, float]:
+    """Return which share of a picture's width and height lies between the outermost pixels of one of the `COLOURS`.
+
+    The outermost hundredth on each side does not count: a few stray pixels make nothing large. (0, 0) without any.
+    """
+    rows, columns = np.nonzero(_has(pixels, colour))
+    if not len(rows):
+        return 0.0, 0.0
+    (left, right), (top, bottom) = np.percentile(columns, (1, 99)), np.percentile(rows, (1, 99))
+    return float(right - left) / pixels.shape[1], float(bottom - top) / pixels.shape[0]
+
+
+def _has(pixels: np.ndarray, colour: str) -> np.ndarray:
+    """Return where a picture has one of the `COLOURS`, shape (height, width)."""
     low, high, saturation, value = COLOURS[colour]
     top, bottom = pixels.max(axis=2), pixels.min(axis=2)
     spread = top - bottom
@@ -113,7 +130,7 @@ def share(pixels: np.ndarray, colour: str) -> float:
         / 6
     )
     inside = (low <= hue) & (hue <= high) if low <= high else (low <= hue) | (hue <= high)
-    return float((inside & (spread >= saturation * np.maximum(top, 1e-9)) & (top >= value)).mean())
+    return inside & (spread >= saturation * np.maximum(top, 1e-9)) & (top >= value)
 
 
 def bare_view(text: str, size: tuple[int, int], view: str = "", camera: Mapping[str, object] | None = None) -> str:

@@ -14,7 +14,7 @@ from construction_twin.msg import Sync
 from twin_client import LEFT, Stream, TwinClient, wait
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.screenshot import VirtualDisplay, bare_view, share
+from construction_twin.screenshot import VirtualDisplay, bare_view, extent, share
 from construction_twin.sync_picture import COLOURS, visual_shapes
 from construction_twin.sync_table import SyncState
 
@@ -25,6 +25,8 @@ SIZE = (700, 500)
 DRAWN = 120.0
 #: Least share of the picture that is the arm's orange, seen through the ghost of the physical arm or not.
 LEAST = 0.01
+#: And of the picture's height between the highest and the lowest of it: the whole arm, not a link that lies at the origin.
+TALL = 0.35
 
 
 class ViewTest(unittest.TestCase):
@@ -86,16 +88,13 @@ class ViewTest(unittest.TestCase):
                 rviz.communicate(timeout=60)
 
     def wait_until_drawn(self, rviz: subprocess.Popen, display: VirtualDisplay, picture: Path):
-        seen = []
-
         def drawn() -> bool:
             if rviz.poll() is not None:
                 self.skipTest(f"rviz cannot be started here, it ended with {rviz.returncode}")
             pixels = display.capture(picture)
-            seen.append((share(pixels, "orange"), share(pixels, "green")))
-            return seen[-1][0] > LEAST
+            return share(pixels, "orange") > LEAST and extent(pixels, "orange")[1] > TALL
 
-        wait(drawn, f"{LEAST:.1%} of orange in rviz's picture", DRAWN)
+        wait(drawn, f"{LEAST:.1%} of orange in rviz's picture, over {TALL:.0%} of its height", DRAWN)
 
     def test_without_a_display_it_says_so_and_ends(self):
         environment = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
