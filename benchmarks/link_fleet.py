@@ -89,6 +89,7 @@ class Gates:
     def __init__(self, robots: list[str], joint_names: tuple[str, ...], home: tuple[float, ...]):
         rospy.init_node("link_gates", disable_signals=True, disable_rosout=True)
         self._home, self.moves = home, False
+        self._newest = home
         self._publishers = {name: JointPublisher(f"/{name}/command/joint_states", joint_names) for name in robots}
         self._cycle, self._due = 0, time.monotonic_ns()
         self.sent: dict[tuple[str, int], int] = {}
@@ -100,6 +101,12 @@ class Gates:
 
     def _receive(self, message: Feedback, robot: str) -> None:
         self.received[robot, message.seq] = time.monotonic_ns()
+        self._newest = tuple(message.position)
+
+    def rest(self) -> None:
+        """Stand where the last feedback saw an arm; for one robot."""
+        self._home, self._cycle, self.moves = self._newest, 0, False
+        self._due = time.monotonic_ns()
 
     def stream(self, seconds: float) -> None:
         """Publish for a time [s]; what cannot be published in time is late, not left out."""

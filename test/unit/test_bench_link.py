@@ -143,8 +143,8 @@ def soak(modules, monkeypatch):
     return importlib.import_module("soak")
 
 
-def minute(soak, memory=(60.0, 40.0, 50.0), late=0, lost=0, distance=-4.0, state="following"):
-    return soak.Minute(memory, late, lost, distance, state)
+def minute(soak, memory=(60.0, 40.0, 50.0), late=0, lost=0, distance=-4.0, holds=0):
+    return soak.Minute(memory, late, lost, distance, holds)
 
 
 def test_soak_that_only_warms_up_is_good(soak):
@@ -157,7 +157,7 @@ def test_soak_that_only_warms_up_is_good(soak):
     [
         ({"late": 1}, "late"),
         ({"lost": 1}, "lost"),
-        ({"state": "holding"}, "holding"),
+        ({"holds": 1}, "held 4 times"),
         ({"memory": (60.0, 43.0, 50.0)}, "gateway grew"),
         ({"distance": 4.0}, "beyond the playout"),
     ],
