@@ -1,6 +1,7 @@
 """The executor: one setpoint per cycle, from an approved plan or, idle, the twin's pose.
 
-Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad.
+Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on a clock that nobody sets, but
+for `stop` and `restart`: these are compared with when a plan was made, on the clock of the stamps.
 """
 
 from __future__ import annotations
@@ -8,17 +9,16 @@ from __future__ import annotations
 from construction_twin.errors import ExecutionError, ReviewError
 from construction_twin.executor_state import ACTIVE, MOVING, RESTING, SURVIVED, ExecutorState
 from construction_twin.gate import REPLAN, RESUME, SyncState
-from construction_twin.limits import outside_tolerance
 from construction_twin.neighbour_watch import NeighbourWatch
 from construction_twin.plan import Plan
+from construction_twin.play_rate import PlayRate
 from construction_twin.playback import Braking, Playback
 from construction_twin.review import APPROVED, EXECUTOR, REJECTED, WITHDRAWN, Ending, ReviewDesk, Verdict
 from construction_twin.robot import RobotModel
+from construction_twin.start_pose import check_start_pose
 from construction_twin.stopping import way_along
 from construction_twin.units import NANOSECONDS
 
-#: A plan may start this far from the present pose [rad]; rounding, not motion.
-START_TOLERANCE = 1e-6
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
 
@@ -36,6 +36,9 @@ class Executor:
         How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
     neighbour : NeighbourWatch
         Says whether another arm stands in the way of a plan; by default there is none.
+    limit : PlayRate, set by `limit_rate`
+    cause, reason : str
+        Why the state was entered; and the same with what the speed limit makes of it now.
     """
 
     def __init__(self, robot: RobotModel):
@@ -44,12 +47,11 @@ class Executor:
         self.neighbour = NeighbourWatch()
         self.desk = ReviewDesk()
         self.state = ExecutorState.WAITING
-        self.reason = "started; waits for twin and physical arm to agree"
+        self.cause = self.reason = "started; waits for twin and physical arm to agree"
         self.outcome = ""
         self._playback: Playback | None = None
         self._after_hold = ExecutorState.PLAYING
-        self._rate_limit, self._limit_reason = 1.0, ""
-        self._standing = False
+        self.limit = PlayRate()
         self._stopping: list[tuple[float, ...]] = []
         self._events: list[Verdict | Ending] = []
         self._sync = SyncState.WAITING
@@ -137,9 +139,8 @@ class Executor:
         ------
         ExecutionError
         """
-        if not 0.0 <= factor <= 1.0:
-            raise ExecutionError(f"a rate of {factor} was asked for; expected a share of the planned speed, 0 to 1")
-        self._rate_limit, self._limit_reason = factor, reason
+        if self.limit.take(factor, reason):
+            self._say()
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
@@ -150,7 +151,7 @@ class Executor:
 
     def stall(self, reason: str) -> None:
         """Drop a moving plan because setpoints could not be produced in time; the arm is left to the gateway's braking."""
-        if self.state in MOVING and not self._standing:
+        if self.state in MOVING and not self.limit.standing:
             self._finish("dropped", reason)
 
     # -- review
@@ -219,8 +220,6 @@ class Executor:
         self._withdraw(self.desk.void(now), "stop requested")
         if self.state not in ACTIVE:
             return f"nothing is playing ({self.state.name})"
-        if self.state is ExecutorState.STOPPING:
-            return f"plan {self.plan.id} is braking already"
         if self.plan_start == 0:
             self._finish("stopped", "stopped before it began")
             return f"plan {self.plan.id} had not begun"
@@ -308,7 +307,7 @@ class Executor:
             self._setpoint = playback.brake(stamp)
             self._stopping.append(self._setpoint)
         else:
-            rate = self._rate_limit if self.state is ExecutorState.PLAYING else 0.0
+            rate = self.limit.share if self.state is ExecutorState.PLAYING else 0.0
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
         if playback.goal_stamp and self.state is not ExecutorState.HELD:
@@ -317,20 +316,20 @@ class Executor:
                 self._finish("finished", "goal reached")
         elif playback.at_rest:
             self._on_rest()
-        elif self._standing:
-            self._standing = False
-            self.reason = f"goes on at {self._rate_limit:.0%} of the planned speed: {self._limit_reason}"
+        elif self.limit.standing:
+            self.limit.standing = False
+            self._say()
         return self._setpoint
 
     def _on_rest(self) -> None:
         if self.state is ExecutorState.STOPPING:
             way = way_along(self._stopping)
-            self._finish("stopped", f"{self.reason}; at rest after {way.text(self._robot)}")
+            self._finish("stopped", f"{self.cause}; at rest after {way.text(self._robot)}")
         elif self.state is ExecutorState.PAUSING:
             self._enter(ExecutorState.PAUSED, self._where_paused())
-        elif self.state is ExecutorState.PLAYING and not self._standing and self._rate_limit == 0.0:
-            self._enter(ExecutorState.PLAYING, f"stands still on the path, goes on by itself: {self._limit_reason}")
-            self._standing = True
+        elif self.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.share == 0.0:
+            self.limit.standing = True
+            self._say()
 
     def _where_paused(self) -> str:
         return f"at rest {self._playback.elapsed:.3f} s into the plan; resume goes on"
@@ -347,15 +346,12 @@ class Executor:
         if problem := self.neighbour.problem(plan.id):
             raise ReviewError(f"plan {plan.id} may not start: {problem}")
         self.desk.check_content()
-        off = outside_tolerance(tuple(plan.trajectory.positions[0]), self._setpoint, START_TOLERANCE)
-        if off is not None:
-            distance = plan.trajectory.positions[0][off] - self._setpoint[off]
-            joint, unit = self._robot.joint_names[off], "m" if self._robot.linear[off] else "rad"
-            raise ReviewError(
-                f"plan {plan.id} starts {distance:.6f} {unit} from the present pose at {joint}; plan again"
-            )
+        check_start_pose(plan, self._setpoint, self._robot)
 
     def _halt(self, reason: str) -> str:
+        if self.state is ExecutorState.STOPPING:
+            # the first cause is the cause, and the way is measured from there
+            return f"plan {self.plan.id} is braking already"
         if self.state in RESTING or self.plan_start == 0:
             self._finish("stopped", reason)
             return f"plan {self.plan.id} ended at rest"
@@ -366,7 +362,7 @@ class Executor:
     def _hold(self, state: SyncState, held_stamp: int) -> None:
         cause = f"the gate holds ({state.name})"
         if self.state is ExecutorState.STOPPING:
-            self._finish("stopped", f"{self.reason}; {cause}")
+            self._finish("stopped", f"{self.cause}; {cause}")
         elif not self._playback.rest_where(held_stamp):
             self._finish("held", f"{cause} at a setpoint that is not known to be of plan {self.plan.id}")
         else:
@@ -397,4 +393,8 @@ class Executor:
         self._enter(ExecutorState.WAITING, reason)
 
     def _enter(self, state: ExecutorState, reason: str) -> None:
-        self.state, self.reason, self._standing = state, reason, False
+        self.state, self.cause, self.limit.standing = state, reason, False
+        self._say()
+
+    def _say(self) -> None:
+        self.reason = self.limit.sentence(self.cause) if self.state is ExecutorState.PLAYING else self.cause

@@ -1,6 +1,7 @@
 """The gate: Algorithm 1 in the command path. Nothing reaches either robot that has not passed here.
 
-Pure: time is an argument, in ns on the clock of the stamps. Angles in rad, linear joints in m.
+Pure: `now` is an argument everywhere, in ns on a clock that nobody sets (the monotonic one): on the wall clock a step back would
+put off every time-out. Stamps are on a clock of their own. Angles in rad, linear joints in m.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from construction_twin.errors import ConfigurationError, MotionRefused, PayloadError
+from construction_twin.lateness import Lateness
 from construction_twin.limits import MotionCheck, MotionLimits
 from construction_twin.monitoring import Comparison, ComparisonSettings, PoseComparison
 from construction_twin.mqtt.codec import JointStringCodec
@@ -19,6 +21,12 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 #: What may happen after a violation.
 REPLAN, RESUME, STOP = "replan", "resume", "stop"
 POLICIES = (REPLAN, RESUME, STOP)
+#: A setpoint may be this much later than the quickest one [ns]: an executor that catches up sends what is 80 ms late, and what is
+#: later the gateway has bridged and braked for.
+LATEST = NANOSECONDS // 10
+_TOO_LATE = f"at most {LATEST / NANOSECONDS:g} s: the monitor was not run, or the executor's clock was set back (then call reset)"
+#: Silence is the link's to judge: the arm has contradicted nobody.
+_SILENCE = (SyncEvent.FEEDBACK_STALE, SyncEvent.SETPOINT_STALE)
 
 
 @dataclass(frozen=True)
@@ -124,10 +132,17 @@ class Gate:
         self._agreed_since: int | None = None
         self._agreed = False
         self._stamp = 0
+        #: Stamp of the setpoint before the next one to pass.
+        self._before = 0
+        self._lateness = Lateness()
+        #: When a pose that could be compared was received last.
+        self._heard: int | None = None
         self._obstacle = ""
         self._policy = self.settings.policy
         self._closed_at = 0
         self._closings: deque[int] = deque()
+        #: Whether the present hold is one of them.
+        self._counted = False
 
     @property
     def state(self) -> SyncState:
@@ -165,6 +180,10 @@ class Gate:
         self._fire(SyncEvent.NEW_SESSION, reason, now)
         self._forget()
 
+    def stay_stopped(self, reason: str, now: int) -> None:
+        """Begin in STOPPED: a monitor before this one was, and no person has seen to it since."""
+        self._fire(SyncEvent.STOPPED_BEFORE, reason, now)
+
     def mirror(self, leads: bool, now: int) -> None:
         """Take whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
         if leads and not self.mirrored and self._fire(SyncEvent.MIRROR, "the arm leads: nothing is commanded", now):
@@ -196,12 +215,32 @@ class Gate:
         """Take the twin's pose [rad] with the stamp of the command it executes [ns]."""
         self.comparison.twin.add(stamp, q)
 
-    def on_physical(self, q: tuple[float, ...], command_stamp: int, now: int) -> Comparison | None:
-        """Take a physical pose; see `PoseComparison.compare`. The first one above a threshold closes the gate at once."""
+    def on_physical(
+        self, q: tuple[float, ...], command_stamp: int, now: int, received: int | None = None
+    ) -> Comparison | None:
+        """Take a physical pose. The first one above a threshold closes the gate at once.
+
+        Parameters
+        ----------
+        q : tuple, shape (n,)
+            [rad]
+        command_stamp : int
+            See `PoseComparison.compare`.
+        now : int
+            [ns]
+        received : int, optional
+            Time of reception on the clock of the stamps [ns], for the round trip and the report alone; by default `now`.
+
+        Returns
+        -------
+        comparison : Comparison or None
+            None when the twin's pose for that stamp is not known.
+        """
         continued = self._fresh(now)
-        comparison = self.comparison.compare(q, command_stamp, now)
+        comparison = self.comparison.compare(q, command_stamp, now if received is None else received)
         if comparison is None:
             return None
+        self._heard = now
         if not comparison.agrees:
             self._agreed, self._agreed_since = False, None
             self._on_difference(comparison, now)
@@ -250,12 +289,15 @@ class Gate:
             self.refused += 1
             return None
         self._stamp = stamp
+        late = self._lateness.of(stamp, now)
         if self.mirrored:
             return None
         was_open = self.state is SyncState.IN_SYNC
         self.watch(now)
         if not was_open:
-            self._try_to_open(stamp, theta_next, now)
+            self._try_to_open(stamp, theta_next, late, now)
+        elif late > LATEST and self.state is SyncState.IN_SYNC:
+            self._close(SyncEvent.SETPOINT_STALE, f"theta_next is {late / NANOSECONDS:.3f} s late; {_TOO_LATE}", now)
         if self.state is SyncState.IN_SYNC:
             return self._checked(stamp, theta_next, now)
         return self._check.position or None
@@ -264,27 +306,30 @@ class Gate:
         """Close an open gate when feedback has gone stale, give up on a closed one: also while nobody sends theta_next."""
         if self.state is SyncState.IN_SYNC:
             if self.settings.compares and not self._fresh(now):
-                age = (now - self.comparison.last.at) / NANOSECONDS
+                age = (now - self._heard) / NANOSECONDS
                 self._close(SyncEvent.FEEDBACK_STALE, f"last comparable feedback is {age:.3f} s old", now)
         elif self.state in HELD_STATES and now - self._closed_at > self.settings.give_up_time * NANOSECONDS:
             held = (now - self._closed_at) / NANOSECONDS
             self._fire(SyncEvent.GAVE_UP, f"held for {held:.3f} s; {self._machine.reason}; call reset", now)
 
     def _fresh(self, now: int) -> bool:
-        last = self.comparison.last
-        return last is not None and now - last.at <= self.settings.feedback_timeout * NANOSECONDS
+        return self._heard is not None and now - self._heard <= self.settings.feedback_timeout * NANOSECONDS
 
     def _on_difference(self, comparison: Comparison, now: int) -> None:
-        if self.state not in (SyncState.IN_SYNC, SyncState.STALE) or not self.settings.compares:
+        open_ = self.state is SyncState.IN_SYNC
+        silent = self.state in (SyncState.STALE, SyncState.REPLANNING) and not self._counted
+        if not (open_ or silent) or not self.settings.compares:
             return
         joint = comparison.worst()
         unit = "m" if self._limits.linear[joint] else "rad"
         difference = f"{comparison.error[joint]:.6f} {unit}, threshold {comparison.threshold[joint]:.6f} {unit}"
         reason = f"{self._limits.names[joint]} differs by {difference}"
-        if self.state is SyncState.IN_SYNC:
+        if open_:
             self._close(SyncEvent.POSE_DIFFERS, reason, now)
-        else:
-            self._fire(SyncEvent.POSE_DIFFERS, reason, now)
+            return
+        self._fire(SyncEvent.POSE_DIFFERS, reason, now)
+        # the silence has ended in a contradiction: that the arm was silent before does not excuse it
+        self._count(reason, now)
 
     def _close(self, event: SyncEvent, reason: str, now: int) -> None:
         """Leave IN_SYNC: hold, and see whether that is the end of it."""
@@ -292,21 +337,28 @@ class Gate:
         self.violations += 1
         # whatever closed the gate, agreement counts from now on
         self._agreed, self._agreed_since = False, None
-        self._policy, self._closed_at = settings.policy, now
+        self._policy, self._closed_at, self._counted = settings.policy, now, False
         self._fire(event, reason, now)
-        if event is not SyncEvent.FEEDBACK_STALE:
-            # silence is the link's to judge: the arm has contradicted nobody
-            self._closings.append(now)
-        while self._closings and self._closings[0] < now - settings.escalate_time * NANOSECONDS:
-            self._closings.popleft()
         if self._policy == STOP:
             self._fire(SyncEvent.POLICY_STOP, f"the policy is to stop; {reason}; call reset", now)
-        elif len(self._closings) >= settings.escalate_count:
+        elif event not in _SILENCE:
+            self._count(reason, now)
+
+    def _count(self, reason: str, now: int) -> None:
+        """Count the present hold, and end it when there have been too many."""
+        settings, self._counted = self.settings, True
+        self._closings.append(now)
+        while self._closings[0] < now - settings.escalate_time * NANOSECONDS:
+            self._closings.popleft()
+        if len(self._closings) >= settings.escalate_count:
             often = f"held {len(self._closings)} times in {settings.escalate_time:g} s"
             self._fire(SyncEvent.ESCALATED, f"{often}; {reason}; call reset", now)
 
-    def _try_to_open(self, stamp: int, theta_next: tuple[float, ...], now: int) -> None:
+    def _try_to_open(self, stamp: int, theta_next: tuple[float, ...], late: int, now: int) -> None:
         if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):
+            return
+        if late > LATEST:
+            self._obstacle = f"theta_next is late; {_TOO_LATE}"
             return
         held = self.comparison.twin.latest[1] if self.state is SyncState.WAITING else self._check.position
         try:
@@ -317,17 +369,22 @@ class Gate:
             self._obstacle = str(refusal)
             return
         self._check.start(stamp - CYCLE_NS, self._codec.quantise(held))
+        self._before = stamp - CYCLE_NS
         self._fire(SyncEvent.OPENED, "poses agree and the stream continues from the held pose", now)
 
     def _checked(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...]:
         try:
             command = self._codec.quantise(theta_next)
+            if stamp - self._before > LATEST and command != self._check.position:
+                missing = f"theta_next moves after {(stamp - self._before) / NANOSECONDS:.3f} s without setpoints"
+                self._close(SyncEvent.SETPOINT_STALE, f"{missing}; {_TOO_LATE}", now)
+                return self._check.position
             self._check.accept(stamp, command)
         except (MotionRefused, PayloadError) as refusal:
             self.refused += 1
             self._close(SyncEvent.SETPOINT_REFUSED, str(refusal), now)
             return self._check.position
-        self.held_stamp = stamp
+        self.held_stamp = self._before = stamp
         return command
 
     def _fire(self, event: SyncEvent, reason: str, now: int) -> bool:

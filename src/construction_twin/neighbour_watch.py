@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from construction_twin.errors import PayloadError
 from construction_twin.units import NANOSECONDS
 
-#: A verdict holds this long [ns]; the watch repeats it at its `rate`.
+#: A verdict holds this long after the poses that it goes by were read [ns]; the watch repeats it at its `rate`. Five looks:
+#: fewer would stop a sound arm whenever a busy machine leaves a few out. It is part of the braking horizon.
 VERDICT_TIMEOUT = NANOSECONDS // 2
+#: How far a verdict's stamp may lie ahead of our clock [ns]: both nodes run on one machine, whose clock may be corrected
+#: in between.
+AHEAD = NANOSECONDS // 100
 #: Plans that verdicts are kept of: one under review, one being played, and those just before.
 _KEPT = 4
 
@@ -22,7 +27,7 @@ class NeighbourWatch:
     ----------
     name : str
     now : int
-        The present moment, set by its owner in every cycle [ns].
+        The present moment, set by its owner in every cycle, on the clock of `on_verdict` [ns].
     """
 
     def __init__(self, name: str = ""):
@@ -30,7 +35,7 @@ class NeighbourWatch:
         self.now = 0
         self._verdicts: dict[str, tuple[int, str]] = {}
 
-    def on_verdict(self, plan_id: str, problem: str, now: int) -> None:
+    def on_verdict(self, plan_id: str, problem: str, now: int, age: int = 0) -> None:
         """Take a verdict on one of our plans.
 
         Parameters
@@ -40,9 +45,22 @@ class NeighbourWatch:
             Why it must not start, or not go on; empty: its way is free.
         now : int
             [ns]
+        age : int, optional
+            Of the poses that it goes by [ns].
+
+        Raises
+        ------
+        PayloadError
+            If it is older than `VERDICT_TIMEOUT`, or from the future; what was known before then grows old.
         """
+        if not -AHEAD <= age <= VERDICT_TIMEOUT:
+            raise PayloadError(
+                "conflict_age",
+                f"a verdict on plan {plan_id} is {age / NANOSECONDS:.3f} s old; expected {-AHEAD / NANOSECONDS:g} to "
+                f"{VERDICT_TIMEOUT / NANOSECONDS:g} s, is this machine overloaded, or was its clock set?",
+            )
         self._verdicts.pop(plan_id, None)
-        self._verdicts[plan_id] = now, problem
+        self._verdicts[plan_id] = now - max(0, age), problem
         while len(self._verdicts) > _KEPT:
             del self._verdicts[next(iter(self._verdicts))]
 

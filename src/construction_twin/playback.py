@@ -6,7 +6,7 @@ Pure. Stamps in ns, angles in rad, m for linear joints.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from construction_twin.plan import Plan
@@ -17,6 +17,8 @@ from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS
 
 #: Setpoints that are remembered: 1 s. The monitor is heard within 0.5 s, or it counts as silent.
 HISTORY = 250
+#: Setpoints that a forecast computes in one go: about 1 ms of Python.
+SETPOINTS_AT_ONCE = 4
 
 
 class Playback:
@@ -130,13 +132,25 @@ class Braking:
         self._in_flight = in_flight
         self._lag = lag
 
-    def forecast(self) -> StoppingForecast:
-        """Brake the copy to rest; return the way it took. The execution itself takes the same, unless it is held before."""
+    def forecast(self, pause: Callable[[], None] = lambda: None) -> StoppingForecast:
+        """Brake the copy to rest; return the way it took. The execution itself takes the same, unless it is held before.
+
+        Parameters
+        ----------
+        pause : callable, optional
+            Called every few setpoints: a thread that computes without a break keeps the one with the setpoints waiting.
+        """
         progress, sample = self._progress, self._progress.trajectory.sample
-        before = [tuple(sample(elapsed / NANOSECONDS)[0].tolist()) for elapsed in self._in_flight]
+        before = []
+        for number, elapsed in enumerate(self._in_flight, start=1):
+            before.append(tuple(sample(elapsed / NANOSECONDS)[0].tolist()))
+            if number % SETPOINTS_AT_ONCE == 0:
+                pause()
         poses = [before[-1]]
         while not (progress.at_rest or progress.finished):
             poses.append(progress.brake())
+            if len(poses) % SETPOINTS_AT_ONCE == 0:
+                pause()
         arm = way_along(before[:-1] + poses)
         # a cycle more: the arm may be anywhere between two setpoints
         return StoppingForecast(way_along(poses), replace(arm, time=arm.time + CYCLE), self._lag)

@@ -1,7 +1,7 @@
 """From a separation distance to a speed limit: how near somebody is to the arm, and how fast it may move then.
 
-Pure; times are arguments, in ns; distances in m. An example of a source, not a safety function: neither sensor, nor table, nor
-this program are safety rated.
+Pure; times are arguments, in ns on a clock that nobody sets; distances in m. An example of a source, not a safety function: neither
+sensor, nor table, nor this program are safety rated.
 """
 
 from __future__ import annotations

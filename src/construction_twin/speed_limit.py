@@ -1,6 +1,7 @@
 """The speed limit: at which share of the planned speed may be moved, as a source on a topic says, or because it says nothing.
 
-Pure; times are arguments, in ns. Not safety rated: it slows a motion down so that less often a safety function must stop it.
+Pure; times are arguments, in ns on a clock that nobody sets. Not safety rated: it slows a motion down so that less often a safety
+function must stop it.
 """
 
 from __future__ import annotations

@@ -32,12 +32,14 @@ class SyncEvent(Enum):
     OPENED = "opened"
     POSE_DIFFERS = "pose_differs"
     FEEDBACK_STALE = "feedback_stale"
+    SETPOINT_STALE = "setpoint_stale"
     SETPOINT_REFUSED = "setpoint_refused"
     REPLAN_ASKED = "replan_asked"
     REPLAN_FAILED = "replan_failed"
     POLICY_STOP = "policy_stop"
     ESCALATED = "escalated"
     GAVE_UP = "gave_up"
+    STOPPED_BEFORE = "stopped_before"
 
 
 _ANEW = {SyncEvent.NEW_SESSION: SyncState.WAITING, SyncEvent.MIRROR: SyncState.WAITING}
@@ -47,15 +49,23 @@ _END = _GIVE_UP | {SyncEvent.POLICY_STOP: SyncState.STOPPED, SyncEvent.ESCALATED
 
 #: State, event, next state. An event that a state's row does not name changes nothing in that state.
 TABLE: dict[SyncState, dict[SyncEvent, SyncState]] = {
-    SyncState.WAITING: _ANEW | {SyncEvent.STARTED: SyncState.WAITING, SyncEvent.OPENED: SyncState.IN_SYNC},
+    SyncState.WAITING: _ANEW
+    | {
+        SyncEvent.STARTED: SyncState.WAITING,
+        SyncEvent.STOPPED_BEFORE: SyncState.STOPPED,
+        SyncEvent.OPENED: SyncState.IN_SYNC,
+    },
     SyncState.IN_SYNC: _ANEW
     | {
         SyncEvent.POSE_DIFFERS: SyncState.HOLDING,
         SyncEvent.FEEDBACK_STALE: SyncState.STALE,
+        SyncEvent.SETPOINT_STALE: SyncState.STALE,
         SyncEvent.SETPOINT_REFUSED: SyncState.FAULT,
     },
     SyncState.HOLDING: _ANEW | _END | {SyncEvent.REPLAN_ASKED: SyncState.REPLANNING},
-    SyncState.REPLANNING: _ANEW | _GIVE_UP | {SyncEvent.REPLAN_FAILED: SyncState.HOLDING},
+    SyncState.REPLANNING: _ANEW
+    | _GIVE_UP
+    | {SyncEvent.REPLAN_FAILED: SyncState.HOLDING, SyncEvent.ESCALATED: SyncState.STOPPED},
     SyncState.STALE: _ANEW
     | _GIVE_UP
     | {
@@ -80,7 +90,7 @@ class Transition:
     Attributes
     ----------
     at : int
-        When, on the clock of the stamps [ns].
+        When, on the clock of whoever caused it [ns]: the gate's own, until the monitor reports it in ROS time.
     source, target : SyncState
     event : SyncEvent
     reason : str

@@ -21,6 +21,11 @@ def moved(q: tuple[float, ...], distance: float) -> tuple[float, ...]:
     return (q[0] + distance, q[1])
 
 
+def states(gate: Gate) -> list[tuple[str, str]]:
+    """Return the gate's transitions since the last call: event and new state."""
+    return [(change.event.value, change.target.name) for change in gate.take_transitions()]
+
+
 class Bench:
     """A gate in its loop: the twin executes what passes, the arm answers, one cycle at a time."""
 

@@ -26,10 +26,10 @@ def moved(distance: float) -> tuple[float, ...]:
 class Bench:
     """A supervisor, its clock, and what the world around it does in every poll."""
 
-    def __init__(self):
+    def __init__(self, mirrors: bool = False):
         ids = map(str, itertools.count(1))
         self.supervisor = LinkSupervisor(
-            HASH, DECIMALS, (TOLERANCE,) * len(POSE), (last_digit(DECIMALS),) * len(POSE), lambda: next(ids)
+            HASH, DECIMALS, (TOLERANCE,) * len(POSE), (last_digit(DECIMALS),) * len(POSE), lambda: next(ids), mirrors
         )
         self.now = 100 * NANOSECONDS
         self.gateway = {"state": "ready", "reason": "", "session": "", "hash": HASH, "decimals": DECIMALS}

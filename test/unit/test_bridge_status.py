@@ -12,9 +12,11 @@ import rospy
 from gateway_cell import following
 
 from construction_twin.mqtt.freshness import StateCheck
-from construction_twin.mqtt.supervisor import LinkSupervisor
-from construction_twin.ros.mqtt_bridge_node import MqttBridgeNode
-from construction_twin.units import last_digit
+from construction_twin.mqtt.speed_forwarder import SpeedForwarder
+from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
+from construction_twin.ros import mqtt_bridge_node
+from construction_twin.ros.mqtt_bridge_node import MIRROR_MODE, MqttBridgeNode
+from construction_twin.units import NANOSECONDS, last_digit
 
 
 class Refusals:
@@ -92,3 +94,88 @@ def test_a_status_whose_playout_cannot_be_read_changes_nothing_and_is_counted(br
     assert take(bridge, spoilt) == before
     assert bridge._supervisor.status["state"] == "following"
     assert bridge._diagnostics.refused == {"status": 1}
+
+
+# -- clocks ----------------------------------------------------------------------------------------------------------
+
+
+class Clocks:
+    """The wall clock, which somebody sets, and the monotonic one."""
+
+    def __init__(self, monkeypatch):
+        self.wall, self.steady = 1_764_000_000 * NANOSECONDS, 1000 * NANOSECONDS
+        monkeypatch.setattr(mqtt_bridge_node, "now_ns", lambda: self.wall)
+        steady = SimpleNamespace(monotonic_ns=lambda: self.steady, monotonic=lambda: self.steady / NANOSECONDS)
+        monkeypatch.setattr(mqtt_bridge_node, "time", steady)
+
+    def run(self, seconds: float) -> None:
+        self.wall += round(seconds * NANOSECONDS)
+        self.steady += round(seconds * NANOSECONDS)
+
+
+@pytest.fixture
+def clocks(monkeypatch):
+    return Clocks(monkeypatch)
+
+
+def poll(node):
+    """One turn of `run`."""
+    with node._lock:
+        return node._supervisor.poll(mqtt_bridge_node.time.monotonic_ns())
+
+
+def test_a_wall_clock_that_is_set_back_keeps_no_silent_gateway_alive(bridge, clocks):
+    bridge._supervisor.on_connection(True)
+    status = following().gateway.status() | {"hash": "hash"}
+    take(bridge, status)
+    poll(bridge)
+    assert bridge._supervisor.state is not LinkState.GATEWAY_OFFLINE
+    clocks.run(1.0)
+    clocks.wall -= 60 * NANOSECONDS
+    clocks.run(2.5)
+    poll(bridge)
+    assert bridge._supervisor.state is LinkState.GATEWAY_OFFLINE
+
+
+def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(bridge, clocks):
+    bridge._supervisor.on_connection(True)
+    bridge._codec = cell_codec = following().codec
+    stamps = []
+    bridge._physical = SimpleNamespace(publish=lambda stamp, q: stamps.append(stamp))
+    bridge._feedback = SimpleNamespace(publish=lambda message: None)
+    bridge._names, bridge._properties = ["a", "b"], False
+    payload = cell_codec.encode((0.1, -1.0))
+    for k in range(100):
+        clocks.run(0.004)
+        if k == 20:
+            clocks.wall += 60 * NANOSECONDS
+        if k == 30:
+            assert not bridge._supervisor._at_rest(clocks.steady)
+        bridge._on_state(None, None, SimpleNamespace(payload=payload, retain=False, properties=None))
+    assert bridge._supervisor._at_rest(clocks.steady)
+    # what goes out on ROS carries ROS time
+    assert stamps[-1] == clocks.wall
+
+
+# -- speed limit and mirror mode -------------------------------------------------------------------------------------
+
+
+def test_a_second_source_of_speed_limit_is_refused_as_by_the_executor(bridge, clocks):
+    bridge._speed = SpeedForwarder(0.5)
+    for source, limit in (("/separation", 0.2), ("/other", 1.0), ("/separation", 2.0)):
+        bridge._on_speed_limit(SimpleNamespace(limit=limit, _connection_header={"callerid": source}))
+    assert bridge._diagnostics.refused == {"speed_limit_source": 1, "speed_limit": 1}
+    assert bridge._speed.poll("s1", clocks.steady) == 0.2
+
+
+def test_mirror_mode_is_kept_where_the_next_process_finds_it(bridge, clocks, monkeypatch):
+    kept = {}
+    monkeypatch.setattr(rospy, "set_param", kept.__setitem__)
+    node = bridge
+    node._publish_control = lambda control: None
+    node._client.is_connected = lambda: True
+    node._supervisor.begin_mirror = lambda now: "the arm leads"
+    assert node._on_mirror(SimpleNamespace(data=True)).success and kept == {MIRROR_MODE: True}
+    node._supervisor._mirror = True
+    assert node._on_stop(None).success and kept == {MIRROR_MODE: False}
+    assert not node._on_mirror(SimpleNamespace(data=False)).success and kept == {MIRROR_MODE: False}

@@ -104,7 +104,7 @@ def test_gateway_status_is_documented():
 
 
 def test_gateway_counters_are_documented():
-    files = ("gateway", "session", "player", "controller_session", "command_stream", "intake")
+    files = ("gateway", "session", "player", "controller_session", "command_stream", "intake", "inbox")
     code = "".join((ROOT / f"src/construction_twin/rsi/{file}.py").read_text() for file in files)
     # a refusal is documented by its reason
     counters = [re.sub(r"^(telegram_)?refused_", "", name) for name in re.findall(r"counters\[\"(\w+)\"", code)]

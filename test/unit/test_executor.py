@@ -217,3 +217,41 @@ class TestPlaying:
 
 def rows_of(motion: Trajectory) -> tuple[np.ndarray, ...]:
     return motion.times, motion.positions, motion.velocities, motion.accelerations
+
+
+class TestWords:
+    """What a plan says of the speed limit is always of the present one."""
+
+    def playing(self) -> Bench:
+        bench = Bench().ready()
+        bench.play(make_plan(), 100)
+        return bench
+
+    def test_a_limit_that_is_gone_is_not_spoken_of(self):
+        bench = self.playing()
+        bench.executor.limit_rate(0.25, "somebody is near")
+        bench.run(3)
+        assert bench.executor.reason == "approved by Ada; at 25% of the planned speed: somebody is near"
+        bench.executor.limit_rate(1.0, "nobody is near")
+        assert bench.executor.reason == bench.executor.cause == "approved by Ada"
+
+    def test_who_stands_says_why_now(self):
+        bench = self.playing()
+        bench.executor.limit_rate(0.0, "separation 0.50 m")
+        while not bench.executor.limit.standing:
+            bench.step()
+        assert bench.executor.reason == "stands still on the path, goes on by itself: separation 0.50 m"
+        bench.executor.limit_rate(0.0, "the sensor is silent")
+        assert bench.executor.reason.endswith("by itself: the sensor is silent")
+        bench.executor.limit_rate(0.25, "somebody is near")
+        bench.run(20)
+        assert not bench.executor.limit.standing and "at 25% of the planned speed" in bench.executor.reason
+        bench.executor.limit_rate(1.0, "")
+        assert bench.executor.reason == "approved by Ada"
+
+    def test_other_states_do_not_speak_of_it(self):
+        bench = self.playing()
+        bench.executor.limit_rate(0.25, "somebody is near")
+        bench.executor.pause()
+        bench.run(3)
+        assert bench.executor.reason == "pause requested"

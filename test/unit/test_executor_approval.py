@@ -9,8 +9,9 @@ from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
 
 from construction_twin.approval import AUTO_APPROVE, SCENE_DELAY
 from construction_twin.errors import RecordError, ReviewError
-from construction_twin.executor import START_TOLERANCE, ExecutorState
+from construction_twin.executor import ExecutorState
 from construction_twin.gate import SyncState
+from construction_twin.start_pose import START_TOLERANCE
 
 
 @pytest.fixture

@@ -110,6 +110,16 @@ class TestStop:
         assert bench.executor.outcome == "stopped" and "the scene changed" in bench.executor.reason
         assert within_acceleration(bench.outputs) and np.abs(np.array(bench.twin) - GOAL).max() > 0.01
 
+    def test_a_changed_scene_while_it_brakes_changes_neither_cause_nor_way(self, bench):
+        bench.play(make_plan(), 250)
+        bench.executor.stop(bench.stamp)
+        stated = bench.executor.braking().forecast().setpoints.text(ROBOT)
+        bench.run(5)
+        bench.executor.on_scene("0ther")
+        assert bench.executor.reason == "stop requested"
+        bench.run_until_idle()
+        assert bench.executor.reason == f"stop requested; at rest after {stated}"
+
     def test_a_changed_scene_ends_a_plan_that_has_not_begun(self, bench):
         bench.approve(make_plan())
         bench.executor.on_scene("0ther")

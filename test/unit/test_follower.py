@@ -198,6 +198,49 @@ def test_braking_goes_on_in_the_direction_of_the_motion():
         last = watched.q[1]
 
 
+# -- a limit on the chase ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_a_limited_chase_keeps_to_its_share_and_arrives(share):
+    watched, steps = Watched(decimals=6), []
+    watched.follower.limit(share)
+    while watched.q != (0.1, -0.5):
+        watched.follow((0.1, -0.5))
+        steps.append(watched.step)
+    fastest = [
+        max(abs(step[axis]) / velocity / CYCLE for step in steps) for axis, velocity in enumerate(LIMITS.velocity)
+    ]
+    assert max(fastest) == pytest.approx(share, rel=1e-9)
+
+
+def test_at_0_nothing_is_chased_and_what_moves_brakes_within_the_limits():
+    watched = Watched(decimals=6)
+    for _ in range(100):
+        watched.follow((0.14, 2.0))
+    watched.follower.limit(0.0)
+    previous, budget = watched.step[1], LIMITS.acceleration[1] * CYCLE**2
+    while not watched.follower.at_rest:
+        watched.follow((0.14, 2.0))
+        assert watched.step[1] == pytest.approx(max(0.0, previous - budget), abs=1e-12)
+        previous = watched.step[1]
+    here = watched.q
+    for _ in range(20):
+        assert watched.follow((0.14, 2.0)) == here
+    assert watched.follower.settling
+
+
+def test_a_target_that_moves_faster_than_the_share_is_kept_up_with():
+    watched, step = Watched(decimals=6), 0.001
+    watched.follower.limit(0.01)
+    target = 0.0
+    for _ in range(200):
+        target -= step
+        watched.follow((0.0, target))
+    # behind by what it began with, as fast as the target
+    assert watched.step[1] == pytest.approx(-step, rel=1e-9)
+
+
 # -- anything at all -------------------------------------------------------------------------------------------------
 
 _TARGET = st.one_of(
@@ -213,11 +256,15 @@ _PHASE = st.one_of(
     st.tuples(st.just("shiver"), st.floats(0.0, 3.0), st.integers(1, 40)),
     st.tuples(st.just("brake"), st.just(0.0), st.integers(1, 30)),
     st.tuples(st.just("stutter"), st.sampled_from((-1.0, 1.0)), st.integers(1, 60)),
+    st.tuples(st.just("limit"), st.sampled_from((0.0, 0.02, 0.1, 0.5, 1.0)), st.just(1)),
 )
 
 
 def perform(watched, phase):
     kind, value, cycles = phase
+    if kind == "limit":
+        watched.follower.limit(value)
+        return
     budget = LIMITS.acceleration[0] * CYCLE**2
     goal, step = watched.q[0], watched.step[0]
     for k in range(cycles):
@@ -255,13 +302,15 @@ def test_every_output_is_inside_the_limits_whatever_is_asked(phases, decimals, s
     st.lists(_PHASE, max_size=6),
     st.sampled_from((1, 2, 3, 6)),
     st.tuples(st.floats(-0.2, 0.15), st.floats(-3.2, 3.2)),
+    st.sampled_from((1.0, 0.5, 0.05)),
 )
-@example([], 3, (0.15, -3.2))
-def test_after_whatever_was_asked_it_comes_to_rest_exactly_on_a_constant_target(phases, decimals, target):
+@example([], 3, (0.15, -3.2), 1.0)
+def test_after_whatever_was_asked_it_comes_to_rest_exactly_on_a_constant_target(phases, decimals, target, share):
     watched = Watched(decimals=decimals)
     for phase in phases:
         perform(watched, phase)
-    assert watched.cycles_to(target, watched.bound(target)) is not None
+    watched.follower.limit(share)
+    assert watched.cycles_to(target, math.ceil(watched.bound(target) / share)) is not None
 
 
 @settings(max_examples=100, deadline=None)

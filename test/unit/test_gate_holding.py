@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 import pytest
-from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved
+from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved, states
 
 from construction_twin.errors import ConfigurationError
 from construction_twin.gate import Gate, GateSettings
@@ -20,10 +20,6 @@ def bench(**settings) -> Bench:
     opened = Bench(GateSettings(**settings)).opened()
     opened.gate.take_transitions()
     return opened
-
-
-def states(gate: Gate) -> list[tuple[str, str]]:
-    return [(change.event.value, change.target.name) for change in gate.take_transitions()]
 
 
 class TestThresholds:
@@ -262,6 +258,22 @@ class TestEscalation:
         self.violate(cell, 0.3)
         assert cell.state is SyncState.IN_SYNC
 
+    @pytest.mark.parametrize("replans", [False, True])
+    def test_silence_that_ends_in_a_difference_is_counted_once(self, replans):
+        cell = bench(escalate_count=3, escalate_time=60.0)
+        for left in (2, 1, 0):
+            assert cell.state is SyncState.IN_SYNC
+            cell.feedback = False
+            cell.run(0.2)
+            if replans:
+                assert cell.gate.on_replan("asked", cell.stamp)
+            cell.feedback, cell.offset = True, 0.2
+            cell.run(0.1)
+            assert (cell.state is SyncState.STOPPED) is (left == 0)
+            cell.offset = 0.0
+            cell.run(0.3)
+        assert cell.state is SyncState.STOPPED and "held 3 times in 60 s" in cell.gate.reason
+
     def test_a_new_session_begins_counting_anew(self):
         cell = bench(escalate_count=2)
         self.violate(cell, 0.3)
@@ -269,6 +281,17 @@ class TestEscalation:
         cell.opened()
         self.violate(cell, 0.3)
         assert cell.state is SyncState.IN_SYNC
+
+
+class TestStoppedBefore:
+    def test_begins_stopped_and_only_a_new_session_leads_out(self):
+        cell = Bench()
+        cell.gate.take_transitions()
+        cell.gate.stay_stopped("it was STOPPED before", cell.stamp)
+        assert states(cell.gate) == [("stopped_before", "STOPPED")]
+        assert set(cell.run(1.0)) == {None} and cell.state is SyncState.STOPPED
+        cell.gate.restart("new command session", cell.stamp)
+        cell.opened()
 
 
 class TestMirror:

@@ -49,7 +49,7 @@ DEPLOYMENT = {
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
-    "neighbour": {"name", "self_collision"},
+    "neighbour": {"name"},
     "planner": {"self_collision", "tf_prefix"},
     "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
 }
@@ -209,7 +209,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3, "transition_file": "transitions.jsonl"}),
         (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
         (SeparationSettings, "separation", {}),
-        (NeighbourSettings, "neighbour", {"name": "b", "self_collision": "/tmp/pairs.yaml"}),
+        (NeighbourSettings, "neighbour", {"name": "b"}),
         (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
         (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
     ],

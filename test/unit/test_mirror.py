@@ -9,7 +9,7 @@ import pytest
 from chain_samples import REACH, ROBOT, make_chain, make_plan, play_to_the_end
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from supervisor_bench import STOP, armed, bench, moved
+from supervisor_bench import STOP, Bench, armed, bench, moved
 
 from construction_twin.errors import ReviewError
 from construction_twin.executor import ExecutorState
@@ -133,6 +133,15 @@ class TestSupervisor:
         armed.supervisor.request_reset(armed.now)
         armed.run(1.0)
         assert armed.state is LinkState.ARMED
+
+    def test_a_bridge_that_is_started_again_goes_on_until_a_person_ends_it(self):
+        bench = Bench(mirrors=True)
+        bench.run(1.0)
+        assert bench.state is LinkState.MIRROR and bench.supervisor.session and bench.sent == [] and not bench.forwarded
+        session = bench.supervisor.session
+        bench.supervisor.end_mirror(bench.now)
+        bench.run(1.0)
+        assert bench.state is LinkState.ARMED and bench.supervisor.session != session
 
     def test_outside_of_it_there_is_nothing_to_leave(self, armed):
         with pytest.raises(ReviewError, match="does not lead"):

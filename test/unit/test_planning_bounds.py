@@ -165,7 +165,7 @@ def test_a_pipe_a_device_and_a_huge_file_are_not_read(tmp_path):
 class Cell:
     """What of a planner node answers requests, without ROS around it."""
 
-    _answer_read, _answer = PlannerNode._answer_read, PlannerNode._answer
+    _answer_read, _answer, _make = PlannerNode._answer_read, PlannerNode._answer, PlannerNode._make
     _demand_scene, _failed = PlannerNode._demand_scene, PlannerNode._failed
 
     def __init__(self, publishers: int = 1):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
+import rospy
 from hypothesis import given
 from hypothesis import strategies as st
+from sensor_msgs.msg import Range
 
 from construction_twin.errors import ConfigurationError, PayloadError
+from construction_twin.ros import separation_node as module
 from construction_twin.separation import SeparationLimit, SpeedTable
 from construction_twin.units import NANOSECONDS
 
@@ -101,3 +105,21 @@ class TestLimit:
             limit.on_range(4.0, 0.1, 10.0, T0 - 1, T0 + 1)
         limit.on_range(4.0, 0.1, 10.0, T0 - 1, T0 + DEADLINE + 1)
         assert limit.update(T0 + DEADLINE + 1)[0] == 1.0
+
+
+def test_the_node_takes_a_sensor_for_silent_although_the_wall_clock_was_set_back(monkeypatch):
+    wall, steady, said = [1000 * NANOSECONDS], [50 * NANOSECONDS], []
+    monkeypatch.setattr(module.time, "monotonic_ns", lambda: steady[0])
+    monkeypatch.setattr(module, "read_parameters", lambda _: module.Settings(table=ROWS, deadline=0.3, rate=20))
+    monkeypatch.setattr(module, "NodeDiagnostics", lambda *_: None)
+    monkeypatch.setattr(module, "Publisher", lambda *_, **__: SimpleNamespace(publish=said.append))
+    for name in ("Subscriber", "Timer"):
+        monkeypatch.setattr(rospy, name, lambda *_, **__: None)
+    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time.from_sec(wall[0] / NANOSECONDS))
+    node = module.SeparationNode()
+    node._on_range(Range(range=math.inf, max_range=5.0))
+    node._on_timer(None)
+    wall[0] -= 10 * NANOSECONDS
+    steady[0] += round(0.31 * NANOSECONDS)
+    node._on_timer(None)
+    assert [message.limit for message in said] == [1.0, ROWS[0][1]]

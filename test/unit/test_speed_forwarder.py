@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from construction_twin.errors import PayloadError
 from construction_twin.mqtt.speed_forwarder import PERIOD, SpeedForwarder
 from construction_twin.units import NANOSECONDS
 
@@ -19,7 +20,7 @@ def sent(
     found = []
     for now in range(0, until, 20 * MS):
         if source_period and now % source_period == 0:
-            forwarder.on_limit(limit, now)
+            forwarder.on_limit(limit, "/source", now)
         value = forwarder.poll(session, now)
         if value is not None:
             found.append((now, value))
@@ -38,21 +39,21 @@ def test_repeats_are_sent_five_times_a_second_however_fast_they_come():
 
 def test_a_source_that_falls_silent_is_not_repeated():
     forwarder = SpeedForwarder(0.5)
-    forwarder.on_limit(0.5, 0)
+    forwarder.on_limit(0.5, "/source", 0)
     assert sent(forwarder, 5 * NANOSECONDS) == [(0, 0.5)]
 
 
 def test_a_change_is_sent_at_once():
     forwarder = SpeedForwarder(0.5)
-    forwarder.on_limit(0.5, 0)
+    forwarder.on_limit(0.5, "/source", 0)
     assert forwarder.poll("s1", 0) == 0.5
-    forwarder.on_limit(0.2, 20 * MS)
+    forwarder.on_limit(0.2, "/source", 20 * MS)
     assert forwarder.poll("s1", 20 * MS) == 0.2
 
 
 def test_a_new_session_is_told_what_still_holds_and_nothing_old():
     forwarder = SpeedForwarder(0.5)
-    forwarder.on_limit(0.5, 0)
+    forwarder.on_limit(0.5, "/source", 0)
     assert forwarder.poll("s1", 0) == 0.5
     assert forwarder.poll("s2", 400 * MS) == 0.5 and forwarder.poll("s2", 420 * MS) is None
     assert forwarder.poll("s3", 600 * MS) is None
@@ -61,4 +62,28 @@ def test_a_new_session_is_told_what_still_holds_and_nothing_old():
 @pytest.mark.parametrize("limit", [-0.001, 1.001, math.nan, math.inf])
 def test_what_is_no_share_is_not_taken(limit):
     forwarder = SpeedForwarder(0.5)
-    assert not forwarder.on_limit(limit, 0) and forwarder.poll("s1", 0) is None
+    with pytest.raises(PayloadError, match="from 0 to 1"):
+        forwarder.on_limit(limit, "/source", 0)
+    assert forwarder.poll("s1", 0) is None
+
+
+def test_a_limit_that_nobody_was_armed_for_is_forgotten_with_its_source():
+    forwarder = SpeedForwarder(0.5)
+    forwarder.on_limit(0.5, "/source", 0)
+    assert forwarder.poll("", 100 * MS) is None
+    assert forwarder.poll("s1", 500 * MS + 1) is None
+    assert forwarder.poll("s1", 600 * MS) is None
+    forwarder.on_limit(0.5, "/source", 700 * MS)
+    assert forwarder.poll("s1", 700 * MS) == 0.5
+
+
+def test_one_source_counts_until_it_is_silent():
+    forwarder = SpeedForwarder(0.5)
+    forwarder.on_limit(0.2, "/separation", 0)
+    with pytest.raises(PayloadError) as refused:
+        forwarder.on_limit(1.0, "/other", 500 * MS)
+    assert refused.value.reason == "speed_limit_source" and "/separation" in str(refused.value)
+    assert forwarder.poll("s1", 500 * MS) == 0.2
+    # what was refused has not made the first one's silence shorter
+    forwarder.on_limit(1.0, "/other", 501 * MS)
+    assert forwarder.poll("s1", 501 * MS) == 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -254,6 +255,49 @@ class TestPlaying:
         assert cell.count("speed_limit_silent") == 1
         assert cell.gateway.status()["speed_limit"] == {"share": 0.1, "given": 0.1, "source": "silence"}
         assert fastest(cell, 320) <= 0.1 + 1e-5
+
+    def test_silence_never_lifts_a_limit(self):
+        cell = armed(speed_limit_backlog=60.0)
+        play(cell, [START] * 200, limit=0.0)
+        # the source is gone, and the sender goes on as if it had never asked
+        play(cell, (curve(k) for k in range(500)))
+        assert cell.count("speed_limit_silent") == 1
+        assert cell.gateway.status()["speed_limit"] == {"share": 0.0, "given": 0.0, "source": "silence"}
+        assert fastest(cell, 0) == 0.0
+
+    def test_a_stop_whose_source_dies_before_the_grace_is_over_still_comes(self):
+        limit = SpeedLimit(dataclasses.replace(CONFIG, speed_limit_deadline=0.2, speed_limit_grace=0.5))
+        limit.give(0.0, "s", 0)
+        shares = []
+        for now in range(0, 2 * SECOND, 100 * MS):
+            limit.poll(now)
+            shares.append(limit.share)
+        assert shares == [1.0] * 5 + [0.0] * 15 and limit.source == "silence"
+
+    @pytest.mark.parametrize("hole", ["commands", "telegrams"])
+    @pytest.mark.parametrize("share", [0.0, 0.1, 0.25])
+    def test_what_was_missed_is_made_up_for_within_the_limit(self, hole, share):
+        cell = armed(speed_limit_backlog=60.0)
+        # a sender that obeys: RATIO makes A2 the joint that uses most of its share
+        rate = 0.98 * max(share, 0.05) * cell.config.velocity[1] / (RATIO * 0.15)
+        play(cell, (curve(k, rate) for k in range(400)), limit=max(share, 0.05))
+        play(cell, (curve(k, rate) for k in range(400, 500)), limit=share)
+        since = len(cell.positions)
+        for k in range(500, 520):
+            cell.send(curve(k, rate)) if hole == "telegrams" else cell.cycle()
+            cell.positions.append(cell.measured)
+        if hole == "commands":
+            cell.stamp, cell.seq = cell.stamp + 20 * CYCLE_NS, cell.seq + 20
+        else:
+            cell.cycle(step_ms=84)
+            cell.positions.append(cell.measured)
+        play(cell, (curve(k, rate) for k in range(520, 800)), limit=share)
+        assert cell.state is State.FOLLOWING
+        # to be in force, the last change needs its grace
+        assert fastest(cell, since) <= max(share, 0.05) + 1e-3
+        assert fastest(cell, since + 150) <= share + 1e-3
+        # lost telegrams are HOLDON's: it stops the arm dead
+        assert_within_limits(cell, cell.positions[since + 2 if hole == "telegrams" else 0 :])
 
     def test_the_limit_holds_for_the_next_session_too(self):
         cell = armed()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 
-from gateway_cell import CONFIG, Cell, following
+from gateway_cell import CONFIG, Cell, following, slow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.rsi.session import State
 from construction_twin.rsi.stop_report import StopReport
-from construction_twin.units import CYCLE, format_allowance
+from construction_twin.units import CYCLE, CYCLE_NS, format_allowance
 
 
 def stop(cell: Cell, verb: str = "stop") -> tuple[list, dict]:
@@ -105,3 +105,34 @@ def test_silence_and_refusal_are_causes_too():
     assert silent.gateway.status()["stop"]["cause"] == "silence"
     refused.send((0.4, -1.0))
     assert refused.gateway.status()["stop"]["cause"] == "refused"
+
+
+def test_a_stop_by_silence_contains_the_braking_before_anybody_called_it_one():
+    cell = following(decimals=6)
+    # playout runs dry after the delay; from then on the arm brakes
+    before = cell.measured
+    while not cell.count("cycles_without_command"):
+        earlier, before = before, cell.measured
+        cell.cycle()
+    steps = round(abs(before[0] - earlier[0]) / (CONFIG.acceleration[0] * CYCLE**2) + 0.5)
+    while cell.state is not State.HOLDING:
+        cell.cycle()
+    report = cell.gateway.status()["stop"]
+    assert report["cause"] == "silence"
+    assert abs(report["moved_deg"][0] - math.degrees(abs(cell.measured[0] - before[0]))) <= 1.1e-6
+    assert 0.1 < report["moved_deg"][0] <= report["distance_deg"][0]
+    assert report["took_s"] <= report["time_s"] + 1e-9 and abs(report["took_s"] / CYCLE - steps) <= 1
+
+
+def test_braking_that_silence_did_not_end_is_forgotten():
+    cell = following(decimals=6)
+    cell.cycle(20)
+    assert cell.count("cycles_without_command")
+    cell.stamp, cell.seq = cell.stamp + 20 * CYCLE_NS, cell.seq + 20
+    cell.stream(slow(k) for k in range(120, 300))
+    assert cell.gateway.status()["stop"]["cause"] == ""
+    before = cell.measured
+    cell.cycle(60)
+    report = cell.gateway.status()["stop"]
+    assert report["cause"] == "silence" and report["moved_deg"][0] <= report["distance_deg"][0]
+    assert report["moved_deg"][0] <= math.degrees(abs(cell.measured[0] - before[0])) + 1.1e-6

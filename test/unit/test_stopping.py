@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from construction_twin.executor import ExecutorState
 from construction_twin.gate import SyncState
+from construction_twin.playback import SETPOINTS_AT_ONCE
 from construction_twin.stopping import StoppingForecast, StoppingWay, way_along
 from construction_twin.units import CYCLE
 
@@ -81,6 +82,18 @@ def test_looking_ahead_changes_nothing():
             bench.executor.braking().forecast()
         bench.run_until_idle()
     assert with_it.outputs == without.outputs
+
+
+def test_looking_ahead_pauses_again_and_again_for_those_who_wait():
+    bench = Bench().ready()
+    bench.play(make_plan(), 250)
+    bench.executor.lag = 0.2
+    bench.executor.stop(bench.stamp)
+    pauses = []
+    forecast = bench.executor.braking().forecast(lambda: pauses.append(1))
+    computed = round(forecast.setpoints.time / CYCLE) + 51
+    assert len(pauses) >= computed // SETPOINTS_AT_ONCE - 1
+    assert forecast == bench.executor.braking().forecast()
 
 
 def test_nothing_is_stated_unless_it_brakes():

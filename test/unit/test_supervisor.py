@@ -47,10 +47,19 @@ class TestFirstStart:
         bench.run(1.0)
         assert bench.state is state
 
+    def test_an_arm_that_moves_is_not_armed_until_it_rests(self, bench):
+        # a program of the controller moves it, and the twin follows closely: nobody has seen it at rest
+        for k in range(50):
+            bench.pose = bench.command = moved(k * 0.1 * TOLERANCE)
+            bench.poll()
+        assert bench.state is LinkState.RESYNC and bench.sent == []
+        bench.run(0.5)
+        assert bench.state is LinkState.ARMED
+
     def test_forwards_nothing_before_it_is_armed(self, bench):
         bench.answering = False
-        bench.run(0.2)
-        assert bench.state is LinkState.RESYNC and not bench.forwarded
+        bench.run(0.3)
+        assert bench.state is LinkState.RESYNC and bench.verbs == ["arm"] and not bench.forwarded
 
     def test_a_command_from_before_the_session_does_not_count(self, bench):
         bench.set_gateway("no_controller")
@@ -62,8 +71,8 @@ class TestFirstStart:
 
     def test_an_old_command_or_pose_does_not_count(self, bench):
         bench.answering = False
-        bench.run(0.1)
-        bench.sent.clear()
+        bench.run(0.3)
+        assert bench.verbs == ["arm"]
         bench.pose = None
         bench.run((FRESH + 2 * RETRY) / NANOSECONDS)
         last = bench.sent[-1:]
@@ -121,7 +130,7 @@ class TestAnswers:
     @pytest.mark.parametrize("answer", [{}, {"id": None}, {"id": "nobody's", "ok": True}])
     def test_an_answer_to_something_else_is_ignored(self, bench, answer):
         bench.answering = False
-        bench.run(0.2)
+        bench.run(0.3)
         bench.supervisor.on_answer(answer, bench.now)
         assert bench.state is LinkState.RESYNC
 
@@ -137,7 +146,7 @@ class TestAnswers:
 
     def test_an_answer_after_the_connection_was_lost_does_not_arm(self, bench):
         bench.answering = False
-        bench.run(0.2)
+        bench.run(0.3)
         bench.supervisor.on_connection(False)
         bench.poll()
         bench.answer(bench.sent[0])

@@ -153,9 +153,18 @@ class TestStop:
         bench.run(2.0)
         assert bench.state is LinkState.NEEDS_RESET and bench.sent == []
 
+    @pytest.mark.parametrize("request_name", ["request_reset", "request_arm"])
+    def test_a_stop_takes_back_what_was_asked_for_just_before(self, armed, request_name):
+        armed.set_gateway("holding", STOP, fault=True)
+        armed.run(0.5)
+        getattr(armed.supervisor, request_name)(armed.now)
+        armed.supervisor.drop("stopped on request")
+        armed.run(2.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+
     def test_a_stop_overtakes_an_arming_under_way(self, bench):
         bench.answering = False
-        bench.run(0.2)
+        bench.run(0.3)
         bench.supervisor.drop("stopped on request")
         bench.answer(bench.sent[0])
         bench.poll()

@@ -76,7 +76,8 @@ class Cell(RuleBasedStateMachine):
 
     def take(self, command, before: ExecutorState, foreign: bool):
         if command is None:
-            assert self.gate.state is SyncState.WAITING or self.gate.mirrored
+            # a monitor that begins in STOPPED has nothing to repeat
+            assert self.gate.state is SyncState.WAITING or self.gate.mirrored or self.command is None
             return
         reference = self.twin if self.command is None else self.command
         if self.gate.state is not SyncState.IN_SYNC:
@@ -144,6 +145,30 @@ class Cell(RuleBasedStateMachine):
         assert self.gate.refused >= refused
         self.check_transitions()
 
+    @rule(late=st.sampled_from([0.05, 0.2, 1.0]), cycles=st.integers(1, 40))
+    def starve(self, late, cycles):
+        """The monitor was not run for a while: setpoints have waited, feedback is fresh again."""
+        for _ in range(cycles):
+            self.stamp += CYCLE_NS
+            now = self.stamp + round(late * NANOSECONDS)
+            self.gate.on_physical(self.twin, 0, now)
+            command = self.gate.pass_next(self.stamp, self.twin, now)
+            if command is not None:
+                self.take(command, self.executor.state, False)
+        self.stamp += round(late * NANOSECONDS)
+        self.check_transitions()
+        self.cycle()
+
+    @rule()
+    def respawn(self):
+        """The monitor begins anew; one that was STOPPED stays so."""
+        stopped = self.state is SyncState.STOPPED
+        self.gate = Gate(LIMITS, CODEC, self.gate.settings, self.stamp)
+        self.state, self.command = SyncState.WAITING, None
+        if stopped:
+            self.gate.stay_stopped("it was STOPPED before", self.stamp)
+        self.check_transitions()
+
     @rule()
     def reset(self):
         self.new_session, self.command = True, None
@@ -180,6 +205,16 @@ class Cell(RuleBasedStateMachine):
             self.cycle(feedback)
         for _ in range(cycles):
             self.cycle()
+
+    @precondition(lambda self: self.state is SyncState.IN_SYNC)
+    @rule(comes_back=st.sampled_from(["agrees", "differs"]), replan=st.booleans())
+    def fall_silent(self, comes_back, replan):
+        for _ in range(12):
+            self.cycle("none")
+        assert self.state in (SyncState.STALE, SyncState.STOPPED)
+        if replan:
+            self.replan(False)
+        self.cycle(comes_back)
 
     @rule(failed=st.booleans())
     def replan(self, failed):

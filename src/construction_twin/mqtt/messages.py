@@ -127,10 +127,15 @@ def _number(name: str, text: str) -> int:
     return int(text)
 
 
+def is_session(text: str) -> bool:
+    """Tell whether a text can be a session's id beside a command: 1 to 64 letters, digits, - and _."""
+    return _SESSION.fullmatch(text) is not None
+
+
 def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
     """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
     values = _read(pairs, ("session", "seq", "stamp"))
-    if not _SESSION.fullmatch(values["session"]):
+    if not is_session(values["session"]):
         raise PayloadError(
             "properties", f"property session is {values['session'][:32]!r}; expected letters, digits, - and _"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from construction_twin.errors import PayloadError
 from construction_twin.units import NANOSECONDS
 
 #: An unchanged limit is repeated no faster than this [ns].
@@ -17,32 +18,47 @@ class SpeedForwarder:
     Parameters
     ----------
     deadline : float
-        A message older than this is not given to a new session [s]: its source has fallen silent.
+        A source that was heard this recently is the only one [s]. A message older than this is not sent any more: its source has
+        fallen silent.
     """
 
     def __init__(self, deadline: float):
         self._deadline = round(deadline * NANOSECONDS)
         #: The last limit heard; None before the first one.
         self.limit: float | None = None
+        self._source = ""
         self._heard_at = 0
         self._unsent = False
         self._sent: tuple[float, str] | None = None
         self._sent_at = 0
 
-    def on_limit(self, limit: float, now: int) -> bool:
-        """Take a message [share, 0 to 1] that came at `now` [ns]; return whether it is one: anything else is to be refused."""
+    def on_limit(self, limit: float, source: str, now: int) -> None:
+        """Take a message [share, 0 to 1] that `source` sent and that came at `now` [ns].
+
+        Raises
+        ------
+        PayloadError
+            ``speed_limit``, or ``speed_limit_source`` while another source is heard: the executor refuses it too.
+        """
+        # written so that a nan does not pass
         if not 0.0 <= limit <= 1.0:
-            return False
-        self.limit, self._heard_at, self._unsent = limit, now, True
-        return True
+            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a share from 0 to 1")
+        if source != self._source and self.limit is not None and now - self._heard_at <= self._deadline:
+            raise PayloadError(
+                "speed_limit_source", f"{source} sent a speed limit while {self._source} does; let only one of them"
+            )
+        self.limit, self._source, self._heard_at, self._unsent = limit, source, now, True
 
     def poll(self, session: str, now: int) -> float | None:
         """Return the limit to send now to the armed session `session` ("" for none), or None."""
         if not session or self.limit is None:
             return None
+        if now - self._heard_at > self._deadline:
+            # silence is silence, also for a session that begins meanwhile
+            self._unsent = False
+            return None
         is_new = self._sent is None or self._sent[1] != session
-        if is_new and now - self._heard_at <= self._deadline:
-            self._unsent = True
+        self._unsent |= is_new
         due = is_new or self.limit != self._sent[0] or now - self._sent_at >= PERIOD
         if not (self._unsent and due):
             return None

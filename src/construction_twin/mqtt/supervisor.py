@@ -54,6 +54,8 @@ class LinkSupervisor:
         What the last decimal on the wire is worth [rad], [m], as `MotionLimits.last_digits`.
     new_id : callable
         Returns a new unique id.
+    mirrors : bool, optional
+        Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
     """
 
     def __init__(
@@ -63,6 +65,7 @@ class LinkSupervisor:
         start_tolerances: Sequence[float],
         last_digits: Sequence[float],
         new_id: Callable[[], str],
+        mirrors: bool = False,
     ):
         self._hash = config_hash
         self._decimals = decimals
@@ -74,7 +77,7 @@ class LinkSupervisor:
         self._new_id = new_id
         self.state = LinkState.DISCONNECTED
         self.reason = "not connected to the broker yet"
-        self.session = ""
+        self.session = new_id() if mirrors else ""
         self.status: dict = {}
         self._status_at = 0
         self._connected = False
@@ -85,7 +88,7 @@ class LinkSupervisor:
         self._command: tuple[float, ...] | None = None
         self._command_at = 0
         self._command_moved_at = 0
-        self._mirror = False
+        self._mirror = mirrors
         self._ended_session = ""
         self._was_armed = False
         self._reset_wanted = False
@@ -96,10 +99,10 @@ class LinkSupervisor:
         self._sent_at = 0
 
     @classmethod
-    def of(cls, config: GatewayConfig, new_id: Callable[[], str]) -> LinkSupervisor:
+    def of(cls, config: GatewayConfig, new_id: Callable[[], str], mirrors: bool = False) -> LinkSupervisor:
         """Return the supervisor of a robot whose gateway runs `config`."""
         digits = config.limits.last_digits(config.decimals)
-        return cls(config.hash, config.decimals, config.start_tolerances, digits, new_id)
+        return cls(config.hash, config.decimals, config.start_tolerances, digits, new_id, mirrors)
 
     # -- events
 
@@ -246,6 +249,8 @@ class LinkSupervisor:
         self._mirror = False
         self._stopped = reason
         self._pending = None
+        # what was asked for before the stop is not asked for any more
+        self._reset_wanted = self._asked_for = False
         self._enter(LinkState.NEEDS_RESET, reason)
 
     # -- decisions
@@ -346,7 +351,8 @@ class LinkSupervisor:
             return None
         if gateway != "ready" or self._fault:
             return self._send("reset", now) if gateway != "braking" else None
-        if not self._within_tolerance(now):
+        if not self._within_tolerance(now) or not (self._was_armed or self._at_rest(now)):
+            # nobody has seen the arm before the first session: a program of the controller may move it
             return None
         if self._arm_refused:
             # a session that was armed and whose answer was lost has had its turn: the next attempt is another one's

@@ -12,10 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.plan import Plan
-from construction_twin.planning.limit_shares import cycle_times
+from construction_twin.planning.path_sweep import PathSweep
 from construction_twin.robot import RobotModel
-from construction_twin.scene.neighbour import Obstacle, row_of
-from construction_twin.scene.world import CollisionWorld
+from construction_twin.scene.meeting import copies, first_meeting, joined
+from construction_twin.scene.neighbour import Neighbour, Obstacle
+
+#: Copies of our arm that are compared in one go. Always a whole block: so obstacles that came one after the other soon stand at the
+#: same one, and are compared together from then on.
+_BLOCK = 128
+#: To make a copy of our arm ready for comparison costs as much as to compare it with so many.
+_OVERHEAD = 500
 
 
 @dataclass(frozen=True)
@@ -34,63 +40,159 @@ class Conflict:
     between: tuple[str, str]
 
 
+@dataclass(frozen=True)
+class Look:
+    """What a look along a way has found.
+
+    Attributes
+    ----------
+    conflict : Conflict or None
+        The first one that is known.
+    share : float
+        How much of the way has been compared with all that the other arm takes up; 1: all of it.
+    """
+
+    conflict: Conflict | None
+    share: float
+
+
+class _Batch:
+    """Obstacles that came at the same time, and how many copies of our arm are clear of them."""
+
+    def __init__(self, obstacles: frozenset[Obstacle]):
+        self.obstacles = obstacles
+        self.checked = 0
+        self.contact: tuple[int, Obstacle] | None = None
+        self.shapes = copies(tuple(obstacles))
+
+    def take(self, other: _Batch) -> None:
+        """Take in another batch that stands at the same copy of our arm."""
+        self.obstacles |= other.obstacles
+        self.shapes = joined(self.shapes, other.shapes)
+
+    def thin(self) -> None:
+        """Compare no longer with those that are not there any more."""
+        self.shapes = copies(tuple(self.obstacles))
+
+
 class OwnWay:
-    """A plan of ours as a few poses, each with a distance to keep that covers the motion to the next.
+    """A plan of ours as copies of our arm, compared with the other arm's step by step: no look takes long.
+
+    What was found out of the way once stays so: our way gets shorter, and so does what the other arm takes up on its path.
 
     Parameters
     ----------
     plan : Plan
-    world : CollisionWorld
-        Our robot with what it carries.
-    step : float
-        Largest way of any point of the arm between two poses that are checked [m].
+    arm : Neighbour
+        Our own robot with what it carries, from its own root; its `step` is how close the copies are.
 
     Attributes
     ----------
     plan : Plan
     """
 
-    def __init__(self, plan: Plan, world: CollisionWorld, step: float):
+    def __init__(self, plan: Plan, arm: Neighbour):
         self.plan = plan
-        trajectory = plan.trajectory
-        times = cycle_times(trajectory)
-        self._times = np.append(times[times < trajectory.duration], trajectory.duration)
-        self._rows = trajectory.sample_many(self._times)[0]
-        self._world = world
-        keys, self._half = world.key_rows(self._rows, step)
-        self._keys = np.array(keys)
+        self._sweep = PathSweep(arm, plan.trajectory, standing=False)
         self._clear: frozenset[Obstacle] = frozenset()
+        self._batches: list[_Batch] = []
 
     def row_of(self, q: Iterable[float], start: int = 0) -> int | None:
         """Return the first row from `start` on that a pose belongs to; see `neighbour.row_of`."""
-        return row_of(self._rows, q, start)
+        return self._sweep.row_of(q, start)
 
-    def conflict(self, obstacles: Iterable[Obstacle], padding: float, row: int = 0) -> Conflict | None:
-        """Return the first contact from a row on, None where the way is free.
+    def look(
+        self, obstacles: Iterable[Obstacle], padding: float, row: int = 0, horizon: float = np.inf, budget: int = 0
+    ) -> Look:
+        """Compare the way from a row on with all that the other arm takes up: up to a horizon now, then as far as a budget goes.
 
         Parameters
         ----------
         obstacles : iterable of Obstacle
             All that the other arm takes up.
         padding : float
-            Distance to keep from it [m], on top of the scene's and of what covers the motions between poses. The same every time.
+            Distance to keep from it [m], on top of what both sides' copies have. The same every time.
         row : int, optional
-            Never less than before.
+            Where our arm is. Never less than before.
+        horizon : float, optional
+            Compared in any case: what lies less than this ahead [s].
+        budget : int, optional
+            How many pairs of copies are compared beyond, about; the next look goes on from there.
         """
-        obstacles = frozenset(obstacles)
-        # what was found out of the way once stays so: our way gets shorter, and what the other arm takes up on its path gets less
-        if obstacles <= self._clear:
-            return None
-        world = self._world.facing(obstacle.padded(padding + self._half) for obstacle in obstacles)
-        # the pose before the row covers the way from it
-        first = max(0, int(np.searchsorted(self._keys, row, side="right")) - 1)
-        keys = self._keys[first:]
-        found = world.all_free(self._rows[keys])
-        if found is None:
-            self._clear = obstacles
-            return None
-        since = self._times[keys[max(0, found - 1)]] - self._times[row]
-        return Conflict(max(0.0, float(since)), world.contact(self._rows[keys[found]]).between)
+        end = self._sweep.row_after(row, horizon)
+        self._sweep.grow(end)
+        if budget:
+            self._sweep.grow()
+        self._sort(frozenset(obstacles), row)
+        near, known = self._sweep.copies_before(end), len(self._sweep.copies)
+        for batch in self._batches:
+            self._compare(batch, padding, row, near)
+        self._merge()
+        while budget > 0 and (behind := [one for one in self._batches if not one.contact and one.checked < known]):
+            # the one that is farthest: others are soon forgotten, such as an arm that is moved by hand
+            batch = max(behind, key=lambda one: one.checked)
+            budget -= self._compare(batch, padding, row, batch.checked + 1)
+            self._merge()
+        share = min((self._share(batch) for batch in self._batches), default=1.0)
+        contacts = [batch.contact for batch in self._batches if batch.contact]
+        self._settle()
+        return Look(self._conflict(*min(contacts, key=lambda found: found[0]), row) if contacts else None, share)
+
+    def _sort(self, obstacles: frozenset[Obstacle], row: int) -> None:
+        """Put new obstacles into a batch of their own, and forget what is over."""
+        for batch in self._batches:
+            batch.obstacles &= obstacles
+            if batch.contact:
+                place, other = batch.contact
+                if other not in obstacles or self._sweep.copies[place][1] < row:
+                    batch.contact = None
+        self._batches = [batch for batch in self._batches if batch.obstacles]
+        self._clear &= obstacles
+        new = obstacles.difference(self._clear, *(batch.obstacles for batch in self._batches))
+        if new:
+            self._batches.append(_Batch(new))
+
+    def _merge(self) -> None:
+        """Make one batch of those that stand at the same copy of our arm."""
+        first: dict[int, _Batch] = {}
+        for batch in self._batches:
+            if not batch.contact and first.setdefault(batch.checked, batch) is not batch:
+                first[batch.checked].take(batch)
+        self._batches = [one for one in self._batches if one.contact or first[one.checked] is one]
+
+    def _settle(self) -> None:
+        """Keep nothing but the obstacles' names of what our whole way is clear of."""
+        clear = [batch for batch in self._batches if self._share(batch) == 1.0]
+        self._clear = self._clear.union(*(batch.obstacles for batch in clear))
+        self._batches = [batch for batch in self._batches if batch not in clear]
+
+    def _share(self, batch: _Batch) -> float:
+        if batch.checked < len(self._sweep.copies):
+            return self._sweep.copies[batch.checked][0] / len(self._sweep.times)
+        return self._sweep.share
+
+    def _compare(self, batch: _Batch, padding: float, row: int, end: int) -> int:
+        """Compare with a batch until a copy of our arm, or a little further; return what it cost, in pairs."""
+        swept, compared = self._sweep.copies, 1
+        while not batch.contact and batch.checked < end:
+            stop = min(batch.checked - batch.checked % _BLOCK + _BLOCK, len(swept))
+            ahead = [place for place in range(batch.checked, stop) if swept[place][1] >= row]
+            compared += len(ahead) * (len(batch.obstacles) + _OVERHEAD)
+            found = first_meeting(copies([swept[place][2] for place in ahead]), batch.shapes, padding)
+            if found is None:
+                batch.checked = stop
+                continue
+            batch.checked = ahead[found[0]]
+            if found[1] in batch.obstacles:
+                batch.contact = batch.checked, found[1]
+            else:
+                batch.thin()
+        return compared
+
+    def _conflict(self, place: int, other: Obstacle, row: int) -> Conflict:
+        first, _, mine = self._sweep.copies[place]
+        since = self._sweep.times[max(first, row)] - self._sweep.times[row]
+        return Conflict(float(since), (mine.owner.partition("/")[2], other.owner))
 
 
 @dataclass(frozen=True)
@@ -131,16 +233,18 @@ def gives_way(conflict: Conflict, own: Claim, other: Claim | None, horizon: floa
     return other is None or not own.since or other.before(own) or conflict.time <= horizon
 
 
-def braking_horizon(robot: RobotModel, other: RobotModel, period: float, delay: float) -> float:
-    """Return how far ahead a conflict must be seen [s]: both arms' longest braking times, two looks and the way of the message.
+def braking_horizon(robot: RobotModel, other: RobotModel, pose_age: float, verdict_age: float, delay: float) -> float:
+    """Return how far ahead a conflict must be seen [s]: both arms' longest braking times, and the age of all that is known.
 
     Parameters
     ----------
     robot, other : RobotModel
-    period : float
-        Between two looks [s].
+    pose_age : float
+        Of the poses that a look is made with, at most [s].
+    verdict_age : float
+        Of the verdict that the executor goes by, at most, since the poses were read [s]: a look may take long, or be left out.
     delay : float
-        From a look to the first braking setpoint [s].
+        From the moment when a verdict counts no longer to the first braking setpoint [s].
     """
     braking = (float(np.max(np.divide(one.velocity, one.acceleration))) for one in (robot, other))
-    return sum(braking) + 2.0 * period + delay
+    return sum(braking) + pose_age + verdict_age + delay

@@ -37,6 +37,7 @@ def cycles() -> Iterator[tuple[int, int]]:
             time.sleep(remaining / 1e9)
         elif -remaining > CATCH_UP:
             stalled = -remaining
-            offset = now_ns() - time.monotonic_ns()
-            stamp = max(stamp, now_ns() // CYCLE_NS * CYCLE_NS)
+            # never back: on a clock that was set back meanwhile the grid would stand still until the clock has caught up
+            offset = max(offset, now_ns() - time.monotonic_ns())
+            stamp = max(stamp, (time.monotonic_ns() + offset) // CYCLE_NS * CYCLE_NS)
         yield stamp, stalled

@@ -21,10 +21,12 @@ from construction_twin.gate import SyncState
 from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.neighbour_watch import NeighbourWatch
+from construction_twin.plan import Plan as PlanContent
 from construction_twin.review import Verdict
 from construction_twin.review_log import ReviewLog
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.cycle import cycles
+from construction_twin.ros.deferred_log import DeferredLog
 from construction_twin.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
 from construction_twin.ros.node import run_node
@@ -38,6 +40,8 @@ from construction_twin.units import NANOSECONDS
 SYNC_TIMEOUT = NANOSECONDS // 2
 #: How often records that nobody waits for are written, and a plan is looked for that may approve itself [s].
 BACKGROUND_PERIOD = 0.05
+#: How long who computes a forecast leaves the processor to the cycle, every few setpoints [s].
+PAUSE = 0.0005
 
 
 class Settings(NodeSettings):
@@ -68,6 +72,7 @@ class ExecutorNode:
         self._limit_state: LimitState | None = None
         self._log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
         self._record_problem = ""
+        self._said = DeferredLog()
         self._started = rospy.Time.now()
         self._lock = threading.Lock()
         self._approval = Approval(self._executor, self._log.append, self._lock)
@@ -76,6 +81,7 @@ class ExecutorNode:
         self._session: str | None = None
         self._sync_at = 0
         self._reported: tuple = ()
+        self._told: tuple = ()
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._next = JointPublisher("next/joint_states", robot.joint_names)
         self._execution = Publisher("execution", Execution, queue_size=10, latch=True)
@@ -107,11 +113,11 @@ class ExecutorNode:
         """Publish one setpoint per cycle until shutdown."""
         for stamp, stalled in cycles():
             with self._lock:
-                if stamp - self._sync_at > SYNC_TIMEOUT:
+                now = time.monotonic_ns()
+                if now - self._sync_at > SYNC_TIMEOUT:
                     self._executor.on_sync(SyncState.STALE, False)
                 if stalled:
                     self._executor.stall(f"this process was not run for {stalled / 1e9:.3f} s")
-                now = now_ns()
                 self._executor.limit_rate(self._limit.update(now), self._limit.reason)
                 setpoint = self._executor.step(stamp, now)
             if setpoint is not None:
@@ -122,7 +128,7 @@ class ExecutorNode:
 
     def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
-            self._executor.on_twin(stamp, q, now_ns())
+            self._executor.on_twin(stamp, q, time.monotonic_ns())
 
     def _on_sync(self, message: Sync) -> None:
         try:
@@ -131,7 +137,7 @@ class ExecutorNode:
             self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
             return
         with self._lock:
-            self._sync_at = now_ns()
+            self._sync_at = time.monotonic_ns()
             self._executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
             self._executor.lag = sum(filter(math.isfinite, (message.round_trip, message.servo_lag)))
 
@@ -139,7 +145,7 @@ class ExecutorNode:
         source = message._connection_header["callerid"]
         try:
             with self._lock:
-                self._limit.on_limit(message.limit, message.reason, source, now_ns())
+                self._limit.on_limit(message.limit, message.reason, source, time.monotonic_ns())
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 
@@ -148,9 +154,14 @@ class ExecutorNode:
             self._executor.on_scene(message.hash)
 
     def _on_conflict(self, message: Conflict) -> None:
-        with self._lock:
-            problem = message.reason if message.conflict else ""
-            self._executor.neighbour.on_verdict(message.plan_id, problem, now_ns())
+        # by the clock that both nodes have; from here on it grows old by the executor's own
+        age = (rospy.Time.now() - message.header.stamp).to_nsec()
+        problem = message.reason if message.conflict else ""
+        try:
+            with self._lock:
+                self._executor.neighbour.on_verdict(message.plan_id, problem, time.monotonic_ns(), age)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
 
     def _on_plan(self, message: Plan) -> None:
         caller = message._connection_header["callerid"]
@@ -195,8 +206,8 @@ class ExecutorNode:
             braking = self._executor.braking()
         # it brakes already; looking ahead takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
-            sentence = f"{sentence}; {braking.forecast().text(self._robot)}"
-        rospy.logwarn("stop: %s", sentence)
+            sentence = f"{sentence}; {braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)}"
+        self._said.add(rospy.logwarn, "stop: %s", sentence)
         return TriggerResponse(True, sentence)
 
     def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
@@ -212,13 +223,18 @@ class ExecutorNode:
     # -- in the background
 
     def _on_timer(self, _event) -> None:
+        """Do what may wait. An error would end the timer for good: that of a record is said and tried again, no other can occur.
+
+        Publishing fails only while the node shuts down, where `Publisher` drops the message; a verdict that is refused ends in
+        `Approval`.
+        """
         self._write_records()
         with self._lock:
             self._executor.desk.scene_alive = self._scene.get_num_connections() > 0
         if not self._auto_approve:
             return
         try:
-            taken = self._approval.approve_by_itself(now_ns())
+            taken = self._approval.approve_by_itself(time.monotonic_ns())
         except RecordError as error:
             rospy.logerr_throttle(5.0, "%s", error)
             return
@@ -226,6 +242,7 @@ class ExecutorNode:
             self._publish_verdict(taken[0])
 
     def _write_records(self) -> None:
+        self._said.flush()
         try:
             self._log.flush()
         except RecordError as error:
@@ -237,12 +254,9 @@ class ExecutorNode:
     # -- reports
 
     def _publish_verdict(self, verdict: Verdict) -> None:
-        rospy.logwarn(
-            "plan %s %s by %s: %s",
-            verdict.plan_id,
-            verdict.verdict,
-            verdict.reviewer,
-            verdict.reason or "no reason given",
+        reason = verdict.reason or "no reason given"
+        self._said.add(
+            rospy.logwarn, "plan %s %s by %s: %s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
         )
         message = Review(
             plan_id=verdict.plan_id,
@@ -255,35 +269,30 @@ class ExecutorNode:
         self._verdicts.publish(message)
 
     def _publish_changes(self) -> None:
+        """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal."""
         executor = self._executor
         with self._lock:
             events = executor.take_events()
             state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
-            # a limit that follows a sensor changes all the time: a hundredth is worth a message
+            # a limit that follows a sensor changes all the time: a hundredth is worth a message, none of it a line in the log
             change = (*state, executor.steady, round(self._limit.limit, 2))
+            told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
             limit = self._limit.state, self._limit.limit, self._limit.reason
             plan, rate = executor.plan, executor.rate
+        if change != self._reported:
+            self._reported = change
+            self._execution.publish(_execution(state, plan, rate, limit[1]))
         for event in events:
             self._log.defer(event)
             if isinstance(event, Verdict):
                 self._publish_verdict(event)
         if limit[0] is not self._limit_state:
             self._limit_state = limit[0]
-            (rospy.logwarn if limit[0] in (LimitState.SILENT, LimitState.MISSING) else rospy.loginfo)(limit[2])
-        if change == self._reported:
-            return
-        if state != self._reported[:4]:
-            rospy.loginfo("%s: %s", state[0].name, state[1])
-        self._reported = change
-        message = Execution(
-            state=state[0].value, text=state[0].name, reason=state[1], outcome=state[3], rate=rate, speed_limit=limit[1]
-        )
-        message.header.stamp = rospy.Time.now()
-        if plan is not None:
-            message.plan_id = plan.id
-            message.plan_start = to_time(state[2])
-            message.duration = plan.trajectory.duration
-        self._execution.publish(message)
+            warns = limit[0] in (LimitState.SILENT, LimitState.MISSING)
+            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", limit[2])
+        if told != self._told:
+            self._told = told
+            self._said.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
 
     def _report(self) -> tuple[int, str, dict]:
         executor, log = self._executor, self._log
@@ -300,6 +309,19 @@ class ExecutorNode:
         slow = self._limit.state in (LimitState.SILENT, LimitState.MISSING)
         level = WARN if slow or executor.state in (ExecutorState.WAITING, ExecutorState.HELD) else OK
         return level, f"{executor.state.name}: {executor.reason}", values
+
+
+def _execution(state: tuple, plan: PlanContent | None, rate: float, limit: float) -> Execution:
+    """Return the message of a state, reason, start and outcome."""
+    message = Execution(
+        state=state[0].value, text=state[0].name, reason=state[1], outcome=state[3], rate=rate, speed_limit=limit
+    )
+    message.header.stamp = rospy.Time.now()
+    if plan is not None:
+        message.plan_id = plan.id
+        message.plan_start = to_time(state[2])
+        message.duration = plan.trajectory.duration
+    return message
 
 
 def main() -> None:

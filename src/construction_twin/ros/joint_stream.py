@@ -95,6 +95,8 @@ class JointSubscriber:
         Called as ``refused(reason, sentence)`` for a message that is not used.
     publisher : str, optional
         Resolved name of the only node whose messages count (design, law 4).
+    queue_size : int, optional
+        Messages kept for a callback that is busy; of more the oldest are dropped.
     """
 
     def __init__(
@@ -104,12 +106,13 @@ class JointSubscriber:
         callback: Callable[[int, tuple[float, ...]], None],
         refused: Callable[[str, str], None],
         publisher: str | None = None,
+        queue_size: int = QUEUE,
     ):
         self._names = names
         self._callback = callback
         self._refused = refused
         self._publisher = publisher
-        self._subscriber = rospy.Subscriber(topic, JointState, self._receive, queue_size=QUEUE, tcp_nodelay=True)
+        self._subscriber = rospy.Subscriber(topic, JointState, self._receive, queue_size=queue_size, tcp_nodelay=True)
 
     def _receive(self, message: JointState) -> None:
         caller = message._connection_header["callerid"]

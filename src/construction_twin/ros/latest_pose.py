@@ -13,7 +13,7 @@ from construction_twin.errors import PoseUnknownError
 from construction_twin.ros.joint_stream import joint_values
 
 #: Between two looks at the socket while nobody asks [s]: of what has come in the meantime only the newest is kept.
-PAUSE = 0.02
+PAUSE = 0.1
 #: How long somebody who asks waits for what lies in the socket, or for the stream's next message [s].
 NEXT_MESSAGE = 0.01
 

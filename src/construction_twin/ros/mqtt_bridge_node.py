@@ -33,6 +33,8 @@ from construction_twin.ros.publisher import Publisher
 
 #: Period at which the link's state is looked at [s].
 POLL = 0.02
+#: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
+MIRROR_MODE = "mirror_mode"
 
 
 class Settings(MqttSettings):
@@ -46,7 +48,8 @@ class Settings(MqttSettings):
 class MqttBridgeNode:
     """ROS and MQTT around a LinkSupervisor.
 
-    Two locks, never held together with a socket: `_lock` guards the supervisor; paho has its own for the connection.
+    Two locks, never held together with a socket: `_lock` guards the supervisor; paho has its own for the connection. The supervisor
+    is told the monotonic clock: a wall clock that is set must not make a gateway look alive, or an arm at rest.
     """
 
     def __init__(self):
@@ -58,7 +61,9 @@ class MqttBridgeNode:
         self._codec = JointStringCodec.of(robot, config.decimals)
         self._properties = config.properties and settings.protocol == "5"
         self._lock = threading.Lock()
-        self._supervisor = LinkSupervisor.of(config, lambda: uuid.uuid4().hex)
+        # no private parameter: those are what somebody set, and this is what somebody asked for while it ran
+        mirrors = rospy.get_param(MIRROR_MODE, False) is True
+        self._supervisor = LinkSupervisor.of(config, lambda: uuid.uuid4().hex, mirrors)
         self._speed = SpeedForwarder(config.speed_limit_deadline)
         self._sequence = 0
         self._state_check = StateCheck(settings.max_state_age)
@@ -86,9 +91,10 @@ class MqttBridgeNode:
         """Look after the link until shutdown."""
         while not rospy.is_shutdown():
             with self._lock:
-                control = self._supervisor.poll(now_ns())
+                now = time.monotonic_ns()
+                control = self._supervisor.poll(now)
                 armed = self._supervisor.session if self._supervisor.state is LinkState.ARMED else ""
-                limit = self._speed.poll(armed, time.monotonic_ns())
+                limit = self._speed.poll(armed, now)
             if control is not None:
                 self._send_control(control)
             if limit is not None:
@@ -106,7 +112,7 @@ class MqttBridgeNode:
 
     def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
-            send = self._supervisor.on_command(q, now_ns())
+            send = self._supervisor.on_command(q, time.monotonic_ns())
             session = self._supervisor.session
         if not send:
             return
@@ -126,10 +132,12 @@ class MqttBridgeNode:
         self._publish_control(control)
 
     def _on_speed_limit(self, message: SpeedLimit) -> None:
-        with self._lock:
-            taken = self._speed.on_limit(message.limit, time.monotonic_ns())
-        if not taken:
-            self._diagnostics.refuse("speed_limit", f"speed limit {message.limit}; expected a share from 0 to 1")
+        source = message._connection_header["callerid"]
+        try:
+            with self._lock:
+                self._speed.on_limit(message.limit, source, time.monotonic_ns())
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
 
     def _publish_control(self, control: Control) -> None:
         self._client.publish(self._topics.control, control.to_json(), qos=1)
@@ -169,7 +177,7 @@ class MqttBridgeNode:
             self._supervisor.on_connection(False)
 
     def _on_state(self, client, userdata, message) -> None:
-        received = now_ns()
+        received, now = now_ns(), time.monotonic_ns()
         pairs = received_pairs(message)
         try:
             if message.retain:
@@ -178,13 +186,12 @@ class MqttBridgeNode:
             # where the link carries properties, a pose without them is not the gateway's
             properties = read_state_properties(pairs) if pairs or self._properties else None
             if properties is not None:
-                # the monotonic clock: a correction of the wall clock makes no state old
-                self._state_check.accept(properties.seq, properties.stamp, time.monotonic_ns())
+                self._state_check.accept(properties.seq, properties.stamp, now)
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
             return
         with self._lock:
-            self._supervisor.on_pose(q, received)
+            self._supervisor.on_pose(q, now)
             self._states += 1
         self._publish_physical(q, received, properties)
 
@@ -207,7 +214,7 @@ class MqttBridgeNode:
         if status.get("state") == "offline":
             self._state_check.restart()
         with self._lock:
-            self._supervisor.on_status(status, now_ns())
+            self._supervisor.on_status(status, time.monotonic_ns())
             self._gateway_values = values
 
     def _on_answer(self, client, userdata, message) -> None:
@@ -221,14 +228,14 @@ class MqttBridgeNode:
                 "speed_limit", f"gateway refused the speed limit: {str(answer.get('reason'))[:200]}"
             )
         with self._lock:
-            self._supervisor.on_answer(answer, now_ns())
+            self._supervisor.on_answer(answer, time.monotonic_ns())
 
     # -- services
 
     def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
         try:
             with self._lock:
-                request(now_ns())
+                request(time.monotonic_ns())
                 before = self._supervisor.session
         except ReviewError as error:
             return TriggerResponse(False, str(error))
@@ -243,10 +250,12 @@ class MqttBridgeNode:
 
     def _on_stop(self, _request) -> TriggerResponse:
         with self._lock:
-            control = Control(uuid.uuid4().hex, self._supervisor.session, "stop")
+            control, mirrored = Control(uuid.uuid4().hex, self._supervisor.session, "stop"), self._supervisor.mirrors
             # the link is not armed from here on: the executor drops its plan, and no command is sent
             self._supervisor.drop("stopped at the gateway on request; call reset")
         self._send_control(control)
+        if mirrored:
+            rospy.set_param(MIRROR_MODE, False)
         if not self._client.is_connected():
             return TriggerResponse(
                 False,
@@ -257,10 +266,11 @@ class MqttBridgeNode:
     def _on_mirror(self, request) -> SetBoolResponse:
         try:
             with self._lock:
-                supervisor = self._supervisor
-                sentence = supervisor.begin_mirror(now_ns()) if request.data else supervisor.end_mirror(now_ns())
+                supervisor, now = self._supervisor, time.monotonic_ns()
+                sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
         except ReviewError as error:
             return SetBoolResponse(False, str(error))
+        rospy.set_param(MIRROR_MODE, request.data)
         return SetBoolResponse(True, sentence)
 
     # -- reports

@@ -12,10 +12,11 @@ import pydantic
 import rospy
 
 from construction_twin.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
-from construction_twin.motion_errors import NeighbourUnknownError
+from construction_twin.motion_errors import NeighbourUnknownError, SceneError
 from construction_twin.msg import Execution, Plan, Review, Scene
+from construction_twin.plan import Plan as PlanValue
 from construction_twin.planning.conflict import Claim
-from construction_twin.planning.limit_shares import cycle_times
+from construction_twin.planning.path_sweep import PathSweep
 from construction_twin.planning.plan_book import PlanBook, PlanUnknownError
 from construction_twin.robot import RobotModel
 from construction_twin.ros.convert import plan_from_msg
@@ -24,7 +25,7 @@ from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.params import robot_from_parameters
 from construction_twin.ros.scene_convert import scene_from_msg
 from construction_twin.scene.cell import load_cell
-from construction_twin.scene.neighbour import Neighbour, Obstacle, SweptPath
+from construction_twin.scene.neighbour import Neighbour, Obstacle
 from construction_twin.scene.objects import Scene as SceneValue
 
 Refuse = Callable[[str, str], None]
@@ -38,9 +39,7 @@ class NeighbourSettings(pydantic.BaseModel):
     Attributes
     ----------
     name : str
-        Of the other robot: its namespace. Given in launch/twin.launch, as `self_collision`.
-    self_collision : str
-        YAML of the link pairs of our own arm that are not checked.
+        Of the other robot: its namespace. Given in launch/twin.launch.
     padding, watch_padding, step, own_step : float
         [m]
     rate : float
@@ -52,7 +51,6 @@ class NeighbourSettings(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, pydantic.Field(min_length=1)]
-    self_collision: str
     padding: _Distance
     watch_padding: _Distance
     step: _Length
@@ -212,56 +210,73 @@ class OtherArm:
         self._listener = ArmListener(self.robot, refused, streams)
         self._carried_by = ""
         self._shape = self._bare
-        self._swept: tuple[str, SweptPath] | None = None
-        self._row = 0
+        self._sweeps: dict[str, PathSweep] = {}
+        self._at = "", 0
         self.claim: Claim | None = None
+        self.unknown = ""
+        self.complete = True
 
-    def occupied(self, patience: float = 0.0) -> tuple[Obstacle, ...]:
-        """Return all that the arm takes up: where it is, and what is left of the path that it follows; `claim` goes with it.
+    def occupied(self, patience: float = 0.0, horizon: float = np.inf) -> tuple[Obstacle, ...]:
+        """Return all that the arm takes up: where it is, and what is left of the path that it follows.
+
+        `claim` goes with it; so does `unknown`, the sentence that says why the arm's whole reach is returned: nobody knows
+        where it is, or where it goes; and `complete`, whether the path is there to its end.
 
         Parameters
         ----------
         patience : float, optional
             How long to wait for what is not known yet [s].
+        horizon : float, optional
+            How far ahead the path must be known [s]. The rest follows section by section, as this is called again.
 
         Raises
         ------
         NeighbourUnknownError
+            If it is not known what it carries: then nobody knows how far it reaches.
         """
         name = self._settings.name
+        self.claim, self.unknown, self.complete = None, "", True
         try:
             twin, physical = self._listener.poses(self._settings.max_pose_age, patience)
-            followed, started, _ = self._listener.plans()
+            followed, started, waiting = self._listener.plans()
         except (PoseUnknownError, PayloadError, PlanUnknownError) as error:
-            raise NeighbourUnknownError(name, str(error)) from error
+            # after the wait: until then its scene may have come
+            self._take_carried()
+            self.unknown = str(NeighbourUnknownError(name, str(error)))
+            return self._shape.anywhere()
         self._take_carried()
         self.claim = None if followed is None else Claim(started, name)
+        self._prepare(followed, waiting if horizon < np.inf else None)
         if followed is None:
-            self._swept = None
             return self._shape.between(physical, twin)
-        swept = self._follow(followed)
-        rows = [swept.row_of(twin, self._row), swept.row_of(physical, self._row)]
-        self._row = min(self._row if row is None else row for row in rows)
+        sweep = self._sweeps[followed.id]
+        known = self._at[1] if self._at[0] == followed.id else 0
+        rows = [sweep.row_of(twin, known), sweep.row_of(physical, known)]
+        sweep.grow(sweep.row_after(max(known if row is None else row for row in rows), horizon))
+        self.complete = sweep.complete
+        self._at = followed.id, min(known if row is None else row for row in rows)
         # off the path, after a fault or by hand, it is somewhere between the two poses
         off = () if None not in rows else self._shape.between(physical, twin)
-        return swept.rest(self._row) + off
-
-    def anywhere(self) -> tuple[Obstacle, ...]:
-        """Return all that the arm could reach; for one of which nothing is known."""
-        return self._shape.anywhere()
+        return sweep.rest(self._at[1]) + off
 
     def _take_carried(self) -> None:
-        scene = self._listener.scene
+        name, scene = self._settings.name, self._listener.scene
         if scene is None:
-            raise NeighbourUnknownError(self._settings.name, "its scene, with what it carries, was not received")
+            raise NeighbourUnknownError(name, "its scene, with what it carries, was not received")
         if scene.hash != self._carried_by:
-            self._shape = self._bare.carrying(scene.objects)
-            self._carried_by, self._swept = scene.hash, None
+            try:
+                self._shape = self._bare.carrying(scene.objects)
+            except SceneError as error:
+                raise NeighbourUnknownError(name, f"what it carries cannot be used: {error}") from error
+            self._carried_by, self._sweeps = scene.hash, {}
 
-    def _follow(self, plan) -> SweptPath:
-        if self._swept is None or self._swept[0] != plan.id:
-            times = cycle_times(plan.trajectory)
-            times = np.append(times[times < plan.trajectory.duration], plan.trajectory.duration)
-            self._swept = plan.id, self._shape.along(plan.trajectory.sample_many(times)[0])
-            self._row = 0
-        return self._swept[1]
+    def _prepare(self, *plans: PlanValue | None) -> None:
+        """Make one more section of the first of some plans that is not complete; forget all other plans."""
+        wanted = [plan for plan in plans if plan is not None]
+        self._sweeps = {
+            plan.id: self._sweeps.get(plan.id) or PathSweep(self._shape, plan.trajectory) for plan in wanted
+        }
+        for sweep in self._sweeps.values():
+            if not sweep.complete:
+                sweep.grow()
+                return

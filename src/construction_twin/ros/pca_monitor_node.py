@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import sys
 import threading
+import time
 from collections import deque
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import pydantic
@@ -16,6 +18,7 @@ from construction_twin.gate import REPLAN, Gate
 from construction_twin.limits import MotionLimits
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.replan import ReplanGoal, ReplanGoals
 from construction_twin.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import (
     JointPublisher,
@@ -29,13 +32,14 @@ from construction_twin.ros.live_settings import NAMESPACE, Behaviour, LiveSettin
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.ros.publisher import Publisher
+from construction_twin.ros.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.transition_report import TransitionReport
 from construction_twin.srv import PlanToJoints
 from construction_twin.sync_table import SyncState, Transition
 from construction_twin.units import NANOSECONDS
 
-#: Plans remembered: the one that plays, and those that were offered since.
-PLANS_KEPT = 20
+#: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
+SETPOINTS_KEPT = 25
 
 
 class Settings(Behaviour):
@@ -62,17 +66,19 @@ class PcaMonitorNode:
             MotionLimits.of(self._robot),
             JointStringCodec.of(self._robot, settings.decimals),
             settings.gate_settings(self._compares),
-            now_ns(),
+            time.monotonic_ns(),
         )
         self._lock = threading.Lock()
+        self._heard = 0
         self._session: str | None = None
+        self._stopped = self._stopped_before()
         self._sync_period = round(NANOSECONDS / settings.sync_rate)
         self._sync_at = 0
         self._reported: tuple = ()
-        self._plans: dict[str, Plan] = {}
-        self._playing: str | None = None
+        self._goals = ReplanGoals()
         self._changes: deque[Transition] = deque()
-        self._reporting = threading.Lock()
+        # each from making a message until it is out: several threads publish, and the newest state must be the last one heard
+        self._syncing, self._reporting = threading.Lock(), threading.Lock()
         self._transitions = TransitionReport(settings.transition_file, names)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._command = JointPublisher("command/joint_states", names)
@@ -86,15 +92,26 @@ class PcaMonitorNode:
         refuse = self._diagnostics.refuse
         JointSubscriber("twin/joint_states", names, self._on_twin, refuse)
         rospy.Subscriber("physical/feedback", Feedback, self._on_feedback, queue_size=50, tcp_nodelay=True)
-        JointSubscriber("next/joint_states", names, self._on_next, refuse, executor)
+        JointSubscriber("next/joint_states", names, self._on_next, refuse, executor, SETPOINTS_KEPT)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
         rospy.Subscriber("execution", Execution, self._on_execution, queue_size=5)
         rospy.Subscriber("link", Link, self._on_link, queue_size=5)
 
-    # -- the path
+    def _stopped_before(self) -> StopMemory:
+        """Begin in STOPPED where a monitor before this one was, until the link tells of another session."""
+        session = rospy.get_param(PARAMETER, "") if self._compares else ""
+        if session:
+            self._session = session
+            self._gate.stay_stopped(
+                f"a monitor before this one was STOPPED in session {session}; see to the arm, then call reset",
+                time.monotonic_ns(),
+            )
+        return StopMemory(session, lambda value: rospy.set_param(PARAMETER, value))
+
+    # -- the path; all times but those of stamps and reports are monotonic
 
     def _on_next(self, stamp: int, theta_next: tuple[float, ...]) -> None:
-        now = now_ns()
+        now = time.monotonic_ns()
         with self._lock:
             command = self._gate.pass_next(stamp, theta_next, now)
             self._note_changes()
@@ -103,12 +120,14 @@ class PcaMonitorNode:
         self._publish(now)
 
     def _on_timer(self, _event) -> None:
-        now = now_ns()
+        now = time.monotonic_ns()
         with self._lock:
             self._gate.watch(now)
             self._note_changes()
+            stopped = self._gate.state is SyncState.STOPPED
         self._publish(now)
         self._transitions.flush()
+        self._stopped.keep((self._session or "") if stopped else "", now)
 
     def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
@@ -120,14 +139,19 @@ class PcaMonitorNode:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
+        received = from_time(message.header.stamp)
+        now = time.monotonic_ns()
+        # what waited in a queue is not fresh because it is read now. Both stamps of the way here are moments apart: a clock that is
+        # set makes a single pose look old, never the ones before it
+        self._heard = max(self._heard, now - max(now_ns() - received, 0))
         with self._lock:
-            self._gate.on_physical(q, from_time(message.command_stamp), from_time(message.header.stamp))
+            self._gate.on_physical(q, from_time(message.command_stamp), self._heard, received)
             self._note_changes()
         if self._changes:
-            self._publish(now_ns())
+            self._publish(now)
 
     def _on_link(self, message: Link) -> None:
-        now = now_ns()
+        now = time.monotonic_ns()
         with self._lock:
             self._gate.mirror(message.state == Link.MIRROR, now)
             if message.session and message.session != self._session:
@@ -143,13 +167,11 @@ class PcaMonitorNode:
     # -- the re-plan
 
     def _on_plan(self, message: Plan) -> None:
-        self._plans[message.id] = message
-        while len(self._plans) > PLANS_KEPT:
-            del self._plans[next(iter(self._plans))]
+        goal = message.trajectory.points[-1].positions
+        self._goals.on_plan(message.id, goal, message.velocity_use, message.acceleration_use)
 
     def _on_execution(self, message: Execution) -> None:
-        # a plan that a person stops is not taken up again
-        self._playing = message.plan_id if message.state == Execution.PLAYING else None
+        self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING)
 
     def _note_changes(self) -> None:
         """Take over the gate's transitions; when it has just closed ask once, beside the stream, for a plan to the old goal.
@@ -162,18 +184,28 @@ class PcaMonitorNode:
         if changes[0].source is SyncState.IN_SYNC and self._gate.policy == REPLAN:
             self._ask_for_plan(changes[0])
             changes += self._gate.take_transitions()
-        self._changes.extend(changes)
+        # the gate's clock is nobody else's
+        to_ros_time = now_ns() - time.monotonic_ns()
+        self._changes.extend(replace(change, at=change.at + to_ros_time) for change in changes)
 
     def _ask_for_plan(self, change: Transition) -> None:
-        plan = self._plans.get(self._playing)
-        if plan is None or not self._gate.on_replan(f"a path to the goal of plan {plan.id} was asked for", change.at):
+        wanted = self._goals.interrupted
+        if wanted is None:
             return
-        request = self._gate.held, plan.trajectory.points[-1].positions, change.target.name, self._gate.violations
-        threading.Thread(target=self._request_plan, args=request, daemon=True).start()
+        asked = f"a path to the goal of plan {wanted.plan_id} was asked for, no faster than that plan"
+        if self._gate.on_replan(asked, change.at):
+            request = self._gate.held, wanted, change.target.name, self._gate.violations
+            threading.Thread(target=self._request_plan, args=request, daemon=True).start()
 
-    def _request_plan(self, held: tuple[float, ...], goal: tuple[float, ...], cause: str, violation: int) -> None:
+    def _request_plan(self, held: tuple[float, ...], wanted: ReplanGoal, cause: str, violation: int) -> None:
         try:
-            answer = self._plan_to_joints(goal=goal, start=held, source=f"re-plan after {cause}")
+            answer = self._plan_to_joints(
+                goal=wanted.goal,
+                start=held,
+                speed_scale=wanted.speed_scale,
+                acceleration_scale=wanted.acceleration_scale,
+                source=f"re-plan after {cause}",
+            )
         except rospy.ServiceException as error:
             self._on_replan_failed(f"the planner did not answer: {error}", violation)
             return
@@ -184,7 +216,7 @@ class PcaMonitorNode:
 
     def _on_replan_failed(self, problem: str, violation: int) -> None:
         rospy.logerr("re-plan failed: %s", problem)
-        now = now_ns()
+        now = time.monotonic_ns()
         with self._lock:
             # the answer may come late, in another hold
             if self._gate.violations == violation:
@@ -195,21 +227,23 @@ class PcaMonitorNode:
     # -- reports
 
     def _publish(self, now: int) -> None:
+        # the executor waits for `sync`; nobody for the rest
+        self._publish_sync(now)
         if self._changes:
             with self._reporting:
                 while self._changes:
                     self._transitions.report(self._changes.popleft())
-        self._publish_sync(now)
 
     def _publish_sync(self, now: int) -> None:
-        with self._lock:
-            gate = self._gate
-            state = (gate.state, gate.reason, gate.agreed(now))
-            if state == self._reported and now - self._sync_at < self._sync_period:
-                return
-            self._reported, self._sync_at = state, now
-            message = self._sync_message(*state)
-        self._sync.publish(message)
+        with self._syncing:
+            with self._lock:
+                gate = self._gate
+                state = (gate.state, gate.reason, gate.agreed(now))
+                if state == self._reported and now - self._sync_at < self._sync_period:
+                    return
+                self._reported, self._sync_at = state, now
+                message = self._sync_message(*state)
+            self._sync.publish(message)
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
         gate = self._gate
@@ -231,7 +265,7 @@ class PcaMonitorNode:
         return message
 
     def _report(self) -> tuple[int, str, dict]:
-        gate, problem = self._gate, self._transitions.problem
+        gate, problem = self._gate, self._transitions.problem or self._stopped.problem
         last = gate.comparison.last
         values = {
             "policy": gate.policy,

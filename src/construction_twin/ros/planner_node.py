@@ -89,6 +89,7 @@ class PlannerNode:
         self._base_frame = tf_frame(self._settings.tf_prefix, self._robot.base_link)
         # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
+        self._unknown = ""
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
@@ -122,8 +123,15 @@ class PlannerNode:
         )
 
     def _occupied(self) -> list[Obstacle]:
-        """Return what the other arm takes up, and the distance that a plan keeps from it."""
-        return [item.padded(self._beside.padding) for item in self._other.occupied(self._beside.max_pose_age)]
+        """Return what the other arm takes up, and the distance that a plan keeps from it.
+
+        An arm of which nobody knows where it is takes up all that it can reach.
+        """
+        obstacles = self._other.occupied(self._beside.max_pose_age)
+        if self._other.unknown:
+            self._unknown = f"plans keep clear of the whole reach of {self._beside.name}, because {self._other.unknown}"
+            rospy.logwarn("%s", self._unknown)
+        return [item.padded(self._beside.padding) for item in obstacles]
 
     # -- what the node listens to
 
@@ -187,8 +195,7 @@ class PlannerNode:
         try:
             make_plan = read()  # before the lock: nobody waits for another one's disk
             with self._busy:
-                self._demand_scene()
-                return self._published(make_plan(asked), asked)
+                return self._make(make_plan, asked)
         except ConstructionTwinError as error:
             return self._failed(error, asked, str(error))
         except (ArithmeticError, MemoryError, ValueError) as error:
@@ -196,6 +203,17 @@ class PlannerNode:
             rospy.logerr("%s", traceback.format_exc())
             kind = type(error).__name__
             return self._failed(error, asked, f"the request cannot be computed ({kind}: {error}); please report it")
+
+    def _make(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> tuple:
+        self._unknown = ""
+        self._demand_scene()
+        try:
+            return self._published(make_plan(asked), asked)
+        except ConstructionTwinError as error:
+            if not self._unknown:
+                raise
+            # who reads that the start is in collision must also read why
+            return self._failed(error, asked, f"{error}; {self._unknown}")
 
     def _demand_scene(self) -> None:
         """Wait for a scene that somebody answers for: without its publisher, nobody knows what surrounds the arm now."""

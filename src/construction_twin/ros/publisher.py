@@ -13,8 +13,8 @@ from rospy.exceptions import TransportException, TransportTerminated
 class Publisher(rospy.Publisher):
     """As `rospy.Publisher` with a `queue_size`, but a message goes out in the caller's thread; see `DirectConnection`.
 
-    What is published while the node shuts down is dropped: rospy closes topics before it ends the threads of timers and subscribers,
-    and before `rospy.is_shutdown` says so. Without this every Ctrl-C would print tracebacks.
+    What is published while the node shuts down is dropped: rospy closes topics before it ends the threads of timers and
+    subscribers, and before `rospy.is_shutdown` says so. Without this every Ctrl-C would print tracebacks.
     """
 
     def __init__(self, name: str, data_class: type, queue_size: int, **options):
@@ -36,9 +36,9 @@ class Publisher(rospy.Publisher):
 class DirectConnection:
     """One subscriber's connection, in place of `rospy.impl.tcpros_pubsub.QueuedConnection`.
 
-    rospy's queue hands every message to a thread of the connection, so that a slow subscriber holds nobody up. That costs two thread
-    switches per message and subscriber. Here a message is sent by whoever publishes it as long as the socket takes it without
-    waiting; only what it does not take goes to a thread, which ends when the subscriber has caught up.
+    rospy's queue hands every message to a thread of the connection, so that a slow subscriber holds nobody up. That costs two
+    thread switches per message and subscriber. Here a message is sent by whoever publishes it as long as the socket takes it
+    without waiting; only what it does not take goes to a thread, which ends when the subscriber has caught up.
 
     Parameters
     ----------

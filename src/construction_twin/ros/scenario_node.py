@@ -22,6 +22,7 @@ from construction_twin.limits import MotionLimits
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot import RobotModel
 from construction_twin.ros.experiment_node import RestDetector
+from construction_twin.ros.kept_service import KeptService
 from construction_twin.ros.params import robot_from_parameters
 from construction_twin.ros.recorder import Recorder
 from construction_twin.ros.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
@@ -77,6 +78,7 @@ class ScenarioDriver:
         rospy.Subscriber("execution", Execution, self._on_execution)
         rospy.Subscriber("plan", Plan, self._on_plan)
         self._rest = RestDetector(_REST_BAND, _REST_TIME)
+        self._stop = KeptService("stop", Trigger).keep()
 
     def wait_until_ready(self) -> None:
         """Wait until a plan could be started.
@@ -134,7 +136,8 @@ class ScenarioDriver:
             self._inject(step)
         else:
             self._note("call", step.call)
-            self._check(step.call, rospy.ServiceProxy(step.call, Trigger)())
+            service = self._stop if step.call == "stop" else rospy.ServiceProxy(step.call, Trigger)
+            self._check(step.call, service())
 
     def _moment(self, when: str, deadline: float) -> int:
         """Wait for what a step waits for; return its moment [ns]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import pydantic
 import rospy
@@ -11,7 +12,7 @@ from sensor_msgs.msg import Range
 from construction_twin.errors import PayloadError
 from construction_twin.msg import SpeedLimit
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
-from construction_twin.ros.joint_stream import from_time, now_ns
+from construction_twin.ros.joint_stream import from_time
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters
 from construction_twin.ros.publisher import Publisher
@@ -47,7 +48,7 @@ class SeparationNode:
         try:
             with self._lock:
                 self._separation.on_range(
-                    message.range, message.min_range, message.max_range, from_time(stamp), now_ns()
+                    message.range, message.min_range, message.max_range, from_time(stamp), time.monotonic_ns()
                 )
                 self._measured = stamp
         except PayloadError as error:
@@ -55,7 +56,7 @@ class SeparationNode:
 
     def _on_timer(self, _event) -> None:
         with self._lock:
-            limit, reason = self._separation.update(now_ns())
+            limit, reason = self._separation.update(time.monotonic_ns())
             message = SpeedLimit(limit=limit, reason=reason)
             message.header.stamp = self._measured
         self._publisher.publish(message)

@@ -96,7 +96,9 @@ class ToolMarkerNode:
         self._said = ""
         self._finished = ""
         self._planning = threading.Lock()
-        self._client = OperatorClient(rospy.get_namespace(), self._settings.service_timeout, "tool_marker")
+        self._client = OperatorClient(
+            rospy.get_namespace(), self._settings.service_timeout, "tool_marker", lasting=True
+        )
         self._listener = RobotListener(rospy.get_namespace(), self._robot)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._verdicts = Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)

@@ -11,6 +11,7 @@ import rospy
 from construction_twin.errors import TransitionLogError
 from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.review_log import iso_time
+from construction_twin.ros.deferred_log import DeferredLog
 from construction_twin.ros.joint_stream import to_time
 from construction_twin.ros.params import ros_home
 from construction_twin.ros.publisher import Publisher
@@ -50,20 +51,22 @@ class TransitionReport:
         self.count = 0
         self._names = names
         self._log = TransitionLog(ros_home() / Path(file).expanduser(), names)
+        self._said = DeferredLog()
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
         self._publisher = Publisher("transitions", TransitionMsg, queue_size=50, latch=True)
         rospy.loginfo("transitions are recorded in %s", self._log.path)
 
     def report(self, change: Transition) -> None:
-        """Publish a transition and keep it for the log."""
+        """Publish a transition and keep it for both logs."""
         self._log.defer(change)
         self._recent.appendleft(change)
         self.count += 1
         self._publisher.publish(self._message(change))
-        _say(change.target)("%s", change)
+        self._said.add(_say(change.target), "%s", change)
 
     def flush(self) -> None:
-        """Write what is kept to the log; not for the path of the setpoints."""
+        """Write what is kept to the logs; not for the path of the setpoints."""
+        self._said.flush()
         try:
             self._log.flush()
         except TransitionLogError as error:

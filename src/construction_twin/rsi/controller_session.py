@@ -18,6 +18,27 @@ IPOC_NS = 1_000_000
 ALIVE = NANOSECONDS // 10
 
 
+def distance_off(
+    q: tuple[float, ...], reference: tuple[float, ...], config: GatewayConfig, tolerances: float = 1.0
+) -> str:
+    """Return how far the first axis beyond the start tolerance is from its reference, for people; "" when none is.
+
+    Parameters
+    ----------
+    q, reference : tuple, shape (n,)
+        [rad], [m]
+    config : GatewayConfig
+    tolerances : float, optional
+        How many start tolerances are allowed.
+    """
+    allowed = [tolerances * tolerance for tolerance in config.start_tolerances]
+    off = outside_tolerance(q, reference, allowed)
+    if off is None:
+        return ""
+    unit = "m" if config.axes[off] in config.linear else "rad"
+    return f"{config.axes[off]} is {q[off] - reference[off]:.6f} {unit}"
+
+
 class ControllerSession:
     """One RSI session after the other.
 
@@ -62,19 +83,52 @@ class ControllerSession:
         """Tell whether the controller has been silent for its timeout."""
         return self.alive and now - self.heard_at > self._timeout
 
-    def hear(self, ipoc: int, source: object, now: int) -> int | None:
-        """Take a telegram's IPOC; return the controller time since the last one [ns], None when another session begins."""
-        elapsed = self._elapsed(ipoc, source)
-        self.ipoc, self._source, self.heard_at = ipoc, source, now
+    def hear(
+        self,
+        telegram: RobotTelegram,
+        source: object,
+        now: int,
+        correction: tuple[float, ...] = (),
+        moving: bool = False,
+    ) -> int | None:
+        """Take note of a telegram, and of whether it belongs to the session.
+
+        Parameters
+        ----------
+        telegram : RobotTelegram
+        source : object
+            Where it came from.
+        now : int
+            [ns]
+        correction : tuple, shape (n,), optional
+            What the last answer carried [rad]; () for nothing.
+        moving : bool, optional
+            Whether that correction is being changed.
+
+        Returns
+        -------
+        elapsed : int or None
+            Controller time since the last telegram [ns]; None when another session begins.
+        """
+        elapsed = self._elapsed(telegram.ipoc, source)
+        if elapsed is None:
+            self._empty_telegrams = 0
+        elif elapsed != CYCLE_NS:
+            sign = self._sign_of_restart(telegram, correction, moving)
+            if sign:
+                self.began = f"{sign}, {self.jump_ms} ms on: RSI was switched on anew"
+                elapsed = None
+            self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1
+        self.ipoc, self._source, self.heard_at = telegram.ipoc, source, now
         return elapsed
 
     def begin(self, telegram: RobotTelegram) -> None:
         """Begin a session with its first telegram."""
         self.alive = True
-        self.origin = ()
+        # what was measured in the session before says nothing about this one
+        self.origin = self.measured = ()
         # a Delay on the first packet belongs to the session's start, before anybody could answer
         self._last_delay = telegram.delay or 0
-        self._empty_telegrams = 0
         self._counters["rsi_sessions"] += 1
 
     def end(self) -> None:
@@ -99,13 +153,11 @@ class ControllerSession:
                 "telegrams lack AIPos or ASPos, so nobody can tell where the correction stands: not answering; declare DEF_AIPos "
                 "and DEF_ASPos in the Ethernet XML"
             )
-        off = outside_tolerance(telegram.measured, telegram.setpoint, self._config.start_tolerances)
-        if off is not None:
-            unit = "m" if self._config.axes[off] in self._config.linear else "rad"
-            distance = telegram.measured[off] - telegram.setpoint[off]
+        distance = distance_off(telegram.measured, telegram.setpoint, self._config)
+        if distance:
             return (
-                f"{self._config.axes[off]} is already {distance:.6f} {unit} off its programmed "
-                "position: joined a running session, not answering; it times out, then start the program again"
+                f"{distance} off its programmed position already: joined a running session, not answering; "
+                "it times out, then start the program again"
             )
         self.origin = telegram.setpoint if self._config.reference == "ASPos" else telegram.measured
         return ""
@@ -125,6 +177,19 @@ class ControllerSession:
             return False
         self._counters["reference_drifts"] += 1
         return True
+
+    def drift(self, setpoint: tuple[float, ...]) -> str:
+        """Return in one sentence how far a programmed position [rad] is off the origin; "" within the start tolerance."""
+        distance = distance_off(setpoint, self.origin, self._config)
+        return distance and (
+            f"{distance} off where ASPos was: a program of the controller moves the arm while a stream does; "
+            "if ASPos contains the corrections, set reference to AIPos"
+        )
+
+    def renew_origin(self) -> None:
+        """Where AIPos is the reference, take the present one; only while the correction is zero."""
+        if self._config.reference == "AIPos" and self.measured:
+            self.origin = self.measured
 
     def move_origin(self, setpoint: tuple[float, ...], position: tuple[float, ...]) -> tuple[float, ...]:
         """Take another programmed position [rad] as origin; return where `position` is then, with the same correction."""
@@ -147,5 +212,25 @@ class ControllerSession:
                 self.began = f"IPOC jumped by {self.jump_ms} ms"
                 self._counters["sessions_by_ipoc_jump"] += 1
                 return None
-            self._counters["ipoc_steps_irregular"] += 1
         return elapsed
+
+    def _sign_of_restart(self, telegram: RobotTelegram, correction: tuple[float, ...], moving: bool) -> str:
+        """Return what shows that a program ended RSI and began it again faster than silence does; "" when nothing.
+
+        The controller's correction is zero then. Only asked where cycles are missing, which a restart cannot do without. A program
+        that moves the arm under a correction has AIPos = ASPos + correction.
+        """
+        config, measured, setpoint = self._config, telegram.measured, telegram.setpoint
+        tolerances = config.start_tolerances
+        if not self.origin or outside_tolerance(correction, (0.0,) * len(correction), tolerances) is None:
+            return ""
+        if measured is None and setpoint is None:
+            # so a session of RSI up to 2.3 begins, but no pose says that this is one: it is not answered
+            self._empty_telegrams = 1
+            return "a telegram with nothing but IPOC"
+        if config.reference != "ASPos" or measured is None or setpoint is None:
+            return ""
+        if moving and outside_tolerance(setpoint, self.origin, tolerances) is None:
+            # at the beginning of a motion the servo may be no further yet
+            return ""
+        return "" if outside_tolerance(measured, setpoint, tolerances) is not None else "ASPos is where the arm stands"

@@ -56,6 +56,7 @@ class Follower:
             (a + allowance) * CYCLE * CYCLE for a, allowance in zip(limits.acceleration, limits.allowances(decimals))
         )
         self._rounding = limits.last_digits(decimals)
+        self._chasing_speed = self._speed
         self._target = list(q)
         self._step = [0.0] * len(q)
         self.position: tuple[float, ...] = tuple(q)
@@ -66,6 +67,10 @@ class Follower:
     def at_rest(self) -> bool:
         """True when the last step was no step."""
         return not any(self._step)
+
+    def limit(self, share: float) -> None:
+        """Chase a target at no more than this share of the velocity limits, 0 to 1, or as fast as the target moves itself."""
+        self._chasing_speed = tuple(share * speed for speed in self._speed)
 
     def follow(self, target: tuple[float, ...]) -> tuple[float, ...]:
         """Take one step towards `target` [rad] and return the new position [rad]."""
@@ -128,8 +133,10 @@ class Follower:
         drift = goal - self._target[index]
         behind = self._target[index] - last
         wanted = drift + math.copysign(braking_step(abs(behind), budget), behind)
-        wanted = min(max(wanted, -speed), speed)
         previous = self._step[index]
+        # a limit on the chase is no reason to brake harder, or to fall behind a target that moves faster
+        most = min(speed, max(self._chasing_speed[index], abs(drift), abs(previous) - budget))
+        wanted = min(max(wanted, -most), most)
         return self._keep_room(index, min(max(wanted, previous - budget), previous + budget))
 
     def _keep_room(self, index: int, step: float) -> float:

@@ -21,7 +21,6 @@ from construction_twin.errors import (
     ConfigurationError,
     ConstructionTwinError,
     PayloadError,
-    TelegramError,
 )
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import (
@@ -36,10 +35,11 @@ from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.realtime import lock_memory, request_realtime
-from construction_twin.rsi.codec import RobotDecoder, RobotTelegram, SensorEncoder
+from construction_twin.rsi.codec import SensorEncoder
 from construction_twin.rsi.config import GatewayConfig, load_config
 from construction_twin.rsi.ethernet_xml import controller_sends_to
 from construction_twin.rsi.histogram import Histogram
+from construction_twin.rsi.inbox import TelegramInbox
 from construction_twin.rsi.log import LineLimiter, log_beside_the_loop
 from construction_twin.rsi.mode import NOTES, Mode
 from construction_twin.rsi.session import VERBS, Gateway, State
@@ -49,8 +49,6 @@ from construction_twin.rsi.udp import bind, receive
 
 log = logging.getLogger("rsi_gateway")
 
-#: Datagrams read before anything else gets its turn: a flood must not stop the loop.
-_DRAIN_LIMIT = 64
 _STATUS_PERIOD = 1.0
 #: The slowest axis comes to rest from full speed in less than 1 s; a controller that went silent is not waited for [s].
 _LONGEST_BRAKING = 3.0
@@ -86,9 +84,8 @@ class GatewayService:
         self.gateway = Gateway(config, commissioning)
         self.reply_time = Histogram.of_microseconds()
         self._sock = sock
+        self._inbox = TelegramInbox(self.gateway, lambda: receive(sock), time.monotonic_ns, controller)
         self._topics = topics
-        self._controller = controller
-        self._decoder = RobotDecoder(config.axes, config.units)
         self._encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
         self._selector = selectors.DefaultSelector()
         self._selector.register(sock, selectors.EVENT_READ, None)
@@ -162,7 +159,7 @@ class GatewayService:
 
     def _serve_controller(self) -> bool:
         """Answer the newest telegram; return whether there was one."""
-        newest = self._newest_telegram()
+        newest = self._inbox.newest()
         if newest is None:
             return False
         telegram, source, arrived = newest
@@ -173,42 +170,6 @@ class GatewayService:
             self.reply_time.add((time.time_ns() - arrived) / 1e3)
         self._publish_state()
         return True
-
-    def _newest_telegram(self) -> tuple[RobotTelegram, tuple, int] | None:
-        """Drain the socket; an answer to any but the newest telegram would come too late (rsi.md, section 4).
-
-        Whatever is no telegram is dropped here, so that it cannot take the place of one.
-        """
-        newest = None
-        for _ in range(_DRAIN_LIMIT):
-            try:
-                data, arrived, source = receive(self._sock)
-            except BlockingIOError:
-                break
-            except OSError as error:
-                # e.g. ICMP "port unreachable" for a reply to a controller that has just gone
-                self.gateway.counters[f"udp_receive_{error.errno}"] += 1
-                break
-            telegram = self._read_telegram(data, source)
-            if telegram is None:
-                continue
-            if newest is not None:
-                self.gateway.counters["telegrams_skipped"] += 1
-            newest = telegram, source, arrived
-        return newest
-
-    def _read_telegram(self, data: bytes, source: tuple) -> RobotTelegram | None:
-        if self._controller is not None and source[0] != self._controller:
-            self.gateway.counters["telegram_refused_address"] += 1
-            return None
-        if not self.gateway.accepts(source, time.monotonic_ns()):
-            self.gateway.counters["telegram_refused_source"] += 1
-            return None
-        try:
-            return self._decoder.parse(data)
-        except TelegramError as error:
-            self.gateway.counters[f"telegram_refused_{error.reason}"] += 1
-            return None
 
     def _answer(self, reply: bytes, source: tuple) -> None:
         try:
@@ -226,6 +187,8 @@ class GatewayService:
         log.info("connected to the broker")
         client.subscribe(subscriptions(client, [(self._topics.command, 0), (self._topics.control, 1)]))
         info = self._publish_status()
+        # the client sends again what was not acknowledged before: an older status, behind this one, would be the one that is kept
+        self._status.hurry()
         if info is not None:
             self._connection.watch_publish(client, self._topics.status, info.mid)
 

@@ -9,6 +9,7 @@ from construction_twin.rsi.follower import Follower
 from construction_twin.rsi.governor import Governor
 from construction_twin.rsi.playout import Playout, PlayoutBounds
 from construction_twin.rsi.smoothing import Smoother
+from construction_twin.rsi.stop_report import Braking
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 
@@ -36,6 +37,8 @@ class Player:
         self.follower: Follower | None = None
         #: Stamp of the target last played [ns]; 0 for none.
         self.stamp = 0
+        #: Braking since the stream ran dry; None while it has not.
+        self.braking: Braking | None = None
 
     @property
     def overdue(self) -> int:
@@ -51,10 +54,13 @@ class Player:
         """Play so slowly that every joint keeps to this share of its velocity limit, 0 to 1."""
         self.share = share
         self._playout.limit(share)
+        if self.follower is not None:
+            self.follower.limit(share)
 
     def place(self, position: tuple[float, ...]) -> None:
         """Stand at `position` [rad], at rest."""
         self.follower = Follower(self._config.limits, self._config.decimals, position)
+        self.follower.limit(self.share)
 
     def remove(self) -> None:
         """Stand nowhere: there is no origin."""
@@ -64,6 +70,7 @@ class Player:
         """Forget the stream; what was learned about the link stays."""
         self._playout.clear()
         self.stamp = 0
+        self.braking = None
         if self._smoother is not None:
             self._smoother.clear()
 
@@ -90,13 +97,22 @@ class Player:
         if self._playout.silence:
             # where the motion would have gone on, nobody has said
             self._counters["cycles_without_command"] += 1
-            return self.follower.brake()
+            return self._brake(elapsed)
+        self.braking = None
         if self._smoother is not None:
             target = self._smoother.smooth(target)
         position = self.follower.follow(target)
         if self.follower.settling:
             self._counters["settling"] += 1
         return position
+
+    def _brake(self, elapsed: int) -> tuple[float, ...]:
+        follower = self.follower
+        if self.braking is None:
+            self.braking = Braking(follower)
+        if not follower.at_rest:
+            self.braking.elapsed += elapsed
+        return follower.brake()
 
     def give_up(self, session: str, now: int) -> None:
         """Note that the stream of `session` is given up because of its silence; call it before `clear`."""

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from construction_twin.errors import MotionRefused, PayloadError
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties
+from construction_twin.rsi.arming import refusal_of_arm
 from construction_twin.rsi.codec import RobotTelegram
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.controller_session import ControllerSession
@@ -21,6 +22,7 @@ from construction_twin.rsi.ownership import Ownership
 from construction_twin.rsi.player import Player
 from construction_twin.rsi.speed_limit import SpeedLimit
 from construction_twin.rsi.state import State
+from construction_twin.rsi.state_report import StateReport
 from construction_twin.rsi.status import gateway_status
 from construction_twin.rsi.stop_report import StopReport
 from construction_twin.units import CYCLE_NS, NANOSECONDS
@@ -66,6 +68,7 @@ class Gateway:
         #: How fast the arm may move, as somebody outside says.
         self.speed = SpeedLimit(config)
         self._stopping = StopReport(config.limits.linear)
+        self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
         self._answered_stamp = 0
         self._ending = False
@@ -106,7 +109,8 @@ class Gateway:
         if controller.is_repeated(telegram.ipoc, source):
             self.counters["telegrams_repeated"] += 1
             return None
-        elapsed = controller.hear(telegram.ipoc, source, now)
+        sent = self.correction if self.mode is Mode.NORMAL else ()
+        elapsed = controller.hear(telegram, source, now, sent, self.state in (State.FOLLOWING, State.BRAKING))
         if elapsed is None:
             self._begin_session(telegram)
             elapsed = CYCLE_NS
@@ -119,9 +123,8 @@ class Gateway:
         if player.follower is None:
             self.counters["telegrams_unanswered" if self.state is State.JOINED else "telegrams"] += 1
             return None if self.state is State.JOINED else (0.0,) * len(self.config.axes)
-        if drifted and (self.state is State.READY or self.state is State.ARMED):
-            # a program of the controller moves the arm: nobody commands it here, so what is held goes with it
-            player.place(controller.move_origin(telegram.setpoint, player.follower.position))
+        if drifted:
+            self._note_drift(telegram.setpoint)
         self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
         if elapsed > STANDSTILL:
@@ -150,16 +153,7 @@ class Gateway:
         stamp : int
             The gateway's own time, for the receiver's freshness check [ns].
         """
-        if not self._controller.measured:
-            return None
-        try:
-            payload = self.codec.encode(self._controller.measured)
-        except PayloadError as error:
-            self.counters[f"state_refused_{error.reason}"] += 1
-            return None
-        self.counters["states_sent"] += 1
-        command_stamp = self._answered_stamp if self.config.properties else 0
-        return payload, StateProperties(self.counters["states_sent"], stamp, command_stamp)
+        return self._states.message(self._controller.measured, self._answered_stamp, stamp)
 
     def _begin_session(self, telegram: RobotTelegram) -> None:
         self._controller.begin(telegram)
@@ -168,8 +162,7 @@ class Gateway:
         self._ending = False
         self.correction = ()
         state = State.READ_ONLY if self.mode is Mode.READ_ONLY else State.READY
-        began = f"RSI session began at IPOC {telegram.ipoc}: {self._controller.began}"
-        self._enter(state, began + NOTES[self.mode])
+        self._enter(state, f"RSI session began at IPOC {telegram.ipoc}: {self._controller.began}{NOTES[self.mode]}")
 
     def _leave_unanswered(self, telegram: RobotTelegram) -> None:
         self.counters["telegrams_unanswered"] += 1
@@ -182,6 +175,16 @@ class Gateway:
             self._enter(State.JOINED, refusal)
         elif self._controller.origin:
             self._player.place(self._controller.origin)
+
+    def _note_drift(self, setpoint: tuple[float, ...]) -> None:
+        if self.state is State.READY or self.state is State.ARMED:
+            # a program of the controller moves the arm: nobody commands it here, so what is held goes with it
+            position = self._player.follower.position
+            self._player.place(self._controller.move_origin(setpoint, position))
+        elif self.state is State.FOLLOWING:
+            drift = self._controller.drift(setpoint)
+            if drift:
+                self._brake("drift", drift)
 
     # -- motion
 
@@ -205,10 +208,11 @@ class Gateway:
     def _brake(self, cause: str, reason: str) -> None:
         self.counters[f"stops_{cause}"] += 1
         self.fault = self.fault or cause != "silence"
-        self._disarm()
         if self.state is not State.BRAKING:
-            # asked again while it brakes, what was stated holds
-            self._stopping.begin(cause, self._player.follower)
+            # asked again while it brakes, what was stated holds; for a stream that is missing it has braked since it ran dry
+            begun = self._player.braking if cause == "silence" else None
+            self._stopping.begin(cause, self._player.follower, begun)
+        self._disarm()
         self._enter(State.BRAKING, f"{cause}: {reason}")
 
     # -- the command side
@@ -241,7 +245,7 @@ class Gateway:
         except StreamBroken as broken:
             self._brake(broken.cause, str(broken))
 
-    def _note_refusal(self, reason: str, error: Exception) -> None:
+    def _note_refusal(self, reason: str, error: object) -> None:
         self.counters[f"refused_{reason}"] += 1
         self._last_refusal = f"{reason}: {error}"[:LONGEST_REFUSAL]
 
@@ -296,8 +300,7 @@ class Gateway:
         return (ok, reason) if ok else self._refuse(control.verb, reason)
 
     def _refuse(self, verb: str, reason: str) -> tuple[bool, str]:
-        self.counters[f"refused_{verb}"] += 1
-        self._last_refusal = f"{verb}: {reason}"[:LONGEST_REFUSAL]
+        self._note_refusal(verb, reason)
         return False, reason
 
     def _limit_speed(self, control: Control, now: int) -> tuple[bool, str]:
@@ -316,17 +319,14 @@ class Gateway:
             self._player.limit(self.speed.share)
 
     def _arm(self, control: Control) -> tuple[bool, str]:
-        if control.value != self.config.hash:
-            return False, f"configuration hash {control.value!r} is not the gateway's {self.config.hash}"
-        if self.state in (State.ARMED, State.FOLLOWING):
+        if self.state in (State.ARMED, State.FOLLOWING) and control.value == self.config.hash:
             if control.session == self.session:
                 return True, "already armed for this session"
             self._owners.refuse(control.session)
             return False, f"armed for session {self.session}; stop and reset first"
-        if self.fault:
-            return False, "stopped since the last reset; reset first"
-        if self.state is not State.READY or self._player.follower is None:
-            return False, f"gateway is {self.state.value}: {self.reason}"
+        refusal = refusal_of_arm(control, self, self._controller, self._player.follower)
+        if refusal:
+            return False, refusal
         if not self._owners.begin(control.session):
             return False, f"session {control.session} has had its turn; begin another"
         self._stream.begin(control.session)
@@ -372,8 +372,9 @@ class Gateway:
             return False, "the arm is still moving; stop it first"
         self._disarm()
         self.fault = self._ending = False
-        if self.mode is Mode.COMMISSIONING:
-            # the arm never left its origin: the next stream begins there
+        if self.mode is Mode.COMMISSIONING or not any(self.correction):
+            # the arm stands at its origin, or where a program of the controller took it: the next stream begins there
+            self._controller.renew_origin()
             self._player.place(self._controller.origin)
         self._enter(State.READY, f"reset{NOTES[self.mode]}")
         return True, "reset"

@@ -18,8 +18,9 @@ REMEMBERED = 64
 class SpeedLimit:
     """The share of the velocity limits at which the arm may move.
 
-    Nobody has to give one. Once one was given, silence for longer than the deadline counts as the share for silence: who lowers the
-    speed for a person must not be lost unnoticed. That outlives command sessions, or arming anew would lift the limit.
+    Nobody has to give one. Once one was given, silence for longer than the deadline counts as the share for silence, or as the last
+    limit where that was lower: who lowers the speed for a person must not be lost unnoticed. That outlives command sessions, or
+    arming anew would lift the limit.
 
     A lowered limit is enforced a grace after it came, a raised one at once: in force is the highest of those that were given within
     the grace. A sender that obeys has slowed down by then.
@@ -69,7 +70,8 @@ class SpeedLimit:
         silent = now - self._heard > self._deadline and self.source != "silence"
         if silent:
             self.source = "silence"
-            self._take(self._silent_share, now)
+            # who asked for less asked for it to the end: silence must not lift it
+            self._take(min(self._silent_share, self.given), now)
         recent = self._recent
         while len(recent) > 1 and now - recent[1][0] >= self._grace:
             recent.popleft()

@@ -65,6 +65,10 @@ class StatusClock:
         """Take note of a status, also of one out of turn, at `now` [s]."""
         self._due_at = now + self._period
 
+    def hurry(self) -> None:
+        """Send the next one as soon as possible."""
+        self._due_at = -math.inf
+
     def is_due(self, now: float, answered: bool) -> bool:
         """Return whether to send one now [s]: after a telegram was `answered` in this turn, or when none has come for 50 ms."""
         if answered:

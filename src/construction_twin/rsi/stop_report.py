@@ -8,6 +8,25 @@ from construction_twin.rsi.follower import Follower
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 
+class Braking:
+    """Braking of a follower from its present step on.
+
+    Parameters
+    ----------
+    follower : Follower
+    """
+
+    def __init__(self, follower: Follower):
+        #: Way of each axis to rest [rad], [m].
+        self.distance, cycles = follower.braking()
+        #: Time to rest [s].
+        self.time = cycles * CYCLE_NS / NANOSECONDS
+        #: Where it began [rad], [m].
+        self.start = follower.position
+        #: What it has taken so far [ns].
+        self.elapsed = 0
+
+
 class StopReport:
     """The last stop of one gateway.
 
@@ -19,7 +38,7 @@ class StopReport:
 
     def __init__(self, linear: tuple[bool, ...]):
         self._linear = linear
-        #: What the gateway braked for: ``silence``, ``refused``, ``stop``, ``speed_limit``; "" before the first stop.
+        #: What the gateway braked for: ``silence``, ``refused``, ``stop``, ``speed_limit``, ``drift``; "" before the first stop.
         self.cause = ""
         #: Way of each axis and time to rest, as stated when braking began [rad], [m]; [s].
         self.distance: tuple[float, ...] = ()
@@ -27,27 +46,29 @@ class StopReport:
         #: The same as it was in the end; empty and None until the arm is at rest.
         self.moved: tuple[float, ...] = ()
         self.took: float | None = None
-        self._start: tuple[float, ...] = ()
-        self._elapsed = 0
+        self._braking: Braking | None = None
 
-    def begin(self, cause: str, follower: Follower) -> None:
-        """State the way to rest; call it when braking begins."""
-        self.cause = cause
-        self.distance, cycles = follower.braking()
-        self.time = cycles * CYCLE_NS / NANOSECONDS
+    def begin(self, cause: str, follower: Follower, begun: Braking | None = None) -> None:
+        """State the way to rest; call it when braking begins, or with what has `begun` before anybody called it a stop."""
+        braking = begun or Braking(follower)
+        self.cause, self._braking = cause, braking
+        self.distance, self.time = braking.distance, braking.time
         self.moved, self.took = (), None
-        self._start, self._elapsed = follower.position, 0
+        if begun and follower.at_rest:
+            self.end(follower)
 
     def advance(self, follower: Follower, elapsed: int) -> None:
         """Take note of a step of braking that took `elapsed` [ns] of the controller's time."""
-        self._elapsed += elapsed
+        if self.took is not None:
+            return
+        self._braking.elapsed += elapsed
         if follower.at_rest:
             self.end(follower)
 
     def end(self, follower: Follower) -> None:
         """The arm is at rest."""
-        self.moved = tuple([abs(end - start) for start, end in zip(self._start, follower.position)])
-        self.took = self._elapsed / NANOSECONDS
+        self.moved = tuple([abs(end - start) for start, end in zip(self._braking.start, follower.position)])
+        self.took = self._braking.elapsed / NANOSECONDS
 
     def report(self) -> dict:
         """Return what the status says: deg, mm for linear axes, and s."""

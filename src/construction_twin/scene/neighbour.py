@@ -28,6 +28,8 @@ from construction_twin.scene.sweep import body_levers
 ROUNDING = 1e-3
 #: Largest difference of a joint between a measured pose and the row of the path that it belongs to [rad] or [m].
 ON_PATH = 0.01
+#: Rows of a path that are looked at in one go: the arm is mostly near the first.
+_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +53,16 @@ class Obstacle:
     padding: float = 0.0
 
     @cached_property
+    def sphere(self) -> tuple[np.ndarray, float]:
+        """Centre and radius of a ball around it, without the padding [m]."""
+        self.geometry.computeLocalAABB()
+        return self.placement.act(np.array(self.geometry.aabb_center)), float(self.geometry.aabb_radius)
+
+    @cached_property
     def distance(self) -> float:
         """Distance from the root of our URDF to its nearest point, at least, without the padding [m]; may be negative."""
-        self.geometry.computeLocalAABB()
-        centre = self.placement.act(np.array(self.geometry.aabb_center))
-        return float(np.linalg.norm(centre)) - self.geometry.aabb_radius
+        centre, radius = self.sphere
+        return float(np.linalg.norm(centre)) - radius
 
     def padded(self, padding: float) -> Obstacle:
         """Return the same body with so much more distance to keep [m]."""
@@ -68,22 +75,15 @@ class SweptPath:
 
     Attributes
     ----------
-    rows : array, shape (m, n)
-        The path.
-    copies : tuple of (int, Obstacle)
-        Each with the row behind which it is no longer needed.
+    copies : tuple of (int, int, Obstacle)
+        Each with the first and the last row that it is needed for, in the order of the first ones.
     """
 
-    rows: np.ndarray
-    copies: tuple[tuple[int, Obstacle], ...]
+    copies: tuple[tuple[int, int, Obstacle], ...]
 
     def rest(self, row: int = 0) -> tuple[Obstacle, ...]:
         """Return what the arm takes up from a row on; a subset of what it takes up from any earlier one."""
-        return tuple(obstacle for last, obstacle in self.copies if last >= row)
-
-    def row_of(self, q: Iterable[float], start: int = 0) -> int | None:
-        """Return the first row from `start` on that a pose belongs to; see `row_of`."""
-        return row_of(self.rows, q, start)
+        return tuple(obstacle for _, last, obstacle in self.copies if last >= row)
 
 
 def row_of(rows: np.ndarray, q: Iterable[float], start: int = 0) -> int | None:
@@ -95,12 +95,16 @@ def row_of(rows: np.ndarray, q: Iterable[float], start: int = 0) -> int | None:
     q : iterable of float, length n
     start : int, optional
     """
-    near = np.flatnonzero(np.abs(rows[start:] - np.asarray(q)).max(axis=1) <= ON_PATH)
-    return start + int(near[0]) if len(near) else None
+    q = np.asarray(q)
+    for begin in range(start, len(rows), _ROWS):
+        near = np.flatnonzero(np.abs(rows[begin : begin + _ROWS] - q).max(axis=1) <= ON_PATH)
+        if len(near):
+            return begin + int(near[0])
+    return None
 
 
 class Neighbour:
-    """Another robot, seen from where this one stands.
+    """Another robot, seen from where this one stands; or our own, for the watch, seen from its own root.
 
     Parameters
     ----------
@@ -145,36 +149,57 @@ class Neighbour:
         self._bodies = bodies
         self._standing = None
         self._levers, reaches = body_levers(self._robot_bodies, bodies, self._robot_bodies.strokes)
-        self._reach = max(reaches, default=0.0)
+        self._pedestal = tuple(
+            Obstacle(
+                f"{self.name}/{body.owner}",
+                self._root_T_root * body.placement,
+                body.geometry,
+                ROUNDING + _carried_padding(body),
+            )
+            for body in bodies
+            if not body.joint
+        )
+        ball = coal.Sphere(max(reaches, default=0.0))
+        self._anywhere = (Obstacle(f"{self.name}/whole reach", self._root_T_root, ball, ROUNDING),)
 
-    def along(self, path: np.ndarray) -> SweptPath:
+    def along(self, path: np.ndarray, standing: bool = True) -> SweptPath:
         """Return everything that the arm takes up on a path.
 
         Parameters
         ----------
         path : array, shape (m, n)
             Joint values so close to each other that what lies between two rows hardly matters (every 4 ms).
+        standing : bool, optional
+            With what no joint moves: its pedestal.
         """
         path = np.atleast_2d(np.asarray(path, dtype=float))
         rows = np.empty(path.shape)
         rows[:, self._robot_bodies.order] = path
         steps = np.abs(np.diff(rows, axis=0)) @ self._levers
         travel = np.vstack([np.zeros(len(self._bodies)), np.cumsum(steps, axis=0)])
-        keys = [key_rows(column, self.step) for column in travel.T]
-        placements = self._placements(rows, sorted(set().union(*map(set, keys))))
+        keys = [
+            key_rows(column, self.step) if body.joint or standing else []
+            for body, column in zip(self._bodies, travel.T)
+        ]
+        placements = self._placements(rows, keys)
         copies = []
         for index, body in enumerate(self._bodies):
             gaps = np.diff(travel[keys[index], index], prepend=0.0, append=travel[-1, index])
             # one copy alone stands for the whole path, whichever end is farther
             paddings = np.maximum(gaps[:-1], gaps[1:]) / (2.0 if len(keys[index]) > 1 else 1.0) + ROUNDING
-            lasts = [*keys[index][1:], len(rows) - 1]
+            spans = zip([0, *keys[index]], [*keys[index][1:], len(rows) - 1])
             owner = f"{self.name}/{body.owner}"
-            carried = body.item.padding if body.item is not None else 0.0
+            carried = _carried_padding(body)
             copies += [
-                (int(last), Obstacle(owner, placements[row, index], body.geometry, float(padding) + carried))
-                for row, last, padding in zip(keys[index], lasts, paddings)
+                (first, last, Obstacle(owner, placement, body.geometry, float(padding) + carried))
+                for (first, last), placement, padding in zip(spans, placements[index], paddings)
             ]
-        return SweptPath(path, tuple(copies))
+        copies.sort(key=lambda copy: copy[0])
+        return SweptPath(tuple(copies))
+
+    def standing(self) -> tuple[Obstacle, ...]:
+        """Return what no joint moves: its pedestal; always the same objects."""
+        return self._pedestal
 
     def between(self, start: Iterable[float], end: Iterable[float]) -> tuple[Obstacle, ...]:
         """Return what the arm takes up at two poses and straight (in joint values) between them.
@@ -200,19 +225,28 @@ class Neighbour:
         return float((ordered @ self._levers).max(initial=0.0))
 
     def anywhere(self) -> tuple[Obstacle, ...]:
-        """Return all that the arm can reach, as one ball: for an arm of which nothing is known."""
-        return (Obstacle(self.name, self._root_T_root, coal.Sphere(self._reach), ROUNDING),)
+        """Return all that the arm can reach, with what it carries, as one ball: for an arm of which no pose is known."""
+        return self._anywhere
 
-    def _placements(self, rows: np.ndarray, wanted: Iterable[int]) -> dict[tuple[int, int], pinocchio.SE3]:
-        """Return where each body is at some rows, by row and body."""
+    def _placements(self, rows: np.ndarray, keys: list[list[int]]) -> list[list[pinocchio.SE3]]:
+        """Return where each body is at rows of its own."""
         model = self._robot_bodies.model
         data = model.createData()
-        placements = {}
-        for row in wanted:
+        wanted: dict[int, list[int]] = {}
+        for index, found in enumerate(keys):
+            for row in found:
+                wanted.setdefault(row, []).append(index)
+        placements = [[] for _ in keys]
+        for row in sorted(wanted):
             pinocchio.forwardKinematics(model, data, rows[row])
-            for index, body in enumerate(self._bodies):
-                placements[row, index] = self._root_T_root * data.oMi[body.joint] * body.placement
+            for index in wanted[row]:
+                body = self._bodies[index]
+                placements[index].append(self._root_T_root * data.oMi[body.joint] * body.placement)
         return placements
+
+
+def _carried_padding(body: Body) -> float:
+    return body.item.padding if body.item is not None else 0.0
 
 
 def key_rows(travel: np.ndarray, step: float) -> list[int]:

@@ -17,7 +17,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.plan import Clearance
 from construction_twin.robot import RobotModel
 from construction_twin.scene.bodies import Body, RobotBodies
-from construction_twin.scene.neighbour import Obstacle, key_rows
+from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.scene.sweep import body_levers, levers, smallest
@@ -99,38 +99,6 @@ class CollisionWorld:
         world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles))
         return world
 
-    def facing(self, obstacles: Iterable[Obstacle]) -> CollisionWorld:
-        """Return a world in which nothing but another arm is checked: as `with_neighbour`, but quicker to build and to ask."""
-        world = object.__new__(CollisionWorld)
-        moving = tuple(body for body in self._own if body.link)
-        world._build(self._robot_bodies, self.scene, self.self_collision, moving, tuple(obstacles), facing=True)
-        return world
-
-    def key_rows(self, path: np.ndarray, step: float) -> tuple[list[int], float]:
-        """Return rows of a path between which no point of the arm, or of what it carries, moves further than about a step.
-
-        Parameters
-        ----------
-        path : array, shape (m, n)
-            [rad] or [m], closely sampled.
-        step : float
-            [m]
-
-        Returns
-        -------
-        rows : list of int
-            As of `neighbour.key_rows`.
-        half : float
-            Every pose of the path is this close to one of those [m], at most.
-        """
-        rows = np.empty(np.shape(path))
-        rows[:, self._order] = path
-        moving = [body for body in self._bodies if body.joint]
-        factors, _ = body_levers(self._robot_bodies, moving, np.abs(rows).max(axis=0))
-        travel = np.concatenate(([0.0], np.cumsum((np.abs(np.diff(rows, axis=0)) @ factors).max(axis=1, initial=0.0))))
-        keys = key_rows(travel, step)
-        return keys, float(np.diff(travel[keys], append=travel[-1]).max()) / (2.0 if len(keys) > 1 else 1.0)
-
     def _build(
         self,
         robot_bodies: RobotBodies,
@@ -138,7 +106,6 @@ class CollisionWorld:
         self_collision: SelfCollision,
         own: tuple[Body, ...] | None = None,
         obstacles: tuple[Obstacle, ...] = (),
-        facing: bool = False,
     ) -> None:
         self.robot = robot_bodies.robot
         self.scene = scene
@@ -149,8 +116,7 @@ class CollisionWorld:
         self._own = own
         met, met_pairs = self._meetings(own, obstacles)
         self._bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in met)
-        pairs = [] if facing else checked_pairs(own, scene.padding, self_collision)
-        self._pairs = pairs = pairs + met_pairs
+        self._pairs = pairs = checked_pairs(own, scene.padding, self_collision) + met_pairs
         self._names = [(self._bodies[first].owner, self._bodies[second].owner) for first, second, _ in pairs]
         self._model = robot_bodies.model
         self._geometry = pinocchio.GeometryModel()

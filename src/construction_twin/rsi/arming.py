@@ -1,0 +1,35 @@
+"""When the gateway may be armed: by whom, with which configuration, and with the arm where the gateway holds it. Pure; rad."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from construction_twin.mqtt.messages import Control, is_session
+from construction_twin.rsi.controller_session import ControllerSession, distance_off
+from construction_twin.rsi.follower import Follower
+from construction_twin.rsi.state import State
+
+if TYPE_CHECKING:
+    from construction_twin.rsi.session import Gateway
+
+#: Start tolerances between the measured and the held pose: a command may be one of them away from either.
+DISPLACED = 2.0
+
+
+def refusal_of_arm(control: Control, gateway: Gateway, controller: ControllerSession, follower: Follower | None) -> str:
+    """Return in one sentence why an `arm` must be refused; "" when nothing speaks against it."""
+    if control.value != gateway.config.hash:
+        return f"configuration hash {control.value!r} is not the gateway's {gateway.config.hash}"
+    if not is_session(control.session):
+        return f"session {control.session!r} cannot be armed; expected 1 to 64 letters, digits, - and _"
+    if gateway.fault:
+        return "stopped since the last reset; reset first"
+    if gateway.state is not State.READY or follower is None:
+        return f"gateway is {gateway.state.value}: {gateway.reason}"
+    distance = controller.measured and distance_off(controller.measured, follower.position, gateway.config, DISPLACED)
+    if distance:
+        return (
+            f"{distance} off the pose that the gateway holds: the controller moved the arm, or it is still moving; "
+            "reset, and if that does not help start the controller's program again"
+        )
+    return ""

@@ -1,0 +1,118 @@
+"""Which of the datagrams that wait is answered: the newest telegram, whatever else the network brings, in whatever order."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+
+import pytest
+from gateway_cell import CONFIG, START
+
+from construction_twin.rsi.codec import RobotEncoder
+from construction_twin.rsi.inbox import DRAIN_LIMIT, TelegramInbox
+from construction_twin.rsi.session import Gateway
+from construction_twin.rsi.status import QUIET, StatusClock
+
+HERE, THERE = ("192.168.1.20", 49152), ("192.168.1.20", 49153)
+ENCODER = RobotEncoder(CONFIG.axes, 6)
+
+
+def telegram(ipoc: int) -> bytes:
+    return ENCODER.encode(ipoc, START, START, (0.0,) * 6, (0.0,) * 6, 0)
+
+
+class Line:
+    """Datagrams that wait: IPOC, bytes or an error, from HERE or with its source."""
+
+    def __init__(self, controller=None):
+        self.gateway = Gateway(CONFIG)
+        self.waiting: deque = deque()
+        self.inbox = TelegramInbox(self.gateway, self._receive, lambda: 10**9, controller)
+        self.arrivals = itertools.count(1)
+
+    def _receive(self):
+        if not self.waiting:
+            raise BlockingIOError
+        thing, source = self.waiting.popleft()
+        if isinstance(thing, OSError):
+            raise thing
+        return telegram(thing) if isinstance(thing, int) else thing, next(self.arrivals), source
+
+    def newest(self, *things):
+        """Put these in and read; return the IPOC of what is answered, its source and which datagram it was."""
+        self.waiting.extend(thing if isinstance(thing, tuple) else (thing, HERE) for thing in things)
+        found = self.inbox.newest()
+        return found and (found[0].ipoc, found[1], found[2])
+
+    def counted(self) -> dict:
+        return dict(self.gateway.counters)
+
+
+def test_nothing_waits():
+    assert Line().newest() is None
+
+
+def test_the_newest_is_answered_and_the_others_are_counted():
+    line = Line()
+    assert line.newest(1000, 1004, 1008) == (1008, HERE, 3)
+    assert line.counted() == {"telegrams_skipped": 2}
+
+
+@pytest.mark.parametrize("order", [(1004, 1000), (1004, 1004), (1000, 1004, 1000), (1004, 604)])
+def test_a_copy_or_a_late_one_costs_the_newest_no_answer(order):
+    line = Line()
+    assert line.newest(*order)[0] == 1004
+    assert line.counted()["telegrams_repeated"] == 1
+
+
+def test_a_jump_back_beyond_the_timeout_is_another_session():
+    line = Line()
+    assert line.newest(1004, 600) == (600, HERE, 2)
+    assert line.counted() == {"telegrams_skipped": 1}
+
+
+def test_another_source_s_numbers_are_its_own():
+    line = Line()
+    assert line.newest((1004, HERE), (1000, THERE)) == (1000, THERE, 2)
+
+
+def test_what_is_no_telegram_takes_nobody_s_place():
+    line = Line("192.168.1.20")
+    assert line.newest(1000, b"garbage", (1004, ("10.0.0.1", 1)), b"")[0] == 1000
+    counted = line.counted()
+    assert counted.pop("telegram_refused_address") == 1
+    assert sum(counted.values()) == 2 and all(name.startswith("telegram_refused_") for name in counted)
+
+
+def test_while_a_controller_is_alive_nobody_else_is_read():
+    line = Line()
+    line.waiting.append((1000, HERE))
+    read, source, _ = line.inbox.newest()
+    line.gateway.on_telegram(read, source, 10**9)
+    assert line.newest((1004, THERE)) is None
+    assert line.counted()["telegram_refused_source"] == 1
+
+
+def test_an_error_of_the_socket_is_counted_and_ends_the_turn():
+    line = Line()
+    assert line.newest(1000, OSError(111, "refused"), 1004)[0] == 1000
+    assert line.counted() == {"udp_receive_111": 1}
+    assert line.newest()[0] == 1004
+
+
+def test_a_flood_does_not_keep_the_loop():
+    line = Line()
+    assert line.newest(*range(1000, 1000 + 4 * 2 * DRAIN_LIMIT, 4))[2] == DRAIN_LIMIT
+    assert len(line.waiting) == DRAIN_LIMIT
+
+
+def test_a_status_in_a_hurry_goes_out_after_the_next_answer_or_in_the_next_pause():
+    for answered, now in ((True, 0.001), (False, QUIET)):
+        clock = StatusClock(1.0)
+        clock.is_due(0.0, True)
+        clock.sent(0.0)
+        assert not clock.is_due(now, answered)
+        clock.hurry()
+        assert clock.is_due(now, answered)
+        clock.sent(now)
+        assert not clock.is_due(now + 0.5, answered)
