@@ -110,7 +110,8 @@ class SpeedLimitTest(unittest.TestCase):
         self.assertIn("no separation distance", self.client.execution.reason)
         self.sensor.say(0.5)
         self.wait_for_rate(0.5)
-        self.assertIn("goes on", self.client.execution.reason)
+        self.assertIn("at 50% of the planned speed", self.client.execution.reason)
+        self.assertNotIn("stands still", self.client.execution.reason)
 
     def slows_down_when_the_source_is_silent(self, arm: Stream, top: np.ndarray) -> None:
         """The node stands still as if it had crashed: nobody says anything on `speed_limit` any more."""
