@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 import diagnostic_updater
 import rospy
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from construction_twin.ros.publisher import Publisher
 
 
 class NodeDiagnostics:
@@ -25,6 +27,8 @@ class NodeDiagnostics:
         self.refused: Counter[str] = Counter()
         self._report = report
         self._updater = diagnostic_updater.Updater()
+        # quiet at shutdown, as every publisher of ours
+        self._updater.publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=1)
         self._updater.setHardwareID(hardware_id)
         self._updater.add("state", self._fill)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.update())

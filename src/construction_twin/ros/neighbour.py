@@ -22,7 +22,7 @@ from construction_twin.robot import RobotModel
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.joint_stream import from_time
 from construction_twin.ros.latest_pose import LatestPose
-from construction_twin.ros.params import robot_from_parameters
+from construction_twin.ros.params import NodeSettings, robot_from_parameters
 from construction_twin.ros.scene_convert import scene_from_msg
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.neighbour import Neighbour, Obstacle
@@ -33,8 +33,10 @@ _Length = Annotated[float, pydantic.Field(ge=0.01, le=1.0)]
 _Distance = Annotated[float, pydantic.Field(ge=0.0, le=10.0)]
 
 
-class NeighbourSettings(pydantic.BaseModel):
+class NeighbourSettings(NodeSettings):
     """Parameters ``neighbour/...`` of a robot that has another one beside it, explained in config/neighbour.yaml.
+
+    The node `neighbour` owns them, and its ``realtime_priority`` is among them; the planner reads them, too.
 
     Attributes
     ----------
@@ -47,8 +49,6 @@ class NeighbourSettings(pydantic.BaseModel):
     max_pose_age : float
         [s]
     """
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, pydantic.Field(min_length=1)]
     padding: _Distance
