@@ -49,7 +49,7 @@ DEPLOYMENT = {
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
     "experiment": {"results_dir"},
     "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
-    "neighbour": {"name"},
+    "neighbour": {"name", "realtime_priority"},
     "planner": {"self_collision", "tf_prefix"},
     "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
 }
