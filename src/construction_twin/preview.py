@@ -21,7 +21,7 @@ LOOP_REST = 0.5
 PATH_SPACING = 0.02
 PATH_POINTS = 1000
 #: How far above the tool path the text begins [m].
-TEXT_HEIGHT = 0.8
+TEXT_HEIGHT = 1.25
 
 
 class Preview:
