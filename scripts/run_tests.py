@@ -19,6 +19,10 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / ".ws" / "test_results"
 #: Longest that one rostest may take [s]; each test in it has a limit of its own.
 TIME_LIMIT = 400
+#: Longest line about a failed test, of the list at the end [characters].
+LINE = 300
+#: What failed, for that list.
+FAILED: list[str] = []
 #: Unit tests that run gateway, mock controller or bridge as processes in real time: they need the machine for themselves.
 ALONE = (
     "test_faults_",
@@ -31,14 +35,22 @@ ALONE = (
 
 
 def count(file: Path) -> tuple[int, int]:
-    """Return (passed, failed) of a JUnit file; a missing or broken one is one failure."""
+    """Return (passed, failed) of a JUnit file and remember what failed; a missing or broken file is one failure."""
     try:
-        suites = list(ElementTree.parse(file).getroot().iter("testsuite"))
-    except (OSError, ElementTree.ParseError):
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        FAILED.append(f"{file}: {error}")
         return 0, 1
+    suites = list(root.iter("testsuite"))
+    for case in root.iter("testcase"):
+        for verdict in (*case.findall("failure"), *case.findall("error")):
+            words = (verdict.get("message") or verdict.text or "").strip().splitlines()
+            FAILED.append(f"{case.get('classname')}.{case.get('name')}: {words[0] if words else 'no message'}"[:LINE])
     total = sum(int(suite.get("tests", 0)) for suite in suites)
     failed = sum(int(suite.get("failures", 0)) + int(suite.get("errors", 0)) for suite in suites)
     skipped = sum(int(suite.get("skipped", suite.get("skip", 0))) for suite in suites)
+    if not total:
+        FAILED.append(f"{file}: no test was run")
     return (total - failed - skipped, failed) if total else (0, 1)
 
 
@@ -54,7 +66,10 @@ def run_unit() -> tuple[int, int]:
             run.wait()
             print((RESULTS / f"unit_{name}.log").read_text(errors="replace"), flush=True)
             good, bad = count(RESULTS / f"unit_{name}.xml")
-            passed, failed = passed + good, failed + (bad if bad or run.returncode == 0 else 1)
+            if run.returncode and not bad:
+                bad = 1
+                FAILED.append(f"unit_{name}: pytest ended with exit code {run.returncode}")
+            passed, failed = passed + good, failed + bad
     return passed, failed
 
 
@@ -91,6 +106,7 @@ def run_rostest(test: Path) -> tuple[int, int]:
     passed, failed = sum(p for p, _ in tests), sum(f for _, f in tests + launches)
     if not failed and (run.returncode or not passed):
         failed = 1
+        FAILED.append(f"{test.name}: exit code {run.returncode}, {passed} passed")
     print(f"{test.name}: {passed} passed, {failed} failed in {time.monotonic() - started:.0f} s", flush=True)
     if failed:
         print(output[-20000:], flush=True)
@@ -108,6 +124,9 @@ def main(selection: list[str]) -> int:
         if not selection or "integration" in selection or test.stem in selection:
             totals.append(run_rostest(test))
     passed, failed = sum(p for p, _ in totals), sum(f for _, f in totals)
+    # again at the end, where whoever looks at a long log looks first
+    for line in FAILED:
+        print(f"FAILED {line}")
     print(f"{passed} passed, {failed} failed")
     return 1 if failed or not passed else 0
 

@@ -55,6 +55,21 @@ def test_takes_a_missing_result_file_for_a_failure(tmp_path):
     assert run_tests.count(tmp_path / "none.xml") == (0, 1)
 
 
+def test_remembers_which_tests_failed_and_why(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_tests, "FAILED", [])
+    cases = (
+        '<testcase classname="a.B" name="good"/>'
+        '<testcase classname="a.B" name="bad"><failure message="0.2 is not less than 0.1&#10;more"/></testcase>'
+        '<testcase classname="a.B" name="ugly"><error>Traceback</error></testcase>'
+    )
+    file = tmp_path / "result.xml"
+    file.write_text(f'<testsuites><testsuite tests="3" failures="1" errors="1">{cases}</testsuite></testsuites>')
+    run_tests.count(file)
+    run_tests.count(tmp_path / "none.xml")
+    assert run_tests.FAILED[:2] == ["a.B.bad: 0.2 is not less than 0.1", "a.B.ugly: Traceback"]
+    assert "none.xml" in run_tests.FAILED[2]
+
+
 @pytest.mark.parametrize(
     ("kind", "argument", "word"),
     [(socket.SOCK_STREAM, "broker_port", "MQTT broker"), (socket.SOCK_DGRAM, "rsi_port", "RSI gateway")],
