@@ -10,7 +10,7 @@ help:
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
 	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
 	@echo "make soak             the whole loop for an hour: memory and late replies per minute"
-	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one track two_robots\""
+	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\""
 	@echo "make setup            only install and build"
 	@echo "make clean            remove the workspace and the venv (.ws)"
 

@@ -20,6 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "test" / "integration"))
 
+import numpy as np  # noqa: E402
 import rospy  # noqa: E402
 from construction_twin.msg import Sync  # noqa: E402
 from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PreviewPlan  # noqa: E402
@@ -33,11 +34,15 @@ IMAGES = ROOT / "docs" / "images"
 SIZE, WEIGHT = (1100, 760), 300_000
 #: Longest wait for a state, and for something to be drawn [s].
 READY, DRAWN = 180.0, 150.0
+#: Time between two looks at what is drawn [s]; rviz draws without a graphics card and needs the cores.
+LOOK = 0.5
 #: Least share of the picture's width and height that the arm takes up.
 LARGE = 0.2
 GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
 #: Further away and higher, so that the text over the arm is in the picture.
 WITH_TEXT = {"Distance": 5.4, "Focal Point": {"X": 0.5, "Y": 0.0, "Z": 1.55}}
+#: For two texts, one over the other.
+HIGHER = {"X": 0.5, "Y": 0.0, "Z": 1.75}
 #: Joint that stalls, and how far the arm has moved when it does [deg].
 STALLED, MOVED = "joint_a1", 12.0
 
@@ -103,7 +108,7 @@ class Camera:
             return settled > 3
 
         try:
-            wait(drawn, f"the colours {least} in {name}.png", DRAWN)
+            wait(drawn, f"the colours {least} in {name}.png", DRAWN, LOOK)
         except AssertionError as error:
             raise AssertionError(f"{error}; seen were {shares}; the last picture is {keep(raw)}") from None
         subprocess.run(
@@ -124,7 +129,7 @@ def keep(picture: Path) -> Path:
 
 
 def shoot_one(camera: Camera) -> None:
-    """One robot: in sync, its tool, a plan under review with its ghost, a joint that stalls on the way."""
+    """One robot: in sync, a plan under review with its ghost, a joint that stalls on the way."""
     client = ready_client()
     camera.shoot("in_sync", "twin", {"orange": 0.015, "green": 0.002})
     plan = make_plan(client, GOAL)
@@ -133,7 +138,13 @@ def shoot_one(camera: Camera) -> None:
         wait(lambda: ghost.moved(abs(GOAL[0]) - 1.0), "the ghost to reach the goal", READY)
     camera.shoot("plan", "twin", {"orange": 0.015, "pink": 0.0001}, **WITH_TEXT)
     hold(client, plan.plan_id, plan.plan_hash)
-    camera.shoot("holding", "twin", {"orange": 0.003, "violet|red": 0.003}, **WITH_TEXT)
+    camera.shoot("holding", "twin", {"orange": 0.003, "violet|red": 0.003}, **WITH_TEXT | {"Focal Point": HIGHER})
+
+
+def shoot_marker(camera: Camera) -> None:
+    """The marker that plans by hand, at the tool, from near."""
+    ready_client()
+    camera.shoot("marker", "twin", {"orange": 0.05, "green": 0.02}, view="Tool")
 
 
 def ready_client() -> TwinClient:
@@ -173,17 +184,22 @@ def shoot_track(camera: Camera) -> None:
 
 
 def shoot_two(camera: Camera) -> None:
-    """Two robots in one cell, both in sync."""
+    """Two robots in one cell, both in sync, and a plan of the one past the other."""
     states: dict[str, int] = {}
     for robot in ("kr120_1", "kr120_2"):
         rospy.Subscriber(f"/{robot}/sync", Sync, lambda message, robot=robot: states.__setitem__(robot, message.state))
     wait(lambda: list(states.values()) == [Sync.IN_SYNC] * 2, "both robots to be in sync", READY)
-    camera.shoot("two_robots", "two_robots", {"orange": 0.02, "green": 0.002})
+    rospy.wait_for_service("/kr120_1/plan_to_joints", READY)
+    plan = rospy.ServiceProxy("/kr120_1/plan_to_joints", PlanToJoints)
+    answer = plan(goal=np.deg2rad(GOAL).tolist(), duration=8.0, source="the README")
+    assert answer.success, answer.message
+    camera.shoot("two_robots", "two_robots", {"orange": 0.02, "pink": 0.0001}, Distance=7.0, Pitch=0.3)
 
 
 #: Launch file and arguments, namespace, and what is photographed.
 SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     "one": (("bringup.launch",), "kr120", shoot_one),
+    "marker": (("bringup.launch", "tool_marker:=true"), "kr120", shoot_marker),
     "track": (("bringup.launch", "track:=true"), "kr120", shoot_track),
     # without arms: two whole robots and rviz are more than two cores carry
     "two_robots": (("two_robots.launch", "arm:=none"), "", shoot_two),

@@ -32,7 +32,6 @@ LEFT = (30.0, -75.0, 70.0, 20.0, 70.0, -40.0)
 RIGHT = (-30.0, -80.0, 80.0, -20.0, 75.0, 30.0)
 #: A motion that ended at a pose has come this close to it on every joint [rad], [m]; rounding to 3 decimals alone is 8.73e-6.
 FINAL_ERROR = 1e-5
-_POLL = 0.01
 
 
 class Stream:
@@ -80,13 +79,13 @@ class Stream:
         return bool(np.rad2deg(np.abs(np.subtract(last, first)).max()) > angle_deg)
 
 
-def wait(condition: Callable[[], object], what: str, timeout: float = 20.0) -> None:
-    """Wait until `condition` holds; AssertionError naming `what` when it does not within `timeout` [s]."""
+def wait(condition: Callable[[], object], what: str, timeout: float = 20.0, period: float = 0.01) -> None:
+    """Wait until `condition` holds, looking every `period` [s]; AssertionError naming `what` when it does not within `timeout` [s]."""
     deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline or rospy.is_shutdown():
             raise AssertionError(f"waited {timeout:g} s in vain for {what}")
-        time.sleep(_POLL)
+        time.sleep(period)
 
 
 class TwinClient:

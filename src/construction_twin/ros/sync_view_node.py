@@ -26,7 +26,7 @@ PERIOD = 0.2
 #: Without a report for this long the monitor's state is not known [s].
 SILENCE = 1.0
 #: Where the text stands over the arm's base, above the text of a plan, and the height of a line [m].
-TEXT_AT, TEXT_SIZE = (0.4, 0.0, 3.1), 0.085
+TEXT_AT, TEXT_SIZE = (0.4, 0.0, 3.5), 0.085
 _TYPES = {"mesh": Marker.MESH_RESOURCE, "box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 _DARK = ColorRGBA(0.35, 0.0, 0.0, 1.0)
 

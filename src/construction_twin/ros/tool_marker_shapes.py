@@ -24,11 +24,13 @@ COLOURS = {
     Reach.OUT: (0.9, 0.05, 0.05, 0.9),
     None: (0.55, 0.57, 0.6, 0.8),
 }
-_TEXT_COLOUR = (0.95, 0.95, 0.95, 1.0)
-#: Height of a letter, and distance of the text above the marker, as shares of its size; characters of a line.
-_LETTER, _ABOVE, _WIDTH = 0.1, 0.75, 60
-#: Size of the handle, and of the sphere around it that shows the verdict, as shares of the marker's.
-_HANDLE, _SPHERE = 0.2, 0.3
+#: Readable before the sky, the floor and the arm.
+_TEXT_COLOUR = (0.1, 0.1, 0.15, 1.0)
+#: Height of a letter, distance of the text below the marker, where the arm seldom is, as shares of its size; characters of a line.
+_LETTER, _BELOW, _WIDTH = 0.1, 0.95, 45
+#: Size of the handle, and of the sphere in it that shows the verdict, as shares of the marker's. The handle is the outer one, a
+#: clear shell: rviz gives a click to what it meets first, and the verdict's sphere has no menu.
+_HANDLE, _SPHERE = 0.3, 0.25
 _HALF = math.sqrt(0.5)
 #: Orientation of a control whose axis is the marker's x, y, z.
 _AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0, _HALF, 0.0, _HALF)}
@@ -47,7 +49,7 @@ def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
     """
     marker = InteractiveMarker(name=NAME, description="", pose=pose, scale=scale)
     marker.header.frame_id = frame
-    handle = Marker(type=Marker.SPHERE, color=ColorRGBA(0.95, 0.45, 0.05, 0.9))
+    handle = Marker(type=Marker.SPHERE, color=ColorRGBA(1.0, 1.0, 1.0, 0.2))
     handle.scale = Vector3(*[_HANDLE * scale] * 3)
     menu = InteractiveMarkerControl(name="menu", interaction_mode=InteractiveMarkerControl.MENU, always_visible=True)
     menu.description = "plan, review, stop"
@@ -81,13 +83,18 @@ def verdict_markers(frame: str, pose: PoseMsg, scale: float, reach: Reach | None
     """
     sphere = Marker(ns="verdict", id=0, type=Marker.SPHERE, pose=pose, color=ColorRGBA(*COLOURS[reach]))
     sphere.scale = Vector3(*[_SPHERE * scale] * 3)
-    wrapped = "\n".join(textwrap.fill(line, _WIDTH) for line in lines if line)
-    text = Marker(ns="verdict", id=1, type=Marker.TEXT_VIEW_FACING, color=ColorRGBA(*_TEXT_COLOUR), text=wrapped)
-    at = pose.position
-    text.pose = PoseMsg(Point(at.x, at.y, at.z + _ABOVE * scale), Quaternion(w=1.0))
-    text.scale.z = _LETTER * scale
+    text = _text("\n".join(textwrap.fill(line, _WIDTH) for line in lines if line), pose.position, scale)
     for marker in (sphere, text):
         # stamp 0: with the newest transform
         marker.header.frame_id = frame
         marker.frame_locked = True
     return MarkerArray([sphere, text])
+
+
+def _text(text: str, at: Point, scale: float) -> Marker:
+    marker = Marker(ns="verdict", id=1, type=Marker.TEXT_VIEW_FACING, color=ColorRGBA(*_TEXT_COLOUR), text=text)
+    # rviz centres a text on its position, so that a longer one has its own further down
+    below = _BELOW + 0.6 * _LETTER * text.count("\n")
+    marker.pose = PoseMsg(Point(at.x, at.y, at.z - below * scale), Quaternion(w=1.0))
+    marker.scale.z = _LETTER * scale
+    return marker
