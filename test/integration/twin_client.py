@@ -24,7 +24,7 @@ from construction_twin.ros.gateway_config import config_from_parameters
 from construction_twin.ros.params import robot_from_parameters
 from construction_twin.rsi.trace import read_trace
 from construction_twin.rsi.trace_limits import trace_excesses
-from construction_twin.units import CYCLE, from_wire
+from construction_twin.units import CYCLE, format_allowance, from_wire
 
 #: The home pose and two more, far enough for a motion of seconds, on the wire's grid [deg].
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
@@ -261,6 +261,16 @@ class TwinClient:
             self.wait(stream.at_rest, "the pose to rest")
             error = np.abs(stream.positions(-1)[0] - self.si(goal_deg))
             assert error.max() <= FINAL_ERROR, f"final error {error} rad; allowed {FINAL_ERROR} rad"
+
+    def assert_no_jump(self, twin: Stream, since: int = 0) -> None:
+        """Check that every step of the twin from message `since` on is inside its velocity limits for the time between the stamps."""
+        messages: list[JointState] = twin.messages[since:]
+        stamps = np.array([message.header.stamp.to_nsec() for message in messages]) / 1e9
+        # stamps of mirrored poses are those of reception: messages come in bunches, the steps are those of the arm's cycles
+        cycles = np.maximum(np.round(np.diff(stamps) / CYCLE), 1.0)[:, None]
+        steps = np.abs(np.diff([message.position for message in messages], axis=0))
+        allowed = np.array(self.robot.velocity) * CYCLE + format_allowance(3) * CYCLE**2
+        assert (steps <= allowed * cycles).all(), f"largest step {np.rad2deg(steps.max())} deg"
 
     def assert_within_limits(self, arm: Stream, missed_before: int) -> None:
         """Check that every correction the gateway has sent since it started is inside the limits, and report what the arm did.
