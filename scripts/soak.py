@@ -68,6 +68,9 @@ class Soak:
 
     def __post_init__(self):
         self._counts = self._counters()
+        # the last state's number, and commands of the second before that had not reached the broker yet: robot, stamp
+        self._state: int | None = None
+        self._under_way: set[tuple[str, int]] = set()
         self._reset = rospy.ServiceProxy(f"/{self.fleet.names[0]}/reset", Trigger)
 
     def run(self, interval: float) -> Minute:
@@ -102,10 +105,19 @@ class Soak:
         self.fleet.gates.stream(1.0)
         commands, states = self.fleet.ask("taken")
         distances += command_to_rsi(states)
-        lost = sum(later[1] - earlier[1] - 1 for earlier, later in zip(states, states[1:]))
+        numbers = [state[1] for state in states]
+        if self._state is not None:
+            numbers.insert(0, self._state)
+        lost = sum(later - earlier - 1 for earlier, later in zip(numbers, numbers[1:]))
+        self._state = numbers[-1] if numbers else None
+        arrived = {(robot, stamp) for robot, stamp, _ in commands}
         if self._status()["state"] == "following":
-            # one may be on its way; an arm that holds is sent nothing
-            lost += max(0, len(self.fleet.gates.sent) - len(commands) - 1)
+            # what is on its way at the second's end arrives in the next
+            lost += len(self._under_way - arrived)
+            self._under_way = set(self.fleet.gates.sent) - arrived
+        else:
+            # an arm that holds is sent nothing
+            self._under_way = set()
         return lost
 
     def _go_on(self) -> None:
@@ -130,6 +142,7 @@ class Soak:
         self.fleet.gates.moves = True
         self.fleet.gates.stream(SETTLE)
         self.fleet.ask("taken")
+        self._state, self._under_way = None, set()
 
     def _status(self) -> dict:
         return self.fleet.ask("statuses")[self.fleet.names[0]]

@@ -121,7 +121,7 @@ class Executor:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
         before = self.desk.scene
         reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
-        self._withdraw(self.desk.on_scene(scene), f"{reason}; plan again")
+        self.turn_down(self.desk.on_scene(scene), f"{reason}; plan again")
         if self.state in ACTIVE and scene != self.plan.scene:
             self._halt(reason)
 
@@ -144,7 +144,7 @@ class Executor:
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
-        self._withdraw(self.desk.void(now), reason)
+        self.turn_down(self.desk.void(now), reason)
         if self.state in ACTIVE:
             self._finish("dropped", reason)
         self._wait(reason)
@@ -158,7 +158,7 @@ class Executor:
 
     def offer(self, plan: Plan) -> None:
         """Put a plan on the desk in place of the one before; ReviewError when it cannot be reviewed."""
-        self._withdraw(self.desk.offer(plan), f"replaced by plan {plan.id}")
+        self.turn_down(self.desk.offer(plan), f"replaced by plan {plan.id}")
 
     def examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
         """Return the verdict that could be carried out now; nothing is changed.
@@ -203,7 +203,12 @@ class Executor:
     def withdraw(self, plan_id: str, reason: str) -> None:
         """Take a plan off the desk, if it still lies there."""
         if self.desk.plan is not None and self.desk.plan.id == plan_id:
-            self._withdraw(self.desk.clear(), reason)
+            self.turn_down(self.desk.clear(), reason)
+
+    def turn_down(self, plan: Plan | None, reason: str) -> None:
+        """Tell that a plan is not, or no longer, on the desk."""
+        if plan is not None:
+            self._events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
     def take_events(self) -> list[Verdict | Ending]:
         """Return what happened by itself since the last call: plans withdrawn, executions ended."""
@@ -217,7 +222,7 @@ class Executor:
 
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
-        self._withdraw(self.desk.void(now), "stop requested")
+        self.turn_down(self.desk.void(now), "stop requested")
         if self.state not in ACTIVE:
             return f"nothing is playing ({self.state.name})"
         if self.plan_start == 0:
@@ -375,13 +380,7 @@ class Executor:
         if self._after_hold is ExecutorState.PAUSED:
             self._enter(ExecutorState.PAUSED, self._where_paused())
         else:
-            self._enter(
-                ExecutorState.PLAYING, "twin and arm agree again; the same approval covers the rest of the path"
-            )
-
-    def _withdraw(self, plan: Plan | None, reason: str) -> None:
-        if plan is not None:
-            self._events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
+            self._enter(ExecutorState.PLAYING, "twin and arm agree again; the approval covers the rest of the path")
 
     def _finish(self, outcome: str, reason: str) -> None:
         self.outcome = outcome

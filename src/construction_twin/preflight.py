@@ -17,7 +17,7 @@ CHOICES = {
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
 }
-SWITCHES = ("auto_approve", "broker", "gateway", "commissioning", "tool_marker")
+SWITCHES = ("auto_approve", "broker", "gateway", "commissioning", "tool_marker", "track", "gui", "separation")
 #: Whole numbers with their bounds.
 NUMBERS = {"decimals": (1, 6), "broker_port": (1, 65535), "rsi_port": (0, 65535), "realtime": (0, 80)}
 #: Files that must be there, and those that may be left out.

@@ -84,10 +84,10 @@ class ReviewDesk:
         trajectory = plan.trajectory
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
             raise ReviewError(f"plan {plan.id} does not start and end at rest; plan again")
-        if plan.created_ns < self._void_before:
-            raise ReviewError(f"plan {plan.id} was asked for before the last stop or reset and is void; plan again")
         if plan.id in self._decided or (self.plan is not None and self.plan.id == plan.id):
             return None
+        if plan.created_ns < self._void_before:
+            raise ReviewError(f"plan {plan.id} was asked for before the last stop or reset and is void; plan again")
         replaced = self.clear()
         self.plan = plan
         return replaced

@@ -91,7 +91,8 @@ class SeparationLimit:
         Parameters
         ----------
         distance : float
-            [m]; inf: nothing within reach of the sensor, -inf: something too near to tell how near (REP 117).
+            [m]; inf: nothing within reach of the sensor, -inf: something too near to tell how near (REP 117). A finite distance
+            below `nearest` is taken for -inf: there are sensors that report it so.
         nearest, farthest : float
             What the sensor can tell apart [m].
         measured : int
@@ -104,6 +105,8 @@ class SeparationLimit:
         PayloadError
             ``distance`` or ``repeated``; nothing has changed then, and the deadline runs on.
         """
+        if 0.0 <= distance < nearest:
+            distance = -math.inf
         if math.isnan(distance) or (math.isfinite(distance) and not max(nearest, 0.0) <= distance <= farthest):
             expected = f"{max(nearest, 0.0):g} to {farthest:g} m, or inf or -inf"
             raise PayloadError("distance", f"the sensor reports a distance of {distance} m; expected {expected}")

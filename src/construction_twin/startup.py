@@ -32,6 +32,14 @@ class Deployment:
     rsi: str
     gateway: bool
 
+    @property
+    def rsi_address(self) -> str:
+        """Where the gateway listens, in words."""
+        if not self.gateway:
+            return "the address given to rsi_gateway --listen"
+        host, _, port = self.rsi.rpartition(":")
+        return f"{host}, PORT of the Ethernet XML" if port == "0" else f"port {self.rsi}"
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -138,13 +146,13 @@ def _link(seen: Seen, deployment: Deployment) -> Missing | None:
     if state == "DISCONNECTED":
         return Missing(f"the MQTT broker {deployment.broker}", reason, "start it, or give broker_host and broker_port")
     if state == "GATEWAY_OFFLINE":
-        here = f"read its lines here; is UDP port {deployment.rsi} taken?"
+        here = f"read its lines here; is UDP {deployment.rsi_address} taken?"
         there = f"start rsi_gateway on the cell PC with --broker {deployment.broker}"
         return Missing("the gateway", reason, here if deployment.gateway else there)
     if state == "MISMATCH":
         return Missing("the gateway's configuration", reason, "export it again, copy it, restart the gateway")
     if state == "NO_CONTROLLER":
-        program = f"start the RSI program; the controller sends to {deployment.rsi}"
+        program = f"start the RSI program; the controller sends to {deployment.rsi_address}"
         return Missing("the controller (RSI)", reason, program if real else "look why mock_rsi does not send")
     if not seen.feedback:
         return Missing(

@@ -138,6 +138,15 @@ def test_ready_only_when_a_plan_could_be_approved():
     assert why == "link is NEEDS_RESET, expected ARMED: it braked"
 
 
+def test_not_ready_when_the_monitor_fell_silent():
+    facts = {"link": LinkFacts("ARMED", ""), "sync": SyncFacts("IN_SYNC", ""), "execution": ExecutionFacts("IDLE", "")}
+    robot = kr120()
+    snapshot = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts)
+    assert snapshot.not_ready() == []
+    silent = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts, silent={"sync": 3.0})
+    assert silent.not_ready() == ["sync has been silent for 3 s; expected IN_SYNC"]
+
+
 def test_progress_is_known_while_playing():
     playing = ExecutionFacts("PLAYING", "", start=90.0, duration=20.0)
     assert playing.progress(100.0) == 0.5 and playing.progress(0.0) == 0.0 and playing.progress(1e3) == 1.0

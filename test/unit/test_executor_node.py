@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import rospy
 from construction_twin.msg import Link, Scene, SpeedLimit, Sync
@@ -12,6 +13,7 @@ from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.review import Verdict
 from construction_twin.ros import executor_node as module
+from construction_twin.ros.convert import plan_to_msg
 from construction_twin.ros.deferred_log import KEPT, DeferredLog
 from construction_twin.ros.joint_stream import to_time
 from construction_twin.units import CYCLE_NS, NANOSECONDS
@@ -153,6 +155,33 @@ class TestClocks:
         world.wall += round(step * NANOSECONDS)
         world.run(30)
         assert world.states()[-1] == "PLAYING"
+
+
+class TestPlansThatAreTurnedDown:
+    """Whoever shows a plan as waiting must hear that nobody can approve it."""
+
+    def offered(self, world, plan) -> list[tuple[str, bool, str]]:
+        message = plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3)))
+        message._connection_header = {"callerid": world.node._planner}
+        world.said.clear()
+        world.node._on_plan(message)
+        world.node._publish_changes()
+        return [(m[0].plan_id, m[0].approved, m[0].reason) for name, m in world.said if name == "review"]
+
+    def test_one_that_was_asked_for_before_a_stop(self, world):
+        asked = world.playing().wall - CYCLE_NS
+        world.services["stop"](None)
+        world.run(100)
+        ((plan_id, approved, reason),) = self.offered(world, make_plan("late", created_ns=asked))
+        assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
+
+    def test_one_from_before_this_executor(self, world):
+        ((plan_id, _, reason),) = self.offered(world, make_plan("old", created_ns=world.wall - NANOSECONDS))
+        assert plan_id == "old" and "older than this executor" in reason
+
+    def test_one_that_comes_twice_is_not(self, world):
+        plan = make_plan("p2", created_ns=world.run(5).wall)
+        assert self.offered(world, plan) == self.offered(world, plan) == []
 
 
 def test_a_full_log_forgets_the_oldest_lines():

@@ -77,7 +77,7 @@ class TestLimit:
         limit.on_range(distance, 0.1, 10.0, 0, T0)
         assert limit.update(T0)[0] == share
 
-    @pytest.mark.parametrize("distance", [math.nan, -1.0, 0.05, 10.1])
+    @pytest.mark.parametrize("distance", [math.nan, -1.0, 10.1])
     def test_what_the_sensor_cannot_measure_is_refused(self, distance):
         limit = separation()
         limit.on_range(3.0, 0.1, 10.0, 0, T0)
@@ -85,6 +85,13 @@ class TestLimit:
             limit.on_range(distance, 0.1, 10.0, 0, T0 + DEADLINE)
         assert caught.value.reason == "distance"
         assert limit.update(T0 + DEADLINE)[0] == 0.75 and limit.update(T0 + DEADLINE + 1)[0] == 0.1
+
+    @pytest.mark.parametrize("distance", [0.0, 0.05])
+    def test_nearer_than_the_sensor_can_tell_is_as_slow_as_can_be(self, distance):
+        limit = separation()
+        limit.on_range(3.0, 0.1, 10.0, 0, T0)
+        limit.on_range(distance, 0.1, 10.0, 0, T0 + 1)
+        assert limit.update(T0 + 2) == (0.1, "nearer than the sensor can tell")
 
     def test_a_distance_below_zero_is_refused_whatever_the_sensor_says(self):
         with pytest.raises(PayloadError):

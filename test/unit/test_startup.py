@@ -57,6 +57,14 @@ def test_advice_fits_what_was_started_here():
     assert "mock_rsi" in first_missing(replace(GOOD, link=("NO_CONTROLLER", "")), HERE).action
 
 
+def test_the_port_is_named_where_it_is_known():
+    of_the_xml = replace(HERE, rsi="127.0.0.1:0")
+    taken = first_missing(replace(GOOD, link=("GATEWAY_OFFLINE", "")), of_the_xml).action
+    assert "127.0.0.1, PORT of the Ethernet XML taken?" in taken
+    elsewhere = first_missing(replace(GOOD, link=("NO_CONTROLLER", "")), CELL).action
+    assert "sends to the address given to rsi_gateway --listen" in elsewhere
+
+
 def test_without_an_arm_nobody_waits_for_a_link():
     alone = replace(CELL, arm="none")
     assert first_missing(replace(GOOD, link=None, feedback=False), alone) is None
@@ -113,6 +121,7 @@ FINE = {
         ({"rsi_port": "-1"}, "rsi_port:=-1: expected a whole number"),
         ({"rsi_port": "²"}, "rsi_port:=²: expected a whole number"),
         ({"broker": "yes"}, "broker:=yes: expected true or false"),
+        ({"track": "off"}, "track:=off: expected true or false"),
         ({"robot_config": "/nope"}, "robot_config:=/nope: expected the absolute path"),
         ({"robot_config": ""}, "robot_config:='': expected the absolute path"),
         ({"scene": "/nope"}, "scene:=/nope: expected the absolute path"),

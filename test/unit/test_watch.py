@@ -39,6 +39,13 @@ def test_no_number_is_no_bar(error, threshold):
     assert set(bar(error, threshold).plain) == {"?"}
 
 
+def test_a_report_that_fell_silent_is_not_shown_as_the_present():
+    sync = SyncFacts("IN_SYNC", "the poses agree", "replan", "aligned", (0.001,) * 6, (0.01,) * 6)
+    text = shown(link=LinkFacts("ARMED", "commands flow"), sync=sync, silent={"sync": 4.2, "link": 7.0})
+    assert "silent for 4 s; the last was IN_SYNC" in text and "silent for 7 s; the last was ARMED" in text
+    assert "nothing is compared" in text
+
+
 def test_a_picture_of_a_running_system():
     sync = SyncFacts(
         "IN_SYNC",

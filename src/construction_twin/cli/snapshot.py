@@ -115,6 +115,8 @@ class Snapshot:
     rates : Mapping of str to float or None
         Messages per second on the 250 Hz topics.
     nodes : tuple of NodeFacts
+    silent : Mapping of str to float
+        How long ``link``, ``sync``, ``execution`` have been silent [s], of those that should have spoken.
     """
 
     robot: str
@@ -127,6 +129,7 @@ class Snapshot:
     plan: Plan | None = None
     rates: Mapping[str, float | None] = field(default_factory=dict)
     nodes: tuple[NodeFacts, ...] = ()
+    silent: Mapping[str, float] = field(default_factory=dict)
 
     def not_ready(self) -> list[str]:
         """Return why no plan could be approved now, one sentence per reason; empty when one could.
@@ -139,6 +142,8 @@ class Snapshot:
             if facts is None:
                 if name != "link":
                     lacking.append(f"{name} is silent; expected {wanted}")
+            elif name in self.silent:
+                lacking.append(f"{name} has been silent for {self.silent[name]:.0f} s; expected {wanted}")
             elif facts.text != wanted:
                 lacking.append(f"{name} is {facts.text}, expected {wanted}: {facts.reason}")
         return lacking

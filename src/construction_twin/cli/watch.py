@@ -47,7 +47,14 @@ def _states(snapshot: Snapshot) -> Table:
     table.add_row("robot", Text(snapshot.robot, style="bold"))
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
-        table.add_row(name, _state(facts.text, facts.reason) if facts is not None else Text("no report", style="dim"))
+        if facts is None:
+            table.add_row(name, Text("no report", style="dim"))
+        elif name in snapshot.silent:
+            table.add_row(
+                name, Text(f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}", style="bold red")
+            )
+        else:
+            table.add_row(name, _state(facts.text, facts.reason))
     execution = snapshot.execution
     progress = execution.progress(snapshot.now) if execution is not None else None
     if progress is not None:
@@ -68,7 +75,12 @@ def _state(word: str, reason: str) -> Text:
 
 def _joints(snapshot: Snapshot) -> Table | Text:
     sync = snapshot.sync
-    if sync is None or len(sync.errors) != len(snapshot.joints) or len(sync.thresholds) != len(snapshot.joints):
+    if (
+        sync is None
+        or "sync" in snapshot.silent
+        or len(sync.errors) != len(snapshot.joints)
+        or len(sync.thresholds) != len(snapshot.joints)
+    ):
         return Text("nothing is compared", style="dim")
     table = Table.grid(padding=(0, 2))
     rows = zip(snapshot.joints, snapshot.linear, sync.errors, sync.thresholds)

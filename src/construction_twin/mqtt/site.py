@@ -152,6 +152,8 @@ class SiteFolder:
                 key.unlink(missing_ok=True)
                 certificate.unlink()
             # a folder that was handed out and deleted here is not made again
+            if renew and not folder.exists():
+                said.append(f"not renewed: {account.name}, whose folder is not here; --replace makes it a new one")
             if not folder.exists() or (certificate.exists() and not (renew and key.exists())):
                 continue
             authority.issue(account.name, key, certificate, days)

@@ -15,7 +15,7 @@ import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.approval import Approval
-from construction_twin.errors import ConstructionTwinError, PayloadError, RecordError
+from construction_twin.errors import ConstructionTwinError, PayloadError, RecordError, ReviewError
 from construction_twin.executor import Executor, ExecutorState
 from construction_twin.gate import SyncState
 from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
@@ -169,15 +169,20 @@ class ExecutorNode:
             # what a plan says about itself was measured by the planner; nobody else's word counts
             self._diagnostics.refuse("publisher", f"plan from {caller}; only {self._planner} may publish plans")
             return
-        if message.header.stamp < self._started:
-            rospy.logwarn("plan %s is older than this executor and will not be played; plan again", message.id)
-            return
         try:
             plan = plan_from_msg(message)
-            with self._lock:
-                self._executor.offer(plan)
         except ConstructionTwinError as error:
             self._diagnostics.refuse("plan", str(error))
+            return
+        with self._lock:
+            try:
+                if message.header.stamp < self._started:
+                    raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
+                self._executor.offer(plan)
+            except ReviewError as error:
+                # whoever shows it as waiting takes it away
+                self._executor.turn_down(plan, str(error))
+                self._diagnostics.refuse("plan", str(error))
 
     def _on_link(self, message: Link) -> None:
         with self._lock:

@@ -48,7 +48,8 @@ class MockRsiNode:
         )
         self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0
-        self._reported: tuple[int, bool, int] | None = None
+        self._reported: tuple[int, bool, int, bool] | None = None
+        self._missed = 0
         self._joints = JointPublisher("~joint_states", self._robot.joint_names)
         self._status = Publisher("~status", String, queue_size=5, latch=True)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
@@ -73,7 +74,10 @@ class MockRsiNode:
     # -- in the loop
 
     def _observe(self, mock: MockRsi) -> None:
-        state = self._controller.session, self._controller.running, self._mock.faults.changes
+        missed = self._controller.counters["missed"]
+        # the first and the last of replies missed in a row, too
+        state = self._controller.session, self._controller.running, self._mock.faults.changes, missed != self._missed
+        self._missed = missed
         due = self._cycle % _STATUS_CYCLES == 0 or state != self._reported
         self._cycle += 1
         self._reported = state

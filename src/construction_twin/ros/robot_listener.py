@@ -19,6 +19,9 @@ from construction_twin.ros.convert import plan_from_msg
 
 #: Streams whose rates are counted, with short names.
 STREAMS = {"twin": "twin/joint_states", "physical": "physical/joint_states", "command": "command/joint_states"}
+#: A report that is older, and a node that has said nothing on /diagnostics for longer, is silent [s]. `execution` comes on change.
+SILENT = {"link": 3.0, "sync": 1.0}
+SILENT_NODE = 5.0
 _REPORTS = {"link": Link, "sync": Sync, "execution": Execution, "plan": Plan, "review": Review}
 
 
@@ -48,7 +51,8 @@ class RobotListener:
         self.refused = ""
         self._counts: Counter[str] = Counter()
         self._counted: tuple[float, Counter[str]] = (time.monotonic(), Counter())
-        self._nodes: dict[str, NodeFacts] = {}
+        self._nodes: dict[str, tuple[float, NodeFacts]] = {}
+        self._heard: dict[str, float] = {}
         self._subscribers = [self._subscribe(name, kind) for name, kind in _REPORTS.items()]
         if rates:
             self._subscribers += [self._count(name, topic) for name, topic in STREAMS.items()]
@@ -74,6 +78,11 @@ class RobotListener:
         """Return how many nodes publish a report now."""
         return self._subscribers[list(_REPORTS).index(name)].get_num_connections()
 
+    def plan(self, plan_id: str) -> PlanValue | None:
+        """Return the newest plan if it is the one with this id."""
+        plan = self._plan
+        return plan if plan is not None and plan.id == plan_id else None
+
     def under_review(self) -> PlanValue | None:
         """Return the plan that waits for a verdict, as far as the topics tell; the executor decides."""
         plan = self._plan
@@ -85,7 +94,12 @@ class RobotListener:
         with self._news:
             newest = dict(self._newest)
             plan = self.under_review()
-            nodes = tuple(self._nodes[name] for name in sorted(self._nodes))
+            now = time.monotonic()
+            nodes = tuple(_node_now(*self._nodes[name], now) for name in sorted(self._nodes))
+            ages = {name: now - self._heard.get(name, now) for name in SILENT}
+            silent = {name: age for name, age in ages.items() if age > SILENT[name]}
+        if "execution" in newest and not self.publishers("execution"):
+            silent["execution"] = now - self._heard["execution"]
         return Snapshot(
             robot=self._namespace.strip("/"),
             now=rospy.get_time(),
@@ -97,21 +111,23 @@ class RobotListener:
             plan=plan,
             rates=self._rates(),
             nodes=nodes,
+            silent=silent,
         )
 
     def _subscribe(self, name: str, kind: type) -> rospy.Subscriber:
         return rospy.Subscriber(f"{self._namespace}/{name}", kind, self._receive, callback_args=name, queue_size=20)
 
     def _receive(self, message, name: str) -> None:
-        plan, refused = self._plan, self.refused
+        plan, refused = None, ""
         if name == "plan":
             try:
-                plan, refused = plan_from_msg(message), ""
+                plan = plan_from_msg(message)
             except ConstructionTwinError as error:
-                plan, refused = None, str(error)
+                refused = str(error)
         with self._news:
-            self._newest[name] = message
-            self._plan, self.refused = plan, refused
+            self._newest[name], self._heard[name] = message, time.monotonic()
+            if name == "plan":
+                self._plan, self.refused = plan, refused
             self._news.notify_all()
 
     def _count(self, name: str, topic: str) -> rospy.Subscriber:
@@ -134,8 +150,14 @@ class RobotListener:
             if node.startswith(self._namespace + "/"):
                 name = node.removeprefix(self._namespace + "/")
                 with self._news:
-                    self._nodes[name] = NodeFacts(name, status.level, status.message)
+                    self._nodes[name] = time.monotonic(), NodeFacts(name, status.level, status.message)
                     self._news.notify_all()
+
+
+def _node_now(heard: float, facts: NodeFacts, now: float) -> NodeFacts:
+    if now - heard <= SILENT_NODE:
+        return facts
+    return NodeFacts(facts.name, 3, f"silent for {now - heard:.0f} s; the last was: {facts.sentence}")
 
 
 def link_facts(message: Link | None) -> LinkFacts | None:

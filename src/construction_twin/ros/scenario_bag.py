@@ -68,14 +68,16 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     changes += [*_states("execution", messages["execution"]), *_outcomes(messages["execution"]), *_faults(reports)]
     arm = messages[ARM]
     columns = [arm[0].name.index(joint) for joint in recording.joint_names]
-    missed = [report["counters"]["missed"] for report in reports]
+    missed = np.array([report["counters"]["missed"] for report in reports])
+    told = np.array([report["stamp"] for report in reports], dtype=np.int64)
     return Run(
         recording=recording,
         changes=tuple(sorted(changes, key=lambda change: change.stamp)),
         closings=tuple(_closings(transitions, messages["sync"])),
         arm_stamps=np.array([message.header.stamp.to_nsec() for message in arm], dtype=np.int64),
         arm=np.array([message.position for message in arm])[:, columns],
-        missed=missed[-1] - missed[0],
+        missed=int(missed[-1] - missed[0]),
+        missed_at=told[np.diff(missed, prepend=missed[0]) > 0],
         failure=notes["failure"],
     )
 

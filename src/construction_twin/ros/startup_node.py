@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Literal
 
@@ -16,6 +17,8 @@ from construction_twin.startup import Deployment, Seen, StartUp
 
 #: How often it looks [s].
 PERIOD = 0.25
+#: A report that is older counts for nothing [s]; both come at least once a second.
+SILENT = {"link": 3.0, "sync": 3.0}
 
 
 class Settings(pydantic.BaseModel):
@@ -36,11 +39,13 @@ class StartupNode:
         settings = read_parameters(Settings)
         namespace = rospy.get_namespace().rstrip("/")
         self._startup = StartUp(Deployment(namespace=namespace, **settings.model_dump()))
-        self._words: dict[str, tuple[str, str]] = {}
+        self._words: dict[str, tuple[float, tuple[str, str]]] = {}
         self._came: set[str] = set()
         self._diagnostics = NodeDiagnostics(robot_from_parameters().name, self._report)
-        for name, kind in {"link": Link, "sync": Sync, "execution": Execution}.items():
-            rospy.Subscriber(name, kind, self._on_report, callback_args=name, queue_size=1)
+        self._reports = {
+            name: rospy.Subscriber(name, kind, self._on_report, callback_args=name, queue_size=1)
+            for name, kind in {"link": Link, "sync": Sync, "execution": Execution}.items()
+        }
         self._once = {
             "feedback": rospy.Subscriber("physical/feedback", Feedback, self._on_first, callback_args="feedback"),
             "twin": rospy.Subscriber("twin/joint_states", rospy.AnyMsg, self._on_first, callback_args="twin"),
@@ -49,7 +54,7 @@ class StartupNode:
         self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
 
     def _on_report(self, message, name: str) -> None:
-        self._words[name] = message.text, message.reason
+        self._words[name] = time.monotonic(), (message.text, message.reason)
 
     def _on_first(self, _message, name: str) -> None:
         self._came.add(name)
@@ -57,8 +62,15 @@ class StartupNode:
     def _on_timer(self, _event) -> None:
         for name in self._came & set(self._once):
             self._once.pop(name).unregister()  # one message of a 250 Hz stream is enough
-        seen = Seen(**self._words, **{name: True for name in self._came})
-        for line in self._startup.update(seen, time.monotonic()):
+        now = time.monotonic()
+        # who fell silent is not there; `execution` comes on change only, so its publisher counts
+        words = {
+            name: said for name, (heard, said) in tuple(self._words.items()) if now - heard < SILENT.get(name, math.inf)
+        }
+        if not self._reports["execution"].get_num_connections():
+            words.pop("execution", None)
+        seen = Seen(**words, **{name: True for name in self._came})
+        for line in self._startup.update(seen, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -39,8 +39,10 @@ from construction_twin.scene.world import CollisionWorld
 
 #: How often the marker follows the tool while nobody has dragged it, and the texts are renewed [s].
 PERIOD = 0.1
-#: A tool that has moved less is not followed [m, and elements of the rotation].
-_STILL = 1e-6
+#: A tool that has moved less is not followed; a goal as near to a plan's end was the plan's [m, and elements of the rotation].
+_STILL, _REACHED = 1e-6, 1e-3
+#: How long a plan must have been shown before the menu decides about it [s]: nobody has looked at one that came with the click.
+SHOWN = 1.0
 
 _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 
@@ -103,6 +105,8 @@ class ToolMarkerNode:
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._verdicts = Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)
         self._drawn: MarkerArray | None = None
+        # the plan that the text names, and since when
+        self._shown: tuple[str, float] = ("", 0.0)
         self._server = InteractiveMarkerServer("tool_marker")
         self._menu = self._make_menu()
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
@@ -117,7 +121,8 @@ class ToolMarkerNode:
                 goal, scene = self._goal, self._scene
             if not dragged:
                 goal = self._follow(goal)
-            self._judge(goal if goal is not None else self._place, scene, dragged)
+            # what could not be judged is tried again
+            self._judge(goal if goal is not None else self._place, scene, dragged or self._verdict is None)
             self._draw()
 
     # -- what rviz sends: nothing here waits
@@ -215,6 +220,9 @@ class ToolMarkerNode:
         plan = self._listener.under_review()
         if plan is None:
             raise RequestRefused("no plan waits for approval; plan one first")
+        shown, since = self._shown
+        if shown != plan.id or time.monotonic() - since < SHOWN:
+            raise RequestRefused(f"plan {plan.id[:8]} has only just come; look at it, then choose again")
         return self._client.review(plan.id, plan.hash, approve, self._settings.reviewer, "by the marker's menu")
 
     def _back(self) -> str:
@@ -230,8 +238,11 @@ class ToolMarkerNode:
         ended = execution is not None and execution.outcome == "finished" and execution.state == Execution.IDLE
         if ended and execution.plan_id != self._finished:
             self._finished = execution.plan_id
-            with self._news:
-                self._goal = goal = None
+            plan = self._listener.plan(execution.plan_id)
+            if goal is not None and plan is not None and not self._is_away(goal, plan.trajectory.positions[-1]):
+                with self._news:
+                    # not one that was dragged further meanwhile
+                    self._goal = goal = None if self._goal is goal else self._goal
         if goal is not None:
             return goal
         try:
@@ -242,6 +253,9 @@ class ToolMarkerNode:
         if self._place is None or _moved(self._place, tool):
             self._put(tool)
         return None
+
+    def _is_away(self, goal: Pose, q: Sequence[float]) -> bool:
+        return _moved(goal, self._chain.forward(q), _REACHED)
 
     def _put(self, tool: Pose) -> None:
         if self._place is None:
@@ -284,6 +298,7 @@ class ToolMarkerNode:
         if self._place is None:
             return
         verdict, plan = self._verdict, self._listener.under_review()
+        shown = plan.id if plan is not None else ""
         lines = [verdict.sentence if verdict is not None else self._problem, self._said]
         if plan is not None:
             clearance = plan.report.clearance.distance
@@ -295,6 +310,8 @@ class ToolMarkerNode:
         if markers != self._drawn:
             self._drawn = markers
             self._verdicts.publish(markers)
+        if shown != self._shown[0]:
+            self._shown = shown, time.monotonic()
 
     def _report(self) -> tuple[int, str, dict]:
         verdict = self._verdict
@@ -304,10 +321,9 @@ class ToolMarkerNode:
         return OK, f"{'follows the tool' if self._goal is None else f'goal is {free}'}: {verdict.sentence}", {}
 
 
-def _moved(before: Pose, after: Pose) -> bool:
+def _moved(before: Pose, after: Pose, least: float = _STILL) -> bool:
     return bool(
-        np.abs(after.position - before.position).max() > _STILL
-        or np.abs(after.rotation - before.rotation).max() > _STILL
+        np.abs(after.position - before.position).max() > least or np.abs(after.rotation - before.rotation).max() > least
     )
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import getpass
+import http.client
 import os
 import socket
 import sys
 import urllib.parse
+import xmlrpc.client
 from pathlib import Path
 
 import rosgraph
@@ -43,7 +45,7 @@ class Command:
     def __init__(self, options: argparse.Namespace):
         self._options = options
         self._namespace = "/" + options.robot.strip("/")
-        self._client = OperatorClient(self._namespace, options.timeout, f"twin ({getpass.getuser()})")
+        self._client = OperatorClient(self._namespace, options.timeout, f"twin ({_user()})")
 
     def run(self) -> Exit:
         """Do it; see `OperatorClient` for what is raised."""
@@ -99,6 +101,7 @@ class Command:
     def _status(self) -> Exit:
         listener = self._listener()
         listener.wait(lambda: listener.newest("sync") and listener.newest("execution"), self._options.timeout)
+        self._await_latched(listener)
         snapshot = listener.snapshot()
         if snapshot.link is snapshot.sync is snapshot.execution is None:
             raise SilenceError(self._namespace, "no node reports", "start bringup, or give another --robot")
@@ -128,11 +131,8 @@ class Command:
         if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
             topic = f"{self._namespace}/execution"
             raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")
-        # before the first plan since the start there is none; a latched one is here within a moment
         listener.wait(lambda: listener.publishers("plan") > 0, self._options.timeout)
-        listener.wait(lambda: listener.newest("plan") is not None, min(LATCHED, self._options.timeout))
-        # its latched verdict, if there is one, arrives beside the plan, not before it
-        listener.wait(lambda: listener.newest("review") is not None, min(LATCHED, self._options.timeout) / 2)
+        self._await_latched(listener)
         plan = listener.under_review()
         if plan is None:
             raise RequestRefused(listener.refused or "no plan waits for approval; plan one, then review it")
@@ -141,11 +141,22 @@ class Command:
             raise RequestRefused(f"plan {wanted} is not under review; {plan.id} is")
         return plan
 
+    def _await_latched(self, listener: RobotListener) -> None:
+        """Wait for what was said before this process began, where somebody is there who says it.
+
+        Before the first plan since the start there is none; a latched one is here within a moment, and its verdict, if there is
+        one, arrives beside it, not before it.
+        """
+        patience = min(LATCHED, self._options.timeout)
+        for name, limit in (("link", patience), ("plan", patience), ("review", patience / 2)):
+            if listener.publishers(name) > 0 or name == "plan":
+                listener.wait(lambda name=name: listener.newest(name) is not None, limit)
+
     def _print_plan(self, plan: Plan) -> None:
         print("\n".join(plan_lines(plan, self._robot().linear)))
 
     def _verdict(self, plan: Plan, approve: bool) -> str:
-        reviewer = self._options.reviewer or getpass.getuser()
+        reviewer = self._options.reviewer or _user()
         return self._client.review(plan.id, plan.hash, approve, reviewer, self._options.reason)
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
@@ -170,13 +181,19 @@ class Command:
 def connect(options: argparse.Namespace) -> None:
     """Become a node; SilenceError when there is no master, or no robot of this name."""
     uri = rosgraph.get_master_uri()
-    address = urllib.parse.urlsplit(uri)
     to_do = "start bringup, or set ROS_MASTER_URI"
+    address = urllib.parse.urlsplit(uri)
+    if address.scheme != "http" or not address.hostname:
+        raise ConfigurationError("ROS_MASTER_URI", uri, "http://HOST:PORT")
+    unasked = socket.getdefaulttimeout()
     try:
-        # without this question a node waits for its master for ever
-        socket.create_connection((address.hostname, address.port or 11311), options.timeout).close()
-    except (OSError, ValueError) as error:
+        # without this question a node waits for its master for ever, and for whoever else holds its port
+        socket.setdefaulttimeout(options.timeout)
+        rosgraph.Master("/twin", uri).getPid()
+    except (OSError, ValueError, rosgraph.MasterException, http.client.HTTPException, xmlrpc.client.Error) as error:
         raise SilenceError(uri, f"no ROS master answers ({error})", to_do) from error
+    finally:
+        socket.setdefaulttimeout(unasked)
     rospy.init_node("twin", anonymous=True, disable_signals=True)
     namespace = "/" + options.robot.strip("/")
     if not rospy.has_param(f"{namespace}/robot/name"):
@@ -215,6 +232,14 @@ def main(arguments: list[str] | None = None) -> int:
 def _told(error: ConstructionTwinError, code: Exit) -> Exit:
     print(f"twin: {error}", file=sys.stderr)
     return code
+
+
+def _user() -> str:
+    """Return who calls: the login name, or the number of an account that has none (in a container)."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return f"uid {os.getuid()}"
 
 
 def _confirmed() -> bool:

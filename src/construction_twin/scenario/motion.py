@@ -17,7 +17,7 @@ _STANDSTILL_MS = 8
 
 
 def limit_shares(
-    positions: np.ndarray, breaks: np.ndarray, limits: MotionLimits, decimals: int
+    positions: np.ndarray, breaks: np.ndarray, limits: MotionLimits, decimals: int, left_out: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest velocity and acceleration of each joint as a share of its limit with the format's allowance.
 
@@ -30,6 +30,8 @@ def limit_shares(
     limits : MotionLimits
     decimals : int
         On the wire.
+    left_out : array, shape (k,), bool, optional
+        Positions that do not count.
 
     Returns
     -------
@@ -41,8 +43,11 @@ def limit_shares(
     steps[breaks] = 0.0
     before = np.vstack([np.zeros_like(steps[:1]), steps[:-1]])
     before[breaks] = 0.0
+    bends = steps - before
+    if left_out is not None:
+        steps[left_out] = bends[left_out] = 0.0
     velocity = np.abs(steps).max(axis=0) / CYCLE / (np.array(limits.velocity) + allowance * CYCLE / 2)
-    acceleration = np.abs(steps - before).max(axis=0) / CYCLE**2 / (np.array(limits.acceleration) + allowance)
+    acceleration = np.abs(bends).max(axis=0) / CYCLE**2 / (np.array(limits.acceleration) + allowance)
     return velocity, acceleration
 
 

@@ -110,6 +110,7 @@ class Expectation(_Model):
     detection_samples: Annotated[int, pydantic.Field(ge=1)] | None = None
     detection_s: _Positive | None = None
     max_error_deg: _Positive | None = None
+    min_missed: Annotated[int, pydantic.Field(ge=1)] | None = None
     stop: StopBound | None = None
 
 

@@ -70,6 +70,8 @@ class Run:
         True joint positions of the mock arm, every cycle [rad].
     missed : int
         Replies that the controller missed during the run.
+    missed_at : array, shape (m,), int64
+        When it said so [ns].
     failure : str
         Why the run was not carried out to its end; empty when it was.
     """
@@ -80,6 +82,7 @@ class Run:
     arm_stamps: np.ndarray
     arm: np.ndarray
     missed: int
+    missed_at: np.ndarray
     failure: str = ""
 
     @property
