@@ -169,7 +169,9 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     option("--rounds", type=int, default=3, help="of the routes [%(default)s]")
     option("--seconds", type=float, default=20.0, help="per route [%(default)s]")
     option("--rate-seconds", type=float, default=5.0, help="per rate tried; 0: none [%(default)s]")
-    option("--reply-seconds", type=float, default=120.0, help="of the reply time, each, idle and loaded [%(default)s]")
+    option(
+        "--reply-seconds", type=float, default=600.0, help="of the reply time, idle; loaded a fifth of it [%(default)s]"
+    )
     option("--fleet", type=int, nargs="+", default=(1, 2, 4, 8, 16), help="numbers of robots [1 2 4 8 16]")
     option("--fleet-seconds", type=float, default=10.0, help="per number of robots [%(default)s]")
     option("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority where permitted; 0: none [%(default)s]")
@@ -187,8 +189,8 @@ def measure(options: argparse.Namespace) -> tuple[dict, dict]:
         result, details = measure_routes(options.rounds, options.seconds, options.rate_seconds, options.realtime)
     if "reply" in options.parts:
         result["reply_us"], details["reply"] = {}, {}
-        for name in ("idle", "loaded"):
-            reply, beside = link_reply.measure(options.reply_seconds, name == "loaded", options.realtime)
+        for name, share in (("idle", 1.0), ("loaded", 0.2)):
+            reply, beside = link_reply.measure(options.reply_seconds * share, name == "loaded", options.realtime)
             result["reply_us"][name], details["reply"][name] = reply, beside
     if "fleet" in options.parts:
         result["fleet"], fleet = measure_fleet(options.fleet, options.fleet_seconds, options.realtime)
