@@ -111,6 +111,7 @@ class ToolMarkerNode:
         self._menu = self._make_menu()
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
         rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
+        rospy.Subscriber("tool_marker/feedback", InteractiveMarkerFeedback, self._on_any_feedback, queue_size=50)
 
     def run(self) -> None:
         """Judge the newest pose, or follow the tool, until shutdown."""
@@ -173,13 +174,21 @@ class ToolMarkerNode:
             "Preview": self._client.preview,
             "Approve": lambda: self._review(True),
             "Reject": lambda: self._review(False),
-            "Stop": lambda: self._client.trigger("stop"),
+            "Stop": None,
             "Plan to home": self._planned(lambda: self._client.plan_to_joints(self._robot.home)),
             "Back to the tool": self._back,
         }
         for title, action in entries.items():
-            menu.insert(title, callback=lambda _, title=title, action=action: self._start(title, action))
+            if action is None:
+                # the markers' server is deaf to a second rviz for a second after the first one's last word; a stop must not be lost
+                self._stop_entry = menu.insert(title, callback=lambda _: None)
+            else:
+                menu.insert(title, callback=lambda _, title=title, action=action: self._start(title, action))
         return menu
+
+    def _on_any_feedback(self, feedback: InteractiveMarkerFeedback) -> None:
+        if feedback.event_type == feedback.MENU_SELECT and feedback.menu_entry_id == self._stop_entry:
+            self._start("Stop", lambda: self._client.trigger("stop"))
 
     def _start(self, title: str, action: Callable[[], str]) -> None:
         """Do something in a thread of its own: a stop waits for nobody."""
