@@ -100,8 +100,9 @@ class TrackTest(unittest.TestCase):
         answer = service(waypoints=[CartesianWaypoint(pose=pose)], speed=0.4, source="test")
         self.assertEqual(answer.fraction, 1.0, answer.message)
         with Stream("mock_rsi/joint_states") as arm:
-            q = self.client.execute(answer, arm)
-            tools = np.array([self.chain.forward(one).position for one in arm.positions()[::10]])
+            with Stream("twin/joint_states") as twin:
+                q = self.client.execute(answer, arm)
+            tools = np.array([self.chain.forward(one).position for one in twin.positions()[::10]])
         np.testing.assert_allclose(self.chain.forward(q).position, end, atol=2e-4)
         along = (end - start.position) / np.linalg.norm(end - start.position)
         away = tools - start.position

@@ -334,3 +334,32 @@ def test_with_few_decimals_a_target_is_not_shot_past_for_ever(decimals, speed):
         watched.follow((-3.0,))
     target = (watched.q[0] - 0.5,)
     assert watched.cycles_to(target, watched.bound(target)) is not None
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0.3, 1.0),
+    st.floats(0.02, 3.0),
+    st.lists(st.integers(1, 250), min_size=1, max_size=3),
+    st.sampled_from([3, 6]),
+)
+def test_who_catches_up_with_a_target_that_brakes_does_not_shoot_past_its_end(share, way, stops, decimals):
+    """The target runs up and brakes at a share of the limits; missed replies stop the arm dead on the way."""
+    budget, top = share * LIMITS.acceleration[1] * CYCLE**2, share * LIMITS.velocity[1] * CYCLE
+    places, step = [0.0], 0.0
+    while places[-1] < way:
+        step = min(step + budget, top, braking_step(way - places[-1], budget))
+        places.append(way if way - places[-1] - step < 1e-12 else places[-1] + step)
+    digit = 10.0**-decimals
+    follower = Follower(LIMITS, decimals, (0.0, 0.0))
+    reached = []
+    for cycle, place in enumerate(places + places[-1:] * 1000):
+        if cycle in stops:
+            follower.rest()
+        else:
+            target = math.radians(round(math.degrees(place) / digit) * digit)
+            reached.append(follower.follow((0.0, target))[1])
+    # what rounding adds to a speed takes more of the way to brake; and a target is met within one cycle's change of the speed
+    rounded = math.radians(digit) / CYCLE * LIMITS.velocity[1] / LIMITS.acceleration[1]
+    assert max(reached) <= way + rounded + LIMITS.acceleration[1] * CYCLE**2
+    assert reached[-1] == pytest.approx(way, abs=math.radians(digit))

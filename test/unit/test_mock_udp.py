@@ -223,15 +223,17 @@ def test_after_a_stall_the_grid_is_met_again_without_a_burst(robot, pc):
             stalled.set()
             time.sleep(0.04)
 
+    def late() -> list[int]:
+        return [entry[0] - k * CYCLE_NS for k, entry in enumerate(list(pc.received))]
+
     with running(robot, pc.address, observe=stall) as mock:
-        wait_for(lambda: len(pc.received) >= 80)
+        wait_for(lambda: len(pc.received) >= 50)
+        # it catches up at twice the pace at most, on a busy machine more slowly
+        wait_for(lambda: min(late()[-10:]) - min(late()[:20]) < CYCLE_NS / 2, 20.0)
     ipocs = [packet.ipoc for _, packet, _ in pc.received]
     assert {b - a for a, b in zip(ipocs, ipocs[1:])} == {4}
     assert mock.overruns >= 9 and mock.skipped == 0
-    times = [entry[0] for entry in pc.received]
-    late = [time - k * CYCLE_NS for k, time in enumerate(times)]
-    assert max(late) - min(late) >= 30e6
-    assert min(late[50:]) - min(late[:20]) == pytest.approx(0.0, abs=CYCLE_NS / 2)
+    assert max(late()) - min(late()) >= 30e6
 
 
 def test_an_unknown_gateway_host_is_a_transport_error(robot):

@@ -132,7 +132,12 @@ class Follower:
         budget, speed = self._budget[index], self._speed[index]
         drift = goal - self._target[index]
         behind = self._target[index] - last
-        wanted = drift + math.copysign(braking_step(abs(behind), budget), behind)
+        if drift * behind > 0.0:
+            # a target that runs ahead may brake as hard as the joint can: who counts on its present speed shoots past its end
+            ahead = abs(behind) + abs(drift) + braking_distance(abs(drift), budget)
+            wanted = math.copysign(braking_step(ahead, budget), behind)
+        else:
+            wanted = drift + math.copysign(braking_step(abs(behind), budget), behind)
         previous = self._step[index]
         # a limit on the chase is no reason to brake harder, or to fall behind a target that moves faster
         most = min(speed, max(self._chasing_speed[index], abs(drift), abs(previous) - budget))
