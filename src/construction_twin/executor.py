@@ -380,7 +380,7 @@ class Executor:
         if self._after_hold is ExecutorState.PAUSED:
             self._enter(ExecutorState.PAUSED, self._where_paused())
         else:
-            self._enter(ExecutorState.PLAYING, "twin and arm agree again; the approval covers the rest of the path")
+            self._enter(ExecutorState.PLAYING, "twin and arm agree again; the same approval covers the rest")
 
     def _finish(self, outcome: str, reason: str) -> None:
         self.outcome = outcome
