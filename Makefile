@@ -1,12 +1,13 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo test bench fuzz scenarios soak screenshots clean
+.PHONY: help setup demo test bench properties fuzz scenarios soak screenshots clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
 	@echo "make test             build and run every test"
 	@echo "make bench            measure inverse kinematics and planning; writes results/bench/*.json"
+	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
 	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
 	@echo "make soak             the whole loop for an hour: memory and late replies per minute"
@@ -25,6 +26,9 @@ test: setup
 
 bench: setup
 	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'
+
+properties: setup
+	@bash -c 'source .ws/env.bash && HYPOTHESIS_PROFILE=random exec python -m pytest -q -p no:cacheprovider $$(grep -l "^from hypothesis" test/unit/test_*.py) $(ARGS)'
 
 fuzz: setup
 	@bash -c 'source .ws/env.bash && python scripts/fuzz.py $(ARGS)'
