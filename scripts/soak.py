@@ -70,6 +70,7 @@ class Soak:
         self._counts = self._counters()
         # the last state's number, and commands of the second before that had not reached the broker yet: robot, stamp
         self._state: int | None = None
+        self.fleet.ask("taken")  # what was sent before
         self._under_way: set[tuple[str, int]] = set()
         self._reset = rospy.ServiceProxy(f"/{self.fleet.names[0]}/reset", Trigger)
 
@@ -77,7 +78,6 @@ class Soak:
         """Let the loop run for an interval [s]; return what it showed. When the arm holds, go on as a person would."""
         delay = self._status()["playout"]["delay_ms"]
         self.probe.taken()
-        self.fleet.ask("taken")
         distances: list[int] = []
         lost = holds = 0
         for _ in range(max(1, round(interval))):
