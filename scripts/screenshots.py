@@ -184,7 +184,7 @@ def shoot_track(camera: Camera) -> None:
 
 
 def shoot_two(camera: Camera) -> None:
-    """Two robots in one cell, both in sync, and a plan of the one past the other."""
+    """Two robots in one cell, both in sync, and a plan of the one under review."""
     states: dict[str, int] = {}
     for robot in ("kr120_1", "kr120_2"):
         rospy.Subscriber(f"/{robot}/sync", Sync, lambda message, robot=robot: states.__setitem__(robot, message.state))

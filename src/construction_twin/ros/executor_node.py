@@ -14,7 +14,7 @@ import pydantic
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
-from construction_twin.approval import Approval
+from construction_twin.approval import AUTO_APPROVE, Approval
 from construction_twin.errors import ConstructionTwinError, PayloadError, RecordError, ReviewError
 from construction_twin.executor import Executor, ExecutorState
 from construction_twin.gate import SyncState
@@ -22,7 +22,7 @@ from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.neighbour_watch import NeighbourWatch
 from construction_twin.plan import Plan as PlanContent
-from construction_twin.review import Verdict
+from construction_twin.review import EXECUTOR, Verdict
 from construction_twin.review_log import ReviewLog
 from construction_twin.ros.convert import plan_from_msg
 from construction_twin.ros.cycle import cycles
@@ -196,6 +196,10 @@ class ExecutorNode:
 
     def _on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
         try:
+            if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
+                raise ReviewError(
+                    f"{request.reviewer!r} is what the executor calls itself; expected the name of a person"
+                )
             verdict, sentence = self._approval.review(
                 request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
             )

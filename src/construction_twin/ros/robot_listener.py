@@ -1,4 +1,4 @@
-"""Listens to one robot's reports and makes a `Snapshot` of them; used by the command line, its watch, and the marker in rviz."""
+"""Listens to one robot's reports and makes a `Snapshot` of them; used by command line, watch, marker and start-up."""
 
 from __future__ import annotations
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Literal
 
 import pydantic
 import rospy
 
-from construction_twin.msg import Execution, Feedback, Link, Scene, Sync
+from construction_twin.msg import Feedback, Scene
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
+from construction_twin.ros.robot_listener import RobotListener
 from construction_twin.startup import Deployment, Seen, StartUp
 
 #: How often it looks [s].
 PERIOD = 0.25
-#: A report that is older counts for nothing [s]; both come at least once a second.
-SILENT = {"link": 3.0, "sync": 3.0}
 
 
 class Settings(pydantic.BaseModel):
@@ -39,13 +37,10 @@ class StartupNode:
         settings = read_parameters(Settings)
         namespace = rospy.get_namespace().rstrip("/")
         self._startup = StartUp(Deployment(namespace=namespace, **settings.model_dump()))
-        self._words: dict[str, tuple[float, tuple[str, str]]] = {}
         self._came: set[str] = set()
-        self._diagnostics = NodeDiagnostics(robot_from_parameters().name, self._report)
-        self._reports = {
-            name: rospy.Subscriber(name, kind, self._on_report, callback_args=name, queue_size=1)
-            for name, kind in {"link": Link, "sync": Sync, "execution": Execution}.items()
-        }
+        robot = robot_from_parameters()
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        self._listener = RobotListener(namespace, robot)
         self._once = {
             "feedback": rospy.Subscriber("physical/feedback", Feedback, self._on_first, callback_args="feedback"),
             "twin": rospy.Subscriber("twin/joint_states", rospy.AnyMsg, self._on_first, callback_args="twin"),
@@ -53,24 +48,22 @@ class StartupNode:
         }
         self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
 
-    def _on_report(self, message, name: str) -> None:
-        self._words[name] = time.monotonic(), (message.text, message.reason)
-
     def _on_first(self, _message, name: str) -> None:
         self._came.add(name)
 
     def _on_timer(self, _event) -> None:
         for name in self._came & set(self._once):
             self._once.pop(name).unregister()  # one message of a 250 Hz stream is enough
-        now = time.monotonic()
-        # who fell silent is not there; `execution` comes on change only, so its publisher counts
+        snapshot = self._listener.snapshot()
+        reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
+        # who fell silent is not there
         words = {
-            name: said for name, (heard, said) in tuple(self._words.items()) if now - heard < SILENT.get(name, math.inf)
+            name: (facts.text, facts.reason)
+            for name, facts in reports.items()
+            if facts is not None and name not in snapshot.silent
         }
-        if not self._reports["execution"].get_num_connections():
-            words.pop("execution", None)
         seen = Seen(**words, **{name: True for name in self._came})
-        for line in self._startup.update(seen, now):
+        for line in self._startup.update(seen, time.monotonic()):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
@@ -247,11 +247,11 @@ class ToolMarkerNode:
         ended = execution is not None and execution.outcome == "finished" and execution.state == Execution.IDLE
         if ended and execution.plan_id != self._finished:
             self._finished = execution.plan_id
-            plan = self._listener.plan(execution.plan_id)
-            if goal is not None and plan is not None and not self._is_away(goal, plan.trajectory.positions[-1]):
+            if goal is not None and self._led_to(execution.plan_id, goal):
                 with self._news:
-                    # not one that was dragged further meanwhile
-                    self._goal = goal = None if self._goal is goal else self._goal
+                    if self._goal is goal:  # it may have been dragged further meanwhile
+                        self._goal = None
+                    goal = self._goal
         if goal is not None:
             return goal
         try:
@@ -263,8 +263,10 @@ class ToolMarkerNode:
             self._put(tool)
         return None
 
-    def _is_away(self, goal: Pose, q: Sequence[float]) -> bool:
-        return _moved(goal, self._chain.forward(q), _REACHED)
+    def _led_to(self, plan_id: str, goal: Pose) -> bool:
+        """Return whether a plan that has ended was the one to this goal."""
+        plan = self._listener.plan(plan_id)
+        return plan is not None and not _moved(goal, self._chain.forward(plan.trajectory.positions[-1]), _REACHED)
 
     def _put(self, tool: Pose) -> None:
         if self._place is None:

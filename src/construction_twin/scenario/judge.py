@@ -14,6 +14,7 @@ import numpy as np
 
 from construction_twin.evaluation.alignment import TwinPath, Window, align_by_command, align_lag_removed
 from construction_twin.limits import MotionLimits
+from construction_twin.rsi.mock_faults import KINDS
 from construction_twin.rsi.trace import TraceEntry
 from construction_twin.rsi.trace_limits import trace_excesses
 from construction_twin.scenario.motion import ROUNDING, distance_after, limit_shares, trace_arrays
@@ -21,8 +22,6 @@ from construction_twin.scenario.scenario import Scenario
 from construction_twin.scenario.timeline import Change, Run, SyncMoment
 from construction_twin.units import CYCLE_NS, NANOSECONDS, radians
 
-#: Faults that are over as soon as they have happened.
-MOMENTARY = ("restart_at", "rsi_timeout")
 #: The arm holds somewhere else than at the goal when a joint is at least this far from it [deg].
 ELSEWHERE_DEG = 1.0
 #: A missed reply stops the arm dead and lets it catch up: cycles before and after its report that are its own [ns].
@@ -105,7 +104,8 @@ def judge(scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: Mot
 def _begun(scenario: Scenario, run: Run) -> list[Check]:
     """Whether the controller said of every fault that it was on; what would pass without its fault tells nothing."""
     checks = []
-    wanted = {step.inject.fault for step in scenario.steps if step.inject and not step.inject.end} - set(MOMENTARY)
+    injected = {step.inject.fault for step in scenario.steps if step.inject and not step.inject.end}
+    wanted = {name for name in injected if KINDS[name].lasting}
     if wanted:
         begun = {change.value for change in run.changes if change.topic == "fault"}
         found = ", ".join(sorted(begun)) or "none"
