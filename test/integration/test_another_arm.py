@@ -33,7 +33,7 @@ class AnotherArmTest(unittest.TestCase):
         cls.chain = Chain(cls.client.robot)
 
     def setUp(self):
-        self.client.wait_until_ready(60.0)
+        self.client.start_over(60.0)
         self.client.go_to(HOME)
 
     def test_the_joints_are_those_of_its_urdf_and_begin_at_its_home(self):

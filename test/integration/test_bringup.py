@@ -57,7 +57,7 @@ class BringupTest(unittest.TestCase):
         cls.client = TwinClient()
 
     def setUp(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
 
     def test_streams_run_at_250_hz(self):
         rates = {topic: Rate(topic) for topic in STREAMS}

@@ -118,7 +118,7 @@ class ByHandTest(unittest.TestCase):
         cls.rviz = Rviz()
 
     def setUp(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
         self.client.go_to(HOME)
         self.rviz.go_back()
 

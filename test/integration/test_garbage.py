@@ -62,7 +62,7 @@ class GarbageTest(unittest.TestCase):
             cls.heard_seq = int(pairs["seq"])
 
     def setUp(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
         self.client.wait(lambda: type(self).heard_seq > 2 * REMEMBERED, "a stream that has gone on for a while")
         self.client.go_to(HOME)
         self.session = self.client.link.session

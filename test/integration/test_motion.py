@@ -54,7 +54,7 @@ class MotionTest(unittest.TestCase):
             rospy.wait_for_service(service, 40.0)
 
     def setUp(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
         self.assertTrue(self.client.call("clear_scene").success)
         self.client.go_to(HOME)
 

@@ -25,7 +25,7 @@ class ReviewTest(unittest.TestCase):
         cls.client = TwinClient()
 
     def setUp(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
         self.client.go_to(HOME)
 
     def assert_rests(self, stream: Stream):

@@ -32,7 +32,7 @@ class StallTest(unittest.TestCase):
         rospy.Subscriber("transitions", Transition, cls.transitions.append)
 
     def setUp(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
 
     def test_stalled_joint_holds_replans_and_finishes(self):
         with (

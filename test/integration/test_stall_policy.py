@@ -27,7 +27,7 @@ class StallPolicyTest(unittest.TestCase):
     def setUp(self):
         # a busy machine's late feedback is not what is tested here
         self.live.update_configuration({"policy": "replan", "feedback_timeout": 2.0, "escalate_count": 100})
-        self.client.wait_until_ready()
+        self.client.start_over()
         self.client.go_to(HOME)
         self.transitions.clear()
 

@@ -52,7 +52,7 @@ class TrackTest(unittest.TestCase):
         cls.mqtt.close()
 
     def setUp(self):
-        self.client.wait_until_ready(60.0)
+        self.client.start_over(60.0)
         self.client.go_to(HOME)
 
     def test_joints_and_wire(self):

@@ -44,7 +44,7 @@ class ViewTest(unittest.TestCase):
         )  # fmt: skip
 
     def test_markers_show_the_arm_in_the_colour_of_the_state(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
         with Stream("sync_markers", MarkerArray) as pictures:
             wait(lambda: self.is_shown(pictures.messages[-1], SyncState.IN_SYNC), "the arm in the colour of IN_SYNC")
             shown = pictures.messages[-1].markers
@@ -74,7 +74,7 @@ class ViewTest(unittest.TestCase):
         return len(colours) == 1 and all(abs(a - b) < 1e-6 for a, b in zip(colours.pop(), COLOURS[state][:3]))
 
     def test_rviz_draws_the_arm(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
         with tempfile.TemporaryDirectory() as folder, VirtualDisplay(SIZE) as display:
             config = Path(folder) / "twin.rviz"
             config.write_text(bare_view((ROOT / "rviz/twin.rviz").read_text(), SIZE))

@@ -137,6 +137,23 @@ class TwinClient:
             lambda: self.armed() and self.in_sync() and self.idle(), "link ARMED, sync IN_SYNC, execution IDLE", timeout
         )
 
+    def start_over(self, timeout: float = 40.0) -> None:
+        """Begin a test: wait until a plan could be approved; what an earlier test left for a person, a person resets here."""
+        asked = 0.0
+
+        def ready() -> bool:
+            nonlocal asked
+            if self._needs_a_person() and time.monotonic() - asked > 1.0:
+                asked = time.monotonic()
+                print(f"reset at a test's begin, {self.call('reset').message}: {self.describe()}", flush=True)
+            return self.armed() and self.in_sync() and self.idle()
+
+        self.wait(ready, "link ARMED, sync IN_SYNC, execution IDLE, resets included", timeout)
+
+    def _needs_a_person(self) -> bool:
+        link, sync = self.link and self.link.state, self.sync and self.sync.state
+        return link == Link.NEEDS_RESET or sync in (Sync.STOPPED, Sync.FAULT)
+
     def armed(self) -> bool:
         """Return whether commands flow to the arm."""
         return self.link is not None and self.link.state == Link.ARMED

@@ -1,0 +1,68 @@
+"""When a test run is made again: only after a failure beside which the machine itself stood still."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+import run_tests  # noqa: E402
+
+
+class Probe:
+    """Says of each run how long the machine stood still [ms]."""
+
+    def __init__(self, *pauses: float):
+        self._answers = [answer for pause in pauses for answer in (0.0, pause)]
+
+    def taken(self) -> dict:
+        return {"longest_ms": self._answers.pop(0)}
+
+
+class Runs:
+    """Runs of one test; each result is (passed, failed)."""
+
+    def __init__(self, *results: tuple[int, int]):
+        self.results, self.made = results, 0
+
+    def __call__(self) -> tuple[int, int]:
+        passed, failed = self.results[self.made]
+        self.made += 1
+        run_tests.FAILED.extend(f"failure {self.made}" for _ in range(failed))
+        return passed, failed
+
+
+@pytest.fixture(autouse=True)
+def earlier(monkeypatch):
+    """What failed before is kept whatever happens."""
+    monkeypatch.setattr(run_tests, "FAILED", ["earlier"])
+
+
+def test_a_failure_on_a_machine_that_ran_counts():
+    runs = Runs((3, 1))
+    assert run_tests.undisturbed("a", runs, Probe(run_tests.HALT - 0.1)) == (3, 1)
+    assert (runs.made, run_tests.FAILED) == (1, ["earlier", "failure 1"])
+
+
+def test_a_failure_beside_a_pause_is_told_and_the_next_run_counts(capsys):
+    runs = Runs((3, 1), (2, 2))
+    assert run_tests.undisturbed("a.test", runs, Probe(120.0, 0.0)) == (2, 2)
+    assert (runs.made, run_tests.FAILED) == (2, ["earlier", "failure 2", "failure 2"])
+    told = capsys.readouterr().out
+    assert "DISTURBED a.test" in told and "120 ms" in told and "not counted: failure 1" in told
+
+
+def test_a_success_counts_whatever_the_machine_did():
+    runs = Runs((4, 0))
+    assert run_tests.undisturbed("a", runs, Probe(500.0)) == (4, 0)
+    assert (runs.made, run_tests.FAILED) == (1, ["earlier"])
+
+
+def test_a_machine_that_never_runs_ends_in_a_failure():
+    attempts = run_tests.AGAIN + 1
+    runs = Runs(*[(3, 1)] * attempts)
+    assert run_tests.undisturbed("a", runs, Probe(*[500.0] * attempts)) == (3, 1)
+    assert (runs.made, run_tests.FAILED) == (attempts, ["earlier", f"failure {attempts}"])
