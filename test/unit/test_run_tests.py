@@ -1,4 +1,4 @@
-"""When a test run is made again: only after a failure beside which the machine itself stood still."""
+"""How `make test` counts results, and when it runs a test again: only after a failure beside which the machine itself stood still."""
 
 from __future__ import annotations
 
@@ -39,6 +39,40 @@ class Runs:
 def earlier(monkeypatch):
     """What failed before is kept whatever happens."""
     monkeypatch.setattr(run_tests, "FAILED", ["earlier"])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('<testsuite tests="3" failures="0" errors="0"/>', (3, 0)),
+        ('<testsuites><testsuite tests="5" failures="1" errors="1" skipped="1"/></testsuites>', (2, 2)),
+        ('<testsuite tests="0" failures="0" errors="0"/>', (0, 1)),
+        ("not xml", (0, 1)),
+    ],
+)
+def test_counts_a_result_file_and_takes_an_empty_or_broken_one_for_a_failure(tmp_path, text, expected):
+    file = tmp_path / "result.xml"
+    file.write_text(text)
+    assert run_tests.count(file) == expected
+
+
+def test_takes_a_missing_result_file_for_a_failure(tmp_path):
+    assert run_tests.count(tmp_path / "none.xml") == (0, 1)
+
+
+def test_remembers_which_tests_failed_and_why(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_tests, "FAILED", [])
+    cases = (
+        '<testcase classname="a.B" name="good"/>'
+        '<testcase classname="a.B" name="bad"><failure message="0.2 is not less than 0.1&#10;more"/></testcase>'
+        '<testcase classname="a.B" name="ugly"><error>Traceback</error></testcase>'
+    )
+    file = tmp_path / "result.xml"
+    file.write_text(f'<testsuites><testsuite tests="3" failures="1" errors="1">{cases}</testsuite></testsuites>')
+    run_tests.count(file)
+    run_tests.count(tmp_path / "none.xml")
+    assert run_tests.FAILED[:2] == ["a.B.bad: 0.2 is not less than 0.1", "a.B.ugly: Traceback"]
+    assert "none.xml" in run_tests.FAILED[2]
 
 
 def test_a_failure_on_a_machine_that_ran_counts():

@@ -1,4 +1,4 @@
-"""The scripts behind `make`: counting of test results, sentences about ports, and what the demo shows and returns."""
+"""The scripts behind `make`: sentences about ports, and what the demo shows and returns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ def load(name: str):
     return module
 
 
-run_tests = load("run_tests")
 check_ports = load("check_ports")
 demo = load("demo")  # imports check_ports
 
@@ -34,40 +33,6 @@ def free_master(monkeypatch):
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as free:
         free.bind(("127.0.0.1", 0))
         monkeypatch.setenv("ROS_MASTER_PORT", str(free.getsockname()[1]))
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ('<testsuite tests="3" failures="0" errors="0"/>', (3, 0)),
-        ('<testsuites><testsuite tests="5" failures="1" errors="1" skipped="1"/></testsuites>', (2, 2)),
-        ('<testsuite tests="0" failures="0" errors="0"/>', (0, 1)),
-        ("not xml", (0, 1)),
-    ],
-)
-def test_counts_a_result_file_and_takes_an_empty_or_broken_one_for_a_failure(tmp_path, text, expected):
-    file = tmp_path / "result.xml"
-    file.write_text(text)
-    assert run_tests.count(file) == expected
-
-
-def test_takes_a_missing_result_file_for_a_failure(tmp_path):
-    assert run_tests.count(tmp_path / "none.xml") == (0, 1)
-
-
-def test_remembers_which_tests_failed_and_why(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_tests, "FAILED", [])
-    cases = (
-        '<testcase classname="a.B" name="good"/>'
-        '<testcase classname="a.B" name="bad"><failure message="0.2 is not less than 0.1&#10;more"/></testcase>'
-        '<testcase classname="a.B" name="ugly"><error>Traceback</error></testcase>'
-    )
-    file = tmp_path / "result.xml"
-    file.write_text(f'<testsuites><testsuite tests="3" failures="1" errors="1">{cases}</testsuite></testsuites>')
-    run_tests.count(file)
-    run_tests.count(tmp_path / "none.xml")
-    assert run_tests.FAILED[:2] == ["a.B.bad: 0.2 is not less than 0.1", "a.B.ugly: Traceback"]
-    assert "none.xml" in run_tests.FAILED[2]
 
 
 @pytest.mark.parametrize(
