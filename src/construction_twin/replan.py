@@ -6,7 +6,7 @@ Pure. Angles in rad, m for linear joints.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 #: Plans remembered besides the one that was played last.
 KEPT = 20
@@ -23,12 +23,15 @@ class ReplanGoal:
         [rad]
     speed_scale, acceleration_scale : float
         Largest share of the limits that the plan uses, at most 1; 0 for a plan that stands still.
+    seen : int
+        When the executor was last known to play it [ns]; 0: never. What a person stopped later must not be taken up again.
     """
 
     plan_id: str
     goal: tuple[float, ...]
     speed_scale: float
     acceleration_scale: float
+    seen: int = 0
 
 
 class ReplanGoals:
@@ -36,7 +39,7 @@ class ReplanGoals:
 
     def __init__(self):
         self._goals: dict[str, ReplanGoal] = {}
-        self._played, self._playing = "", False
+        self._played, self._playing, self._seen = "", False, 0
 
     def on_plan(
         self, plan_id: str, goal: Sequence[float], velocity_use: Sequence[float], acceleration_use: Sequence[float]
@@ -48,9 +51,9 @@ class ReplanGoals:
         for known in old[: max(len(old) - KEPT, 0)]:
             del self._goals[known]
 
-    def on_execution(self, plan_id: str, playing: bool) -> None:
-        """Take what the executor does: whether it plays that plan, and nobody has told it to stop or to pause."""
-        self._played, self._playing = plan_id, playing
+    def on_execution(self, plan_id: str, playing: bool, stamp: int) -> None:
+        """Take what the executor did at `stamp` [ns]: whether it played that plan, and nobody had told it to stop or to pause."""
+        self._played, self._playing, self._seen = plan_id, playing, stamp
 
     @property
     def interrupted(self) -> ReplanGoal | None:
@@ -60,4 +63,5 @@ class ReplanGoals:
         be. Nor is a plan that stands still, whose shares the planner would read as its defaults.
         """
         found = self._goals.get(self._played) if self._playing else None
-        return found if found is not None and found.speed_scale > 0.0 and found.acceleration_scale > 0.0 else None
+        moves = found is not None and found.speed_scale > 0.0 and found.acceleration_scale > 0.0
+        return replace(found, seen=self._seen) if moves else None

@@ -22,7 +22,7 @@ class Interruption(unittest.TestCase):
         cls.client = TwinClient()
 
     def setUp(self):
-        self.client.wait_until_ready()
+        self.client.start_over()
         # on a busy machine the planner is the last to be there
         rospy.wait_for_service("plan_to_joints", 60.0)
         self.client.go_to(HOME)

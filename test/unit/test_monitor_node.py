@@ -200,11 +200,16 @@ class TestReplan:
     def test_asks_for_the_same_goal_at_the_approved_pace(self, world):
         node = opened(world)
         self.offer(node)
-        node._on_execution(Execution(state=Execution.PLAYING, plan_id="p"))
+        known = Execution(state=Execution.PLAYING, plan_id="p")
+        known.header.stamp = to_time(world.wall)
+        node._on_execution(known)
+        world.pass_time()
         node._on_feedback(feedback(world, 0.2))
         assert world.planned.wait(10.0) and node._gate.state is SyncState.REPLANNING
         assert world.request["goal"] == (0.5,) * 6
         assert (world.request["speed_scale"], world.request["acceleration_scale"]) == (0.2, 0.4)
+        # as of when the plan was known to be played: a stop since then voids the new one
+        assert world.request["asked"] == known.header.stamp
 
     @pytest.mark.parametrize("state", [Execution.PAUSING, Execution.PAUSED, Execution.STOPPING, Execution.IDLE])
     def test_what_a_person_has_halted_is_not_re_planned(self, world, state):

@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+import rospy
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanFromCsvRequest, PlanToJointsRequest
 from geometry_msgs.msg import Point, Quaternion
@@ -27,7 +28,13 @@ from construction_twin.planning.desk import PlanningDesk
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import from_points
-from construction_twin.ros.plan_requests import plan_request, read_waypoints, tool_waypoints, trajectory_waypoints
+from construction_twin.ros.plan_requests import (
+    check_asked,
+    plan_request,
+    read_waypoints,
+    tool_waypoints,
+    trajectory_waypoints,
+)
 from construction_twin.scene.objects import Scene, SceneObject
 
 EMPTY, WALLED = Scene(padding=0.01), Scene((WALL,), 0.01)
@@ -169,6 +176,15 @@ def test_zero_and_empty_mean_the_default():
     asked = plan_request(full, "p", 5)
     assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (2.0, 0.5, 0.25, 9)
     assert asked.source == "me"
+
+
+def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future():
+    asked = plan_request(PlanToJointsRequest(asked=rospy.Time(0, 5)), "p", 9)
+    assert asked.created_ns == 5
+    check_asked(asked, 9)
+    check_asked(asked, 5)
+    with pytest.raises(PlanningError, match="asked for 2.000 s after it arrived"):
+        check_asked(plan_request(PlanToJointsRequest(asked=rospy.Time(4)), "p", 9), 2 * 10**9)
 
 
 def test_a_request_for_a_file_is_from_the_file_unless_it_says_otherwise():

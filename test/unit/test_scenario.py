@@ -64,7 +64,7 @@ def test_faulted_joints_are_those_that_do_not_do_what_they_are_told():
     stall = inject(fault="stall", joint="joint_a3")
     assert scenario(steps=[MOVE, stall, inject(fault="noise", value=[1e-4])]).faulted == {"joint_a3"}
     assert scenario(steps=[inject(fault="estop")]).faulted == frozenset()
-    assert scenario(steps=[stall, inject(fault="drop", value=[0.1])]).faulted is None
+    assert scenario(steps=[stall, inject(fault="drop", value=[0.1])]).faulted == {"joint_a3"}
 
 
 def test_at_least_ten_are_shipped_and_each_has_a_test():

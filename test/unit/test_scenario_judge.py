@@ -154,6 +154,34 @@ def test_detection_is_counted_from_the_first_sample_over_the_threshold_and_from_
     assert failed(late) == ["detection_s", "detection_samples"]
 
 
+GROWTH = "error of the stalled joint"
+
+
+def test_a_stalled_joint_s_error_may_grow_until_the_gate_closes_and_no_further():
+    run = stalled_run()
+    assert failed(verdict_of(stall_expectation(), run)) == []
+    speed = np.abs(np.diff(profile()[CLOSED - 40 : CLOSED + 1, 2])).max() / CYCLE
+    (check,) = [check for check in verdict_of(stall_expectation(), run).checks if check.name == GROWTH]
+    assert f"{math.degrees(speed):.1f} deg/s" in check.expected
+    # commands that go on beyond the closing drive the twin away from the arm
+    late = profile()
+    late[CLOSED + 30 :, 2] = late[CLOSED + 30, 2]
+    stream = dataclasses.replace(run.recording.twin, positions=late)
+    bad = dataclasses.replace(run, recording=dataclasses.replace(run.recording, twin=stream))
+    assert failed(verdict_of(stall_expectation(), bad)) == [GROWTH]
+
+
+@pytest.mark.parametrize("stated, fails", [(3.0, []), (0.5, ["stated stop distance"])])
+def test_an_emergency_stop_ends_within_what_the_controller_stated(stated, fails):
+    arm, count = profile(), np.minimum(np.arange(COUNT - FAULT), 40)
+    arm[FAULT:, 2] = arm[FAULT, 2] + (arm[FAULT, 2] - arm[FAULT - 1, 2]) * (count - count**2 / 80)
+    assert 0.5 < math.degrees(arm[-1, 2] - arm[FAULT, 2]) < 3.0
+    run = make_run(arm, arm, [Change(at(FAULT), "fault", "estop")])
+    run = dataclasses.replace(run, stated=(0.0, 0.0, -stated, 0.0, 0.0, 0.0))
+    stop = {"event": "fault estop", "distance_deg": 5.0}
+    assert failed(verdict_of(expectation(ends="holds", stop=stop), run)) == fails
+
+
 def test_what_is_not_detected_fails():
     run = dataclasses.replace(stalled_run(), closings=())
     assert failed(verdict_of(stall_expectation(detection_samples=5), run)) == ["detection_samples"]

@@ -50,6 +50,7 @@ class Cell(RuleBasedStateMachine):
         self.executor, self.approval = bench.executor, bench.approval
         self.stamp = bench.stamp
         self.twin, self.command = HOME, None
+        self.rest = None
         self.approved: set[str] = set()
         self.state = SyncState.WAITING
         self.new_session = True
@@ -87,6 +88,10 @@ class Cell(RuleBasedStateMachine):
             # a plan that was approved, once, in this session
             assert before in MOVING and self.executor.plan.id in self.approved
             self.seen["moved"] += 1
+        # nor does it creep, however slowly, from where the last approved motion left it
+        if before in MOVING or foreign or self.rest is None:
+            self.rest = command
+        assert max(abs(a - b) for a, b in zip(command, self.rest)) <= ROUNDING
         self.twin = self.command = command
 
     def check_transitions(self):

@@ -288,9 +288,11 @@ class ExecutorNode:
             told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
             limit = self._limit.state, self._limit.limit, self._limit.reason
             plan, rate = executor.plan, executor.rate
+            # with the state: whoever goes by this report must not seem to know of a stop that came after it
+            stamp = now_ns()
         if change != self._reported:
             self._reported = change
-            self._execution.publish(_execution(state, plan, rate, limit[1]))
+            self._execution.publish(_execution(state, plan, rate, limit[1], stamp))
         for event in events:
             self._log.defer(event)
             if isinstance(event, Verdict):
@@ -320,12 +322,12 @@ class ExecutorNode:
         return level, f"{executor.state.name}: {executor.reason}", values
 
 
-def _execution(state: tuple, plan: PlanContent | None, rate: float, limit: float) -> Execution:
-    """Return the message of a state, reason, start and outcome."""
+def _execution(state: tuple, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
+    """Return the message of a state, reason, start and outcome, all of the moment `stamp` [ns]."""
     message = Execution(
         state=state[0].value, text=state[0].name, reason=state[1], outcome=state[3], rate=rate, speed_limit=limit
     )
-    message.header.stamp = rospy.Time.now()
+    message.header.stamp = to_time(stamp)
     if plan is not None:
         message.plan_id = plan.id
         message.plan_start = to_time(state[2])

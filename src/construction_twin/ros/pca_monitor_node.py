@@ -171,7 +171,7 @@ class PcaMonitorNode:
         self._goals.on_plan(message.id, goal, message.velocity_use, message.acceleration_use)
 
     def _on_execution(self, message: Execution) -> None:
-        self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING)
+        self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, from_time(message.header.stamp))
 
     def _note_changes(self) -> None:
         """Take over the gate's transitions; when it has just closed ask once, beside the stream, for a plan to the old goal.
@@ -205,6 +205,8 @@ class PcaMonitorNode:
                 speed_scale=wanted.speed_scale,
                 acceleration_scale=wanted.acceleration_scale,
                 source=f"re-plan after {cause}",
+                # not now: a person may have called `stop` since then, which this node has not heard of
+                asked=to_time(wanted.seen),
             )
         except rospy.ServiceException as error:
             self._on_replan_failed(f"the planner did not answer: {error}", violation)

@@ -33,19 +33,34 @@ def plan_request(request, plan_id: str, created_ns: int, source: str = "request"
     plan_id : str
         Of the plan to be made.
     created_ns : int
-        ROS time [ns].
+        ROS time at which the request arrived [ns]; what says itself when it was asked for counts from then.
     source : str, optional
         Who asks, when the request does not say.
     """
+    asked = getattr(request, "asked", None)
     return PlanRequest(
         plan_id=plan_id,
-        created_ns=created_ns,
+        created_ns=(asked and asked.to_nsec()) or created_ns,
         source=request.source or source,
         duration=getattr(request, "duration", None) or None,
         speed_scale=request.speed_scale or None,
         acceleration_scale=request.acceleration_scale or None,
         waypoints=getattr(request, "waypoints", None) or None,
     )
+
+
+def check_asked(asked: PlanRequest, arrived: int) -> None:
+    """Refuse a request that says it was asked for later than it arrived, at `arrived` [ns]: a stop in between would not void it.
+
+    Raises
+    ------
+    PlanningError
+    """
+    if asked.created_ns > arrived:
+        late = (asked.created_ns - arrived) / NANOSECONDS
+        raise PlanningError(
+            f"the request says that it was asked for {late:.3f} s after it arrived, expected before; set the clocks of both alike"
+        )
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:

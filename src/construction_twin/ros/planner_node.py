@@ -33,7 +33,13 @@ from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.neighbour import OtherArm, neighbour_settings
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
-from construction_twin.ros.plan_requests import plan_request, read_waypoints, tool_waypoints, trajectory_waypoints
+from construction_twin.ros.plan_requests import (
+    check_asked,
+    plan_request,
+    read_waypoints,
+    tool_waypoints,
+    trajectory_waypoints,
+)
 from construction_twin.ros.publisher import Publisher
 from construction_twin.ros.scene_convert import scene_from_msg, tf_frame
 from construction_twin.scene.neighbour import Obstacle
@@ -145,7 +151,10 @@ class PlannerNode:
     # -- requests
 
     def _on_plan_to_joints(self, request) -> PlanToJointsResponse:
+        arrived = now_ns()
+
         def plan(asked: PlanRequest) -> Plan:
+            check_asked(asked, arrived)
             return self._desk.to_joints(request.start or self._present_pose(), request.goal, asked)
 
         return PlanToJointsResponse(*self._answer(plan, self._request(request))[:5])

@@ -79,6 +79,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
         missed=int(missed[-1] - missed[0]),
         missed_at=told[np.diff(missed, prepend=missed[0]) > 0],
         failure=notes["failure"],
+        stated=next((tuple(report["stop_ramp"]["distance_deg"]) for report in reports if report["stop_ramp"]), ()),
     )
 
 

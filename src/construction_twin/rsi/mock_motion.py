@@ -31,23 +31,31 @@ class EmergencyBrake:
         Setpoint [rad] and its last step [rad per cycle].
     acceleration : sequence of float, length n
         Limits [rad/s^2].
+    measured : sequence of float, length n
+        Where the arm is, behind the setpoint [rad].
 
     Attributes
     ----------
     cycles : int
-        Length of the ramp.
+        Length of the setpoint's ramp.
     distance : tuple of float, length n
-        Way to rest [rad].
+        The arm's way to rest, what it is behind included [rad].
     """
 
-    def __init__(self, position: Sequence[float], step: Sequence[float], acceleration: Sequence[float]):
+    def __init__(
+        self,
+        position: Sequence[float],
+        step: Sequence[float],
+        acceleration: Sequence[float],
+        measured: Sequence[float],
+    ):
         self.position = tuple(position)
         self._step = tuple(step)
         budgets = [limit * CYCLE * CYCLE for limit in acceleration]
         self.cycles = math.ceil(max(abs(s) / budget for s, budget in zip(step, budgets)) - 1e-9)
         self._left = self.cycles
         share = (self.cycles - 1) / 2.0 if self.cycles else 0.0
-        self.distance = tuple(s * share for s in step)
+        self.distance = tuple(q + s * share - now for q, s, now in zip(position, step, measured))
 
     @property
     def done(self) -> bool:
@@ -198,7 +206,7 @@ class OwnMotion:
         self.pressed = self.needs_person = True
         self.program = None
         if self.running:
-            self.ramp = EmergencyBrake(self.setpoint, self._last_step, self.config.acceleration)
+            self.ramp = EmergencyBrake(self.setpoint, self._last_step, self.config.acceleration, self.measured)
             self._stop("emergency stop")
 
     def release_emergency_stop(self) -> None:

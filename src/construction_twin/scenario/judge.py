@@ -20,10 +20,12 @@ from construction_twin.rsi.trace_limits import trace_excesses
 from construction_twin.scenario.motion import ROUNDING, distance_after, limit_shares, trace_arrays
 from construction_twin.scenario.scenario import Scenario
 from construction_twin.scenario.timeline import Change, Run, SyncMoment
-from construction_twin.units import CYCLE_NS, NANOSECONDS, radians
+from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 
 #: The arm holds somewhere else than at the goal when a joint is at least this far from it [deg].
 ELSEWHERE_DEG = 1.0
+#: Rounding of what is stated and measured [deg].
+STATED_DEG = 1e-3
 #: A missed reply stops the arm dead and lets it catch up: cycles before and after its report that are its own [ns].
 _MISSED = 5 * CYCLE_NS
 #: Room for what the last samples of a bag do not cover [ns].
@@ -161,12 +163,13 @@ def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
     """How soon the gate closed: from the fault, and in samples from the first one over the threshold."""
     fault = _fault(scenario, run)
     closing = next((c for c in run.closings if fault is not None and c.stamp >= max(fault.stamp, run.start)), None)
-    seconds = samples = None
+    seconds = samples = crossing = None
     if closing is not None:
         seconds = (closing.stamp - fault.stamp) / NANOSECONDS
-        samples = _samples_over(run, closing, fault.stamp)
+        crossing = _crossing(run, closing, fault.stamp)
+        samples = crossing and crossing.samples
     measured |= {"detection_s": seconds, "detection_samples": samples}
-    checks = []
+    checks = [_growth(run, closing, crossing)] if crossing is not None and fault.value == "stall" else []
     for name, bound, found in (
         ("detection_s", scenario.expect.detection_s, seconds),
         ("detection_samples", scenario.expect.detection_samples, samples),
@@ -177,23 +180,76 @@ def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
     return checks
 
 
-def _samples_over(run: Run, closing: SyncMoment, begin: int) -> int | None:
-    """Return the number of samples over the threshold until the gate closed; None when it closed for another reason."""
+@dataclass(frozen=True)
+class _Crossing:
+    """How a joint's error went over its threshold.
+
+    Attributes
+    ----------
+    joint : int
+        Column of the recording.
+    samples : int
+        Over the threshold until the gate closed.
+    within : int
+        Stamp of the command that the last sample within the threshold was compared with [ns].
+    """
+
+    joint: int
+    samples: int
+    within: int
+
+
+def _crossing(run: Run, closing: SyncMoment, begin: int) -> _Crossing | None:
+    """Return how the error that closed the gate grew; None when it closed for another reason."""
     if not closing.error or run.recording.feedback is None:
         return None
     shares = [error / threshold for error, threshold in zip(closing.error, closing.threshold)]
     joint = shares.index(max(shares))
     if shares[joint] <= 1.0:
         return None
-    window = Window(min(begin, run.start), closing.stamp, closing.stamp, False)
-    lag = 0.0 if math.isnan(closing.servo_lag) else closing.servo_lag * NANOSECONDS
-    aligned = align_lag_removed(run.recording, window, lag)
+    aligned = align_lag_removed(
+        run.recording, Window(min(begin, run.start), closing.stamp, closing.stamp, False), _lag(closing)
+    )
     if aligned is None:
         return None
     column = run.recording.joint_names.index(closing.joints[joint])
     over = np.abs(aligned.errors[:, column]) > closing.threshold[joint]
     within = np.flatnonzero(~over)
-    return int(len(over) - (within[-1] + 1 if len(within) else 0))
+    first = int(within[-1]) + 1 if len(within) else 0
+    feedback = run.recording.feedback
+    sample = np.searchsorted(feedback.stamps, aligned.stamps[max(0, first - 1)])
+    return _Crossing(column, len(over) - first, int(feedback.command_stamps[sample] - _lag(closing)))
+
+
+def _lag(closing: SyncMoment) -> float:
+    return 0.0 if math.isnan(closing.servo_lag) else closing.servo_lag * NANOSECONDS
+
+
+def _growth(run: Run, closing: SyncMoment, crossing: _Crossing) -> Check:
+    """Whether a stalled joint's error grew only for as long as its news and the commands under way took.
+
+    From the command of the last sample within the threshold until the gate closed, which is the commands' way to the arm, the
+    sample's way back and the detection, the error grows at the joint's speed at most; then nothing is sent that increases it.
+    """
+    joint = crossing.joint
+    threshold = closing.threshold[closing.joints.index(run.recording.joint_names[joint])]
+    twin = run.recording.twin
+    under_way = (twin.stamps >= crossing.within - CYCLE_NS) & (twin.stamps <= closing.stamp)
+    steps = np.abs(np.diff(twin.positions[under_way, joint]))
+    speed = float(steps.max(initial=0.0)) / CYCLE
+    delay = (closing.stamp - crossing.within) / NANOSECONDS
+    released = run.first("fault_end", since=closing.stamp)
+    end = released.stamp if released else int(run.recording.feedback.stamps[-1])
+    aligned = align_lag_removed(run.recording, Window(crossing.within, end, end, False), _lag(closing))
+    worst = float(np.abs(aligned.errors[:, joint]).max())
+    bound = threshold + speed * delay
+    sentence = f"{math.degrees(threshold):.3f} deg and {delay * 1e3:.1f} ms at {math.degrees(speed):.1f} deg/s"
+    return Check(
+        "error of the stalled joint",
+        f"at most {math.degrees(bound):.3f} deg ({sentence})",
+        f"{math.degrees(worst):.3f} deg",
+        worst <= bound,
+    )
 
 
 def _errors(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
@@ -239,11 +295,7 @@ def _corrections(trace: Sequence[TraceEntry], limits: MotionLimits, decimals: in
 
 def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, measured: dict) -> list[Check]:
     """What the arm did with its sound joints; the cycles of a missed reply, which stops it dead, are only reported."""
-    faulted = scenario.faulted
-    names = () if faulted is None else tuple(name for name in limits.names if name not in faulted)
-    if not names:
-        measured |= {"arm_velocity_share": None, "arm_acceleration_share": None}
-        return []
+    names = [name for name in limits.names if name not in scenario.faulted]
     breaks = np.zeros(len(run.arm), dtype=bool)
     breaks[0] = True
     for change in run.changes:
@@ -284,4 +336,10 @@ def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) ->
     measured |= {"stop_distance_deg": largest, "stop_time_s": rest}
     found = f"{largest:.4f} deg, at rest after {rest:.3f} s"
     expected = f"at most {bound.distance_deg:g} deg after {bound.event}"
-    return [Check("stop distance", expected, found, largest <= bound.distance_deg)]
+    checks = [Check("stop distance", expected, found, largest <= bound.distance_deg)]
+    if event.topic == "fault" and run.stated:
+        further = float((np.degrees(distance) - np.abs(run.stated)).max())
+        most = max(map(abs, run.stated))
+        stated = f"no joint further than the controller stated, {most:.4f} deg for the one that moves most"
+        checks.append(Check("stated stop distance", stated, f"{further:+.4f} deg", further <= STATED_DEG))
+    return checks

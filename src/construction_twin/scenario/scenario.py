@@ -142,12 +142,9 @@ class Scenario(_Model):
         return next((list(step.move.goal_deg) for step in reversed(self.steps) if step.move), None)
 
     @property
-    def faulted(self) -> frozenset[str] | None:
-        """Joints that a fault keeps from doing what they are told; None: all, because packets are lost or late."""
+    def faulted(self) -> frozenset[str]:
+        """Joints that a fault keeps from doing what they are told."""
         faults = [step.inject for step in self.steps if step.inject]
-        everywhere = {"drop", "delay", "rsi_timeout"}
-        if any(fault.fault in everywhere for fault in faults):
-            return None
         return frozenset(fault.joint for fault in faults if fault.fault in ("stall", "slow"))
 
 

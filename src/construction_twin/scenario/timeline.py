@@ -74,6 +74,8 @@ class Run:
         When it said so [ns].
     failure : str
         Why the run was not carried out to its end; empty when it was.
+    stated : tuple of float
+        Way of each axis to rest, as the controller stated it when an emergency stop began [deg]; empty without one.
     """
 
     recording: Recording
@@ -84,6 +86,7 @@ class Run:
     missed: int
     missed_at: np.ndarray
     failure: str = ""
+    stated: tuple[float, ...] = ()
 
     @property
     def start(self) -> int:
