@@ -49,17 +49,17 @@ def plan_request(request, plan_id: str, created_ns: int, source: str = "request"
     )
 
 
-def check_asked(asked: PlanRequest, arrived: int) -> None:
-    """Refuse a request that says it was asked for later than it arrived, at `arrived` [ns]: a stop in between would not void it.
+def check_asked(asked: PlanRequest, now: int) -> None:
+    """Refuse a request that says it was asked for later than `now` [ns]: a stop before then would not void it.
 
     Raises
     ------
     PlanningError
     """
-    if asked.created_ns > arrived:
-        late = (asked.created_ns - arrived) / NANOSECONDS
+    if asked.created_ns > now:
+        late = (asked.created_ns - now) / NANOSECONDS
         raise PlanningError(
-            f"the request says that it was asked for {late:.3f} s after it arrived, expected before; set the clocks of both alike"
+            f"the request says that it was asked for {late:.3f} s from now, expected before; set the clocks of both alike"
         )
 
 
