@@ -26,8 +26,9 @@ from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 ELSEWHERE_DEG = 1.0
 #: Rounding of what is stated and measured [deg].
 STATED_DEG = 1e-3
-#: A missed reply stops the arm dead and lets it catch up: cycles before and after its report that are its own [ns].
-_MISSED = 5 * CYCLE_NS
+#: A missed reply stops the arm dead and lets it catch up: the arm's cycles before and after its report that are its own. Cycles and
+#: not a time: a controller process that is late has its next cycles later.
+_MISSED = 5
 #: Room for what the last samples of a bag do not cover [ns].
 _MARGIN = NANOSECONDS // 50
 
@@ -307,7 +308,9 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
     columns = [limits.names.index(name) for name in names]
     v, a = float(velocity[columns].max()), float(acceleration[columns].max())
     measured |= {"arm_velocity_share": v, "arm_acceleration_share": a}
-    missed = (np.abs(run.arm_stamps[:, None] - run.missed_at[None, :]) <= _MISSED).any(axis=1)
+    missed = np.zeros(len(run.arm), dtype=bool)
+    for cycle in np.searchsorted(run.arm_stamps, run.missed_at):
+        missed[max(0, cycle - _MISSED) : cycle + _MISSED + 1] = True
     others = [float(share[columns].max()) for share in limit_shares(run.arm, breaks, limits, decimals, missed)]
     found = f"velocity {others[0]:.3f}, acceleration {others[1]:.3f} of the limits beside {run.missed} missed replies"
     return [Check("sound joints inside the limits", "at most 1", found, max(others) <= 1.0 + ROUNDING)]
