@@ -15,6 +15,7 @@ from service_cell import (
 
 from construction_twin.errors import TransportError
 from construction_twin.rsi.gateway import bind
+from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 
 def test_every_telegram_is_answered_without_any_broker(topics):
@@ -120,6 +121,29 @@ def test_datagrams_from_another_address_than_the_controllers_are_counted_only(to
         controller.socket.settimeout(0.05)
         assert controller.receive() is None
         assert service.gateway.counters["rsi_sessions"] == 0
+
+
+def test_a_datagram_longer_than_any_telegram_is_refused_by_its_size(topics):
+    with serving(free_port(), topics) as (service, address), controller_of(address) as controller:
+        controller.cycle()
+        # white space behind the root is still one document: only its size is wrong
+        longest = controller.telegram(controller.ipoc + 4).ljust(MAX_TELEGRAM)
+        for data in (longest + b" ", longest.ljust(60_000), b"<Rob>" * 12_000):
+            controller.send(data)
+        controller.ipoc += 4
+        controller.send(longest)
+        assert controller.receive() == (0.0, 0.0)
+        counters = service.gateway.counters
+        assert (counters["telegram_refused_size"], counters["telegrams"], counters["rsi_sessions"]) == (3, 2, 1)
+
+
+def test_where_sockets_have_no_recvmsg_it_is_refused_too(topics):
+    counters = queued(
+        topics,
+        lambda controller: [controller.telegram(1_000_004).ljust(60_000), controller.telegram(1_000_008)],
+        sock=WindowsSocket(bind("127.0.0.1", 0)),
+    )
+    assert (counters["telegram_refused_size"], counters["telegrams"]) == (1, 1)
 
 
 def test_a_taken_port_is_one_sentence():

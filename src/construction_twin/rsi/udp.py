@@ -12,6 +12,8 @@ from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor.
 _SO_TIMESTAMPNS = 35
+#: Windows: reading into less than the datagram is an error there, so there is room for any [bytes].
+_LARGEST_DATAGRAM = 65535
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -37,6 +39,7 @@ def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
     Returns
     -------
     data : bytes
+        Longer than `MAX_TELEGRAM` when the datagram was, so that it is refused; maybe not all of it.
     arrived : int
         Time of arrival on the wall clock [ns]; the time of reading where the system does not tell.
     source : tuple
@@ -50,9 +53,9 @@ def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
         For what the system reports instead, e.g. "port unreachable" for an earlier reply.
     """
     if not hasattr(sock, "recvmsg"):  # Windows
-        data, source = sock.recvfrom(MAX_TELEGRAM)
+        data, source = sock.recvfrom(_LARGEST_DATAGRAM)
         return data, time.time_ns(), source
-    data, ancillary, _, source = sock.recvmsg(MAX_TELEGRAM, 64)
+    data, ancillary, _, source = sock.recvmsg(MAX_TELEGRAM + 1, 64)
     return data, _arrival(ancillary), source
 
 
