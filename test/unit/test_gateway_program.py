@@ -116,6 +116,13 @@ def test_ended_in_mid_motion_it_brakes_the_arm_before_it_goes(broker, topics):
     assert fastest <= budget + format_allowance(PATIENT.decimals) * CYCLE**2
 
 
+def test_its_other_threads_hand_the_interpreter_over_within_a_quarter_of_a_cycle():
+    code = "import sys; from construction_twin.rsi import gateway; gateway._run = lambda _: print(sys.getswitchinterval()); "
+    run = [sys.executable, "-c", code + "gateway.main(['--config', 'x'])"]
+    said = subprocess.run(run, capture_output=True, text=True, timeout=60.0, check=True).stdout
+    assert float(said) <= CYCLE / 4
+
+
 def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
     with program(config_file, broker, topics) as (process, address), client_of(broker, topics) as client:
         client.wait_for_status(state="no_controller")

@@ -350,6 +350,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def main(argv: list[str] | None = None) -> int:
     """Run the gateway until SIGINT or SIGTERM; return the exit code."""
     arguments = _arguments(sys.argv[1:] if argv is None else argv)
+    # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
+    sys.setswitchinterval(0.001)
     listener = log_beside_the_loop()
     try:
         return _run(arguments)
