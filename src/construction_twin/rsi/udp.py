@@ -7,7 +7,7 @@ import struct
 import sys
 import time
 
-from construction_twin.errors import TransportError
+from construction_twin.errors import ConfigurationError, TransportError
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor.
@@ -31,6 +31,32 @@ def bind(host: str, port: int) -> socket.socket:
     if sys.platform == "linux":
         sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     return sock
+
+
+def address_of(host: str, option: str) -> str:
+    """Return the one IPv4 address of a host, which is what a datagram's source is compared with.
+
+    Parameters
+    ----------
+    host : str
+        Address or name.
+    option : str
+        Where it was given.
+
+    Raises
+    ------
+    ConfigurationError
+        When the name is not known, or stands for several addresses.
+    """
+    try:
+        found = {entry[4][0] for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
+    except (OSError, ValueError) as error:
+        expected = f"an IPv4 address, or a name that this machine can look up ({error})"
+        raise ConfigurationError(option, host, expected) from error
+    if len(found) > 1:
+        expected = f"one address; the name stands for {', '.join(sorted(found))}, give the one that RSI comes from"
+        raise ConfigurationError(option, host, expected)
+    return found.pop()
 
 
 def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
