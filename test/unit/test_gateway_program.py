@@ -116,6 +116,43 @@ def test_ended_in_mid_motion_it_brakes_the_arm_before_it_goes(broker, topics):
     assert fastest <= budget + format_allowance(PATIENT.decimals) * CYCLE**2
 
 
+@pytest.mark.parametrize("controller", ["localhost", "127.0.0.1", ""])
+def test_the_controller_may_be_given_by_name_or_not_at_all(broker, topics, config_file, controller):
+    with (
+        client_of(broker, topics) as client,
+        program(config_file, broker, topics, "--controller", controller) as (_, address),
+        controller_of(address) as arm,
+    ):
+        client.wait_for_status(state="no_controller")
+        arm.cycle()
+        assert arm.replies == [(0.0, 0.0)]
+
+
+def test_telegrams_from_another_address_are_told_once(broker, topics, config_file):
+    with (
+        client_of(broker, topics) as client,
+        program(config_file, broker, topics, "--controller", "127.0.0.9") as (process, address),
+        controller_of(address) as arm,
+    ):
+        client.wait_for_status(state="no_controller", reason="no telegram yet")
+        for _ in range(50):
+            arm.send()
+        told = "datagrams from 127.0.0.1 are not read, because --controller is 127.0.0.9"
+        client.wait_for_status(state="no_controller", reason=f"no telegram yet; {told}")
+        client.wait_for_counter("telegram_refused_address", 50)
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=10.0)
+    assert "telegrams are read from 127.0.0.9 only" in log
+    assert log.count(f"WARNING not the controller: no telegram yet; {told}") == log.count(told) == 1
+
+
+def test_its_other_threads_hand_the_interpreter_over_within_a_quarter_of_a_cycle():
+    code = "import sys; from construction_twin.rsi import gateway; gateway._run = lambda _: print(sys.getswitchinterval()); "
+    run = [sys.executable, "-c", code + "gateway.main(['--config', 'x'])"]
+    said = subprocess.run(run, capture_output=True, text=True, timeout=60.0, check=True).stdout
+    assert float(said) <= CYCLE / 4
+
+
 def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
     with program(config_file, broker, topics) as (process, address), client_of(broker, topics) as client:
         client.wait_for_status(state="no_controller")
@@ -135,6 +172,10 @@ def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
         (["--listen", "here"], ("--listen", "'here'", "HOST:PORT")),
         (["--listen", "127.0.0.1:70000"], ("--listen", "'127.0.0.1:70000'", "HOST:PORT")),
         (["--listen", "127.0.0.1:TAKEN"], ("cannot listen for RSI on UDP 127.0.0.1:TAKEN", "may hold the port")),
+        (
+            ["--controller", "no-such.invalid"],
+            ("--controller", "'no-such.invalid'", "a name that this machine can look up"),
+        ),
         (["--broker", "1883"], ("--broker", "'1883'", "HOST:PORT")),
         (["--prefix", "a/b"], ("prefix", "'a/b'", "letters, digits")),
         (["--config", "/nowhere.json"], ("/nowhere.json", "No such file", "export_gateway_config")),

@@ -13,8 +13,10 @@ from service_cell import (
     serving,
 )
 
-from construction_twin.errors import TransportError
+from construction_twin.errors import ConfigurationError, TransportError
 from construction_twin.rsi.gateway import bind
+from construction_twin.rsi.telegram import MAX_TELEGRAM
+from construction_twin.rsi.udp import address_of
 
 
 def test_every_telegram_is_answered_without_any_broker(topics):
@@ -120,6 +122,53 @@ def test_datagrams_from_another_address_than_the_controllers_are_counted_only(to
         controller.socket.settimeout(0.05)
         assert controller.receive() is None
         assert service.gateway.counters["rsi_sessions"] == 0
+
+
+def test_a_datagram_longer_than_any_telegram_is_refused_by_its_size(topics):
+    with serving(free_port(), topics) as (service, address), controller_of(address) as controller:
+        controller.cycle()
+        # white space behind the root is still one document: only its size is wrong
+        longest = controller.telegram(controller.ipoc + 4).ljust(MAX_TELEGRAM)
+        for data in (longest + b" ", longest.ljust(60_000), b"<Rob>" * 12_000):
+            controller.send(data)
+        controller.ipoc += 4
+        controller.send(longest)
+        assert controller.receive() == (0.0, 0.0)
+        counters = service.gateway.counters
+        assert (counters["telegram_refused_size"], counters["telegrams"], counters["rsi_sessions"]) == (3, 2, 1)
+
+
+def test_where_sockets_have_no_recvmsg_it_is_refused_too(topics):
+    counters = queued(
+        topics,
+        lambda controller: [controller.telegram(1_000_004).ljust(60_000), controller.telegram(1_000_008)],
+        sock=WindowsSocket(bind("127.0.0.1", 0)),
+    )
+    assert (counters["telegram_refused_size"], counters["telegrams"]) == (1, 1)
+
+
+def resolver(*addresses):
+    return lambda host, port, family, kind: [(family, kind, 17, "", (address, 0)) for address in addresses]
+
+
+def test_a_controller_s_name_is_looked_up(monkeypatch):
+    assert address_of("192.168.1.20", "--controller") == "192.168.1.20"
+    # once per protocol or alias, as resolvers answer: still one address
+    monkeypatch.setattr(socket, "getaddrinfo", resolver("192.168.1.20", "192.168.1.20"))
+    assert address_of("krc4", "--controller") == "192.168.1.20"
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "192.168.1.300", "a..b", "x" * 70, "::1", "a b"])
+def test_a_controller_that_cannot_be_looked_up_is_one_sentence(host):
+    with pytest.raises(ConfigurationError, match="--controller: found .*expected an IPv4 address, or a name") as caught:
+        address_of(host, "--controller")
+    assert caught.value.value == host and "\n" not in str(caught.value)
+
+
+def test_a_name_of_several_addresses_is_no_controller(monkeypatch):
+    monkeypatch.setattr(socket, "getaddrinfo", resolver("192.168.1.20", "10.0.0.20"))
+    with pytest.raises(ConfigurationError, match=r"stands for 10\.0\.0\.20, 192\.168\.1\.20, give the one"):
+        address_of("krc4", "--controller")
 
 
 def test_a_taken_port_is_one_sentence():

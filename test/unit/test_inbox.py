@@ -11,6 +11,7 @@ from gateway_cell import CONFIG, START
 from construction_twin.rsi.codec import RobotEncoder
 from construction_twin.rsi.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.rsi.session import Gateway
+from construction_twin.rsi.state import State
 from construction_twin.rsi.status import QUIET, StatusClock
 
 HERE, THERE = ("192.168.1.20", 49152), ("192.168.1.20", 49153)
@@ -91,6 +92,32 @@ def test_while_a_controller_is_alive_nobody_else_is_read():
     line.gateway.on_telegram(read, source, 10**9)
     assert line.newest((1004, THERE)) is None
     assert line.counted()["telegram_refused_source"] == 1
+
+
+def test_while_there_is_no_controller_the_first_other_address_is_named_once():
+    line = Line("192.168.1.20")
+    line.gateway.take_change()
+    assert line.newest(b"garbage") is None and not line.gateway.take_change()
+    assert line.newest((1000, ("10.0.0.1", 1)), (1000, ("10.0.0.2", 1))) is None and line.gateway.take_change()
+    said = "no telegram yet; datagrams from 10.0.0.1 are not read, because --controller is 192.168.1.20"
+    assert (line.gateway.state, line.gateway.reason) == (State.NO_CONTROLLER, said)
+    assert line.newest((1004, ("10.0.0.1", 1)), (1004, ("10.0.0.2", 1))) is None
+    assert not line.gateway.take_change() and line.gateway.reason == said
+    assert line.counted()["telegram_refused_address"] == 4
+
+
+def test_another_address_is_no_news_in_a_session_and_news_again_after_it():
+    line = Line("192.168.1.20")
+    line.newest((1000, ("10.0.0.1", 1)))
+    line.waiting.append((1000, HERE))
+    read, source, _ = line.inbox.newest()
+    line.gateway.on_telegram(read, source, 10**9)
+    line.gateway.take_change()
+    line.newest((1004, ("10.0.0.1", 1)))
+    assert line.gateway.state is State.READY and not line.gateway.take_change()
+    line.gateway.poll(10**10)
+    line.newest((1008, ("10.0.0.3", 1)))
+    assert line.gateway.reason.startswith(f"no telegram for {CONFIG.timeout:g} s; datagrams from 10.0.0.3 ")
 
 
 def test_an_error_of_the_socket_is_counted_and_ends_the_turn():

@@ -56,6 +56,14 @@ def test_ros_args_explains_every_argument(path):
     assert undocumented == 0
 
 
+@pytest.mark.parametrize("file", ["bringup", "experiment"])
+@pytest.mark.parametrize("given", ["", "192.168.1.20"])
+def test_the_controller_s_address_reaches_the_gateway(file, given):
+    command = ["roslaunch", "--args", "/kr120/rsi_gateway", "construction_twin", f"{file}.launch"]
+    run = subprocess.run([*command, f"rsi_controller:={given}"], capture_output=True, text=True, timeout=120)
+    assert f" --controller {given} --broker " in run.stdout, run.stderr
+
+
 @pytest.mark.parametrize(
     "argument, sentence",
     [

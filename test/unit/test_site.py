@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import ssl
 import stat
 import subprocess
@@ -163,6 +164,50 @@ def test_people_get_tablets_of_their_own(tmp_path):
     }
 
 
+def test_the_tablet_that_nobody_owns_by_name_outlives_the_first_person(folder, capsys):
+    before = contents(folder)
+    capsys.readouterr()
+    make(folder, "--tablet", "ada")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"broker/access.acl", "broker/passwords", "site.json"}
+    assert names_of(folder) == {f"kr120-{role}" for role in ("bridge", "gateway", "tablet", "tablet-ada", "viewer")}
+    assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
+    # the same rights as before, word for word
+    assert all(line in after["broker/access.acl"].splitlines() for line in before["broker/access.acl"].splitlines())
+    assert capsys.readouterr().out.count("kept kr120-tablet, which is nobody's by name; --replace shuts out") == 1
+    # and whatever comes later: another run, a person, a robot, which has none
+    make(folder)
+    assert contents(folder) == after
+    make(folder, "--tablet", "ben", "--robot", "kr121")
+    assert {name for name in names_of(folder) if "tablet" in name} == {
+        "kr120-tablet",
+        *(f"{robot}-tablet-{person}" for robot in ("kr120", "kr121") for person in ("ada", "ben")),
+    }
+    assert set(after["broker/passwords"].splitlines()) < set(contents(folder)["broker/passwords"].splitlines())
+    assert "kept " not in capsys.readouterr().out
+
+
+def test_a_site_of_before_there_was_such_a_choice_is_read(folder):
+    settings = json.loads((folder / "site.json").read_text())
+    del settings["shared"]
+    (folder / "site.json").write_text(json.dumps(settings))
+    make(folder, "--tablet", "ada")
+    assert "kr120-tablet:" in (folder / "broker/passwords").read_text()
+
+
+def test_what_is_taken_out_of_the_settings_is_taken_away_and_named(folder, capsys):
+    make(folder, "--tablet", "ada")
+    settings = json.loads((folder / "site.json").read_text())
+    (folder / "site.json").write_text(json.dumps(settings | {"shared": []}))
+    capsys.readouterr()
+    make(folder)
+    assert "took the password of kr120-tablet away: it is not in site.json" in capsys.readouterr().out
+    for file in ("passwords", "access.acl"):
+        text = (folder / "broker" / file).read_text()
+        assert "kr120-tablet-ada" in text and not re.search(r"kr120-tablet\b(?!-)", text)
+
+
 def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
     make(
         tmp_path / "site",
@@ -186,6 +231,18 @@ def test_when_everything_ends_is_told(folder, capsys):
     said = capsys.readouterr().out
     for name in ("ca/ca.crt", "broker/server.crt", "accounts/kr120-tablet/client.crt"):
         assert f"{name} expires 20" in said
+
+
+def test_a_ca_that_ends_before_what_it_signs_is_warned_of(folder, capsys):
+    capsys.readouterr()
+    make(folder)
+    assert "warning" not in capsys.readouterr().out
+    make(folder, "--renew", "--days", str(certificates.CA_DAYS + 1))
+    end = expiry(folder / "ca/ca.crt")
+    assert f"warning: the CA ends on {end:%Y-%m-%d}, and with it every certificate" in capsys.readouterr().out
+    # told every time, until there is another site
+    make(folder)
+    assert "warning: the CA ends on" in capsys.readouterr().out
 
 
 def test_the_certificates_chain_up_and_carry_their_purpose(folder):

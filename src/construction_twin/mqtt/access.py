@@ -44,6 +44,8 @@ class Site:
     robots : tuple of str
     people : tuple of str
         Each gets a tablet account of its own at every robot; empty: one tablet account per robot.
+    shared : tuple of str
+        Robots that have that one tablet account beside those of people, from a run before there were any.
     plc : bool
         Also an account for a PLC that commands in place of the bridge.
     certificates : bool
@@ -72,6 +74,7 @@ class Site:
     prefix: str = "twin"
     folder: str = ""
     listen: str = ""
+    shared: tuple[str, ...] = field(default=())
 
     def __post_init__(self):
         for option, names, pattern in (
@@ -103,9 +106,9 @@ class Site:
         """Return every account, in the order of the robots."""
         accounts = []
         for robot in self.robots:
+            tablets = ("",) * (not self.people or robot in self.shared) + self.people
             for role in ROLES + (PLC,) * self.plc:
-                people = self.people or ("",)
-                accounts += [SiteAccount(robot, role, person) for person in (people if role == "tablet" else ("",))]
+                accounts += [SiteAccount(robot, role, person) for person in (tablets if role == "tablet" else ("",))]
         return accounts
 
 

@@ -92,6 +92,11 @@ class SiteFolder:
             authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
             said.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
         said += self._make_passwords(site, authority, replace)
+        if not before.get("people"):
+            kept = [SiteAccount(robot, "tablet").name for robot in site.shared]
+            said += [
+                f"kept {name}, which is nobody's by name; --replace shuts out whoever has its password" for name in kept
+            ]
         if site.certificates:
             said += self._make_certificates(site, authority, days, renew, replace)
         ca = authority.certificate.read_text(encoding="utf-8")
@@ -102,10 +107,17 @@ class SiteFolder:
         return said
 
     def expiries(self) -> list[str]:
-        """Return a line per certificate with the day of its end."""
+        """Return a line per certificate with the day of its end, and a warning when the CA's comes first."""
         found = [self._folder / "ca/ca.crt", self._broker / "server.crt"]
         found += sorted((self._folder / "accounts").glob("*/client.crt"))
-        return [f"{path.relative_to(self._folder)} expires {expiry(path).astimezone(UTC):%Y-%m-%d}" for path in found]
+        ends = [expiry(path).astimezone(UTC) for path in found]
+        lines = [f"{path.relative_to(self._folder)} expires {end:%Y-%m-%d}" for path, end in zip(found, ends)]
+        if max(ends) > ends[0]:
+            lines.append(
+                f"warning: the CA ends on {ends[0]:%Y-%m-%d}, and with it every certificate, whatever stands in it; "
+                "before that make a new site in another folder (docs/broker.md)"
+            )
+        return lines
 
     def _template(self, name: str) -> str:
         try:
@@ -117,7 +129,7 @@ class SiteFolder:
         return self._folder / "accounts" / account.name
 
     def _make_passwords(self, site: Site, authority: Authority, replace: set[str]) -> list[str]:
-        """Give every account that has none a password; accounts that no longer belong to the site lose theirs."""
+        """Give every account that has none a password; accounts that were taken out of `site.json` lose theirs."""
         path = self._broker / "passwords"
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         hashed = {line.partition(":")[0]: line for line in lines}
@@ -136,7 +148,8 @@ class SiteFolder:
             write_private(folder / "account.json", json.dumps(document) + "\n")
         names = [account.name for account in site.accounts()]
         write_private(path, "".join(f"{hashed[name]}\n" for name in names))
-        return [f"made a password for {account.name}" for account in new]
+        gone = [f"took the password of {name} away: it is not in site.json" for name in hashed if name not in names]
+        return [f"made a password for {account.name}" for account in new] + gone
 
     def _make_certificates(
         self, site: Site, authority: Authority, days: int, renew: bool, replace: set[str]
@@ -210,10 +223,14 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 def _site(arguments: argparse.Namespace, before: dict) -> Site:
     if not 1 <= arguments.days <= 36500:
         raise ConfigurationError("--days", arguments.days, "1 to 36500")
+    people = merged(before.get("people", ()), arguments.tablet)
+    # without people every robot has a shared tablet account, which somebody may hold
+    shared = before.get("shared", ()) if before.get("people") else before.get("robots", ())
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),
         "robots": merged(before.get("robots", ()), arguments.robot),
-        "people": merged(before.get("people", ()), arguments.tablet),
+        "people": people,
+        "shared": shared if people else (),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
         "port": arguments.port or before.get("port", 8883),

@@ -45,7 +45,7 @@ from construction_twin.rsi.mode import NOTES, Mode
 from construction_twin.rsi.session import VERBS, Gateway, State
 from construction_twin.rsi.status import StatusClock
 from construction_twin.rsi.trace import TraceWriter
-from construction_twin.rsi.udp import bind, receive
+from construction_twin.rsi.udp import address_of, bind, receive
 
 log = logging.getLogger("rsi_gateway")
 
@@ -67,7 +67,7 @@ class GatewayService:
     broker : Broker
     topics : Topics
     controller : str or None
-        Only datagrams from this address are read; None reads any.
+        Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
     commissioning : bool, optional
         Send every correction as zero.
     """
@@ -145,7 +145,10 @@ class GatewayService:
         gateway = self.gateway
         before, self._said = self._said, (gateway.state, gateway.reason, gateway.speed.source == "silence")
         if self._said[:2] != before[:2]:
-            self._log(logging.INFO, gateway.state.value, gateway.reason)
+            # that somebody else sends is a kind of its own: the line that the controller is gone is often less than a second old
+            stranger = before[0] is gateway.state is State.NO_CONTROLLER
+            level, kind = (logging.WARNING, "not the controller") if stranger else (logging.INFO, gateway.state.value)
+            self._log(level, kind, gateway.reason)
         if self._said[2] and not before[2]:
             share = gateway.speed.given
             self._log(logging.WARNING, "speed limit", f"its source is silent; {share:g} of the limits until it speaks")
@@ -284,7 +287,11 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         choices=["true", "false"],
         help="send every correction as zero; everything else runs and is reported as usual",
     )
-    parser.add_argument("--controller", metavar="HOST", help="read telegrams from this address only")
+    parser.add_argument(
+        "--controller",
+        metavar="HOST",
+        help="read telegrams from this address only; a name is looked up once, at the start; empty: from any",
+    )
     parser.add_argument("--broker", default="127.0.0.1:1883", metavar="HOST:PORT", help="MQTT broker [%(default)s]")
     parser.add_argument(
         "--account",
@@ -321,10 +328,9 @@ def _run(arguments: argparse.Namespace) -> int:
         topics = Topics(arguments.prefix, config.robot)
         address = _listen_address(arguments.listen, config)
         told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
+        controller = address_of(arguments.controller, "--controller") if arguments.controller else None
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
-        service = GatewayService(
-            config, bind(*address), broker, topics, arguments.controller, arguments.commissioning == "true"
-        )
+        service = GatewayService(config, bind(*address), broker, topics, controller, arguments.commissioning == "true")
         service.gateway.trace = trace and trace.record
     except ConstructionTwinError as error:
         log.error("%s", error)
@@ -332,6 +338,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     log.info("configuration %s; listening on %s:%d; broker %s", config.hash[:12], *address, arguments.broker)
+    log.info("telegrams are read from %s", f"{controller} only" if controller else "whoever begins a session")
     if address[1] != config.layout.port:
         log.warning("the Ethernet XML tells the controller to send to port %d, not %d", config.layout.port, address[1])
     if told != address[0] and address[0] != "0.0.0.0":
@@ -350,6 +357,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def main(argv: list[str] | None = None) -> int:
     """Run the gateway until SIGINT or SIGTERM; return the exit code."""
     arguments = _arguments(sys.argv[1:] if argv is None else argv)
+    # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
+    sys.setswitchinterval(0.001)
     listener = log_beside_the_loop()
     try:
         return _run(arguments)

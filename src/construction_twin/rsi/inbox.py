@@ -8,6 +8,7 @@ from construction_twin.errors import TelegramError
 from construction_twin.rsi.codec import RobotDecoder, RobotTelegram
 from construction_twin.rsi.controller_session import IPOC_NS
 from construction_twin.rsi.session import Gateway
+from construction_twin.rsi.state import State
 from construction_twin.units import NANOSECONDS
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
@@ -26,7 +27,7 @@ class TelegramInbox:
     clock : callable
         Returns the gateway's monotonic time [ns].
     controller : str or None, optional
-        Only datagrams from this address are read; None reads any.
+        Only datagrams from this IPv4 address are read; None reads any.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class TelegramInbox:
         self._receive = receive
         self._clock = clock
         self._controller = controller
+        self._told = ""
         self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
         self._timeout = round(gateway.config.timeout * NANOSECONDS)
 
@@ -75,6 +77,7 @@ class TelegramInbox:
         counters = self._gateway.counters
         if self._controller is not None and source[0] != self._controller:
             counters["telegram_refused_address"] += 1
+            self._tell_of(source[0])
             return None
         if not self._gateway.accepts(source, self._clock()):
             counters["telegram_refused_source"] += 1
@@ -84,3 +87,10 @@ class TelegramInbox:
         except TelegramError as error:
             counters[f"telegram_refused_{error.reason}"] += 1
             return None
+
+    def _tell_of(self, stranger: str) -> None:
+        """Say, while there is no controller, that somebody else sends: once, whoever else does after that."""
+        gateway = self._gateway
+        if gateway.state is State.NO_CONTROLLER and gateway.reason != self._told:
+            gateway.add_reason(f"datagrams from {stranger} are not read, because --controller is {self._controller}")
+            self._told = gateway.reason

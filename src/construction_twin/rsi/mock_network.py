@@ -21,7 +21,7 @@ from typing import TypeVar
 from construction_twin.errors import ConstructionTwinError, TransportError
 from construction_twin.rsi.mock_controller import MockController
 from construction_twin.rsi.mock_faults import FaultBoard
-from construction_twin.rsi.telegram import MAX_TELEGRAM
+from construction_twin.rsi.udp import receive
 from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 log = logging.getLogger(__name__)
@@ -220,7 +220,7 @@ class MockRsi:
     def _drain(self) -> None:
         for _ in range(_DRAIN_LIMIT):
             try:
-                data, source = self._socket.recvfrom(MAX_TELEGRAM)
+                data, _, source = receive(self._socket)
             except BlockingIOError:
                 return
             if source != self._gateway:

@@ -71,8 +71,7 @@ class Gateway:
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
         self._answered_stamp = 0
-        self._ending = False
-        self._changed = True
+        self._ending, self._changed = False, True
         self._last_refusal = ""
 
     @property
@@ -83,10 +82,7 @@ class Gateway:
     # -- the controller's side
 
     def accepts(self, source: object, now: int) -> bool:
-        """Return whether a datagram from `source` may be read: while a controller is alive, only its own are.
-
-        Whatever else sends to the port must neither end the session nor push one of its telegrams aside.
-        """
+        """Return whether a datagram from `source` may be read: nobody else may disturb a controller that is alive."""
         return self._controller.accepts(source, now)
 
     def on_telegram(self, telegram: RobotTelegram, source: object, now: int) -> tuple[float, ...] | None:
@@ -388,6 +384,10 @@ class Gateway:
 
     def _enter(self, state: State, reason: str) -> None:
         self.state, self.reason, self._changed = state, reason, True
+
+    def add_reason(self, note: str) -> None:
+        """Add to the reason of the present state; a change, too."""
+        self._enter(self.state, f"{self.reason}; {note}")
 
     def take_change(self) -> bool:
         """Return whether the state changed since the last call."""

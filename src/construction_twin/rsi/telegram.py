@@ -13,8 +13,9 @@ from xml.etree import ElementTree
 
 from construction_twin.errors import TelegramError
 
-#: Largest UDP payload we receive; a telegram with every block declared exceeds 1 kB (rsi.md section 2).
-MAX_TELEGRAM = 65535
+#: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (rsi.md section 2) and stays below 2 kB; what is
+#: longer than this is none, and taking it apart would only keep the loop that answers.
+MAX_TELEGRAM = 8192
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
 is_number = re.compile(r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?").fullmatch

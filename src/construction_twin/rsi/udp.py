@@ -7,11 +7,13 @@ import struct
 import sys
 import time
 
-from construction_twin.errors import TransportError
+from construction_twin.errors import ConfigurationError, TransportError
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor.
 _SO_TIMESTAMPNS = 35
+#: Windows: reading into less than the datagram is an error there, so there is room for any [bytes].
+_LARGEST_DATAGRAM = 65535
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -31,12 +33,39 @@ def bind(host: str, port: int) -> socket.socket:
     return sock
 
 
+def address_of(host: str, option: str) -> str:
+    """Return the one IPv4 address of a host, which is what a datagram's source is compared with.
+
+    Parameters
+    ----------
+    host : str
+        Address or name.
+    option : str
+        Where it was given.
+
+    Raises
+    ------
+    ConfigurationError
+        When the name is not known, or stands for several addresses.
+    """
+    try:
+        found = {entry[4][0] for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
+    except (OSError, ValueError) as error:
+        expected = f"an IPv4 address, or a name that this machine can look up ({error})"
+        raise ConfigurationError(option, host, expected) from error
+    if len(found) > 1:
+        expected = f"one address; the name stands for {', '.join(sorted(found))}, give the one that RSI comes from"
+        raise ConfigurationError(option, host, expected)
+    return found.pop()
+
+
 def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
     """Read one datagram.
 
     Returns
     -------
     data : bytes
+        Longer than `MAX_TELEGRAM` when the datagram was, so that it is refused; maybe not all of it.
     arrived : int
         Time of arrival on the wall clock [ns]; the time of reading where the system does not tell.
     source : tuple
@@ -50,9 +79,9 @@ def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
         For what the system reports instead, e.g. "port unreachable" for an earlier reply.
     """
     if not hasattr(sock, "recvmsg"):  # Windows
-        data, source = sock.recvfrom(MAX_TELEGRAM)
+        data, source = sock.recvfrom(_LARGEST_DATAGRAM)
         return data, time.time_ns(), source
-    data, ancillary, _, source = sock.recvmsg(MAX_TELEGRAM, 64)
+    data, ancillary, _, source = sock.recvmsg(MAX_TELEGRAM + 1, 64)
     return data, _arrival(ancillary), source
 
 
