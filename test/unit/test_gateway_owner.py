@@ -136,6 +136,7 @@ def test_a_control_message_that_comes_twice_acts_once_but_a_stop_always_acts():
     ok, reason = cell.gateway.on_control(reset, cell.now)
     assert not ok and "answered before" in reason
     assert cell.gateway.status()["fault"] and cell.count("refused_repeated") == 1
+    assert cell.gateway.status()["last_refusal"] == f"repeated: {reason}"
     assert cell.gateway.on_control(Control("a4", "s1", "reset"), cell.now)[0]
 
 

@@ -90,6 +90,7 @@ def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
             client.paho.publish(topics.control, payload, qos=1)
         client.wait_for_counter("refused_control", len(controls))
         client.wait_for_counter("refused_properties", 2 * len(garbage))
+        assert client.status()["last_refusal"].startswith("control: control message whose id")
         assert_still(controller)
         assert controller.measured == pytest.approx(START)
         assert service.gateway.status()["state"] == "armed"
@@ -115,6 +116,7 @@ def test_messages_retained_before_the_gateway_came_are_refused(broker, topics, n
         client.paho.publish(topic, payload, qos=1, retain=True).wait_for_publish(5.0)
         with serving(broker, topics):
             client.wait_for_counter("refused_retained", 1)
+            assert client.status()["last_refusal"].startswith(f"retained: a message on {name} with the retain flag")
         assert not client.on(topics.control_ack)
 
 
@@ -123,6 +125,7 @@ def test_a_retained_message_is_refused_when_it_comes_live_too(broker, topics):
         arm = Control("live", "s1", "arm", CONFIG.hash)
         client.paho.publish(topics.control, arm.to_json(), qos=1, retain=True)
         client.wait_for_counter("refused_retained", 1)
+        assert client.status()["last_refusal"].startswith("retained: a message on control")
         assert service.gateway.status()["state"] == "ready"
         client.paho.publish(topics.control, b"", qos=1, retain=True)
 

@@ -283,6 +283,7 @@ def test_unknown_verbs_do_nothing(verb):
     assert not ok
     assert "unknown verb" in reason
     assert cell.state is State.FOLLOWING
+    assert (cell.count("refused_verb"), cell.gateway.status()["last_refusal"]) == (1, f"verb: {reason}")
 
 
 # -- what is told ----------------------------------------------------------------------------------------------------

@@ -203,7 +203,7 @@ class GatewayService:
 
     def _on_command(self, message: paho.MQTTMessage) -> None:
         if message.retain:
-            self.gateway.counters["refused_retained"] += 1
+            self._refuse_retained("command")
             return
         pairs = received_pairs(message)
         try:
@@ -212,14 +212,17 @@ class GatewayService:
             properties = error
         self.gateway.on_command(message.payload, properties, time.monotonic_ns())
 
+    def _refuse_retained(self, name: str) -> None:
+        self.gateway.refusals.message("retained", f"a message on {name} with the retain flag: nobody knows how old it is")
+
     def _on_control(self, message: paho.MQTTMessage) -> None:
         if message.retain:
-            self.gateway.counters["refused_retained"] += 1
+            self._refuse_retained("control")
             return
         try:
             control = parse_control(message.payload)
         except PayloadError as error:
-            self.gateway.counters[f"refused_{error.reason}"] += 1
+            self.gateway.refusals.message(error.reason, error)
             self._log(logging.WARNING, f"refused on {error.reason}", str(error))
             return
         ok, reason = self.gateway.on_control(control, time.monotonic_ns())

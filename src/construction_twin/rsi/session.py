@@ -20,6 +20,7 @@ from construction_twin.rsi.intake import CommandIntake, StreamBroken
 from construction_twin.rsi.mode import NOTES, Mode
 from construction_twin.rsi.ownership import Ownership
 from construction_twin.rsi.player import Player
+from construction_twin.rsi.refusals import Refusals
 from construction_twin.rsi.speed_limit import SpeedLimit
 from construction_twin.rsi.state import State
 from construction_twin.rsi.state_report import StateReport
@@ -30,8 +31,6 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. A single missed telegram is less of a
 #: blow when the motion goes on at its speed than when it starts over [ns].
 STANDSTILL = 2 * CYCLE_NS
-#: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
-LONGEST_REFUSAL = 300
 
 #: What a `control` message may ask for.
 VERBS = ("arm", "stop", "reset", "end", "speed_limit")
@@ -54,6 +53,8 @@ class Gateway:
         self.correction: tuple[float, ...] = ()
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
+        #: What was refused, and why; whoever stands before the gateway refuses here too.
+        self.refusals = Refusals(self.counters)
         self.state = State.NO_CONTROLLER
         self.reason = "no telegram yet"
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
@@ -73,7 +74,6 @@ class Gateway:
         self._answered_stamp = 0
         self._ending = False
         self._changed = True
-        self._last_refusal = ""
 
     @property
     def session(self) -> str:
@@ -232,22 +232,18 @@ class Gateway:
         try:
             stamp, q = self._read_command(payload, properties, now)
         except PayloadError as error:
-            self._note_refusal(error.reason, error)
+            self.refusals.message(error.reason, error)
             if error.reason in ("session", "not_armed"):
                 self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
         try:
             self._take(stamp, q, now)
         except MotionRefused as refusal:
-            self._note_refusal(refusal.reason, refusal)
+            self.refusals.message(refusal.reason, refusal)
             if self.state is State.FOLLOWING:
                 self._brake("refused", str(refusal))
         except StreamBroken as broken:
             self._brake(broken.cause, str(broken))
-
-    def _note_refusal(self, reason: str, error: object) -> None:
-        self.counters[f"refused_{reason}"] += 1
-        self._last_refusal = f"{reason}: {error}"[:LONGEST_REFUSAL]
 
     def _note_stranger(self, session: str | None, now: int) -> None:
         if session is not None and self.session and not self._owners.knows(session):
@@ -291,17 +287,16 @@ class Gateway:
             return self._limit_speed(control, now)
         verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset, "end": self._end}
         if control.verb not in verbs:
-            self.counters["refused_verb"] += 1
-            return False, f"unknown verb {control.verb!r}"
+            return self._refuse("verb", f"unknown verb {control.verb!r}")
         if self._owners.is_repeated(control) and control.verb != "stop":
-            self.counters["refused_repeated"] += 1
-            return False, f"message {control.id!r} of session {control.session!r} was answered before"
+            why = f"message {control.id!r} of session {control.session!r} was answered before"
+            return self._refuse("repeated", why)
         ok, reason = verbs[control.verb](control)
         return (ok, reason) if ok else self._refuse(control.verb, reason)
 
-    def _refuse(self, verb: str, reason: str) -> tuple[bool, str]:
-        self._note_refusal(verb, reason)
-        return False, reason
+    def _refuse(self, reason: str, why: str) -> tuple[bool, str]:
+        self.refusals.message(reason, why)
+        return False, why
 
     def _limit_speed(self, control: Control, now: int) -> tuple[bool, str]:
         refusal = self.speed.refusal(control, self.session)
@@ -397,4 +392,4 @@ class Gateway:
     def status(self) -> dict:
         """Return the content of the `status` topic."""
         parts = (self._controller, self._player, self.speed, self._stopping, self._owners)
-        return gateway_status(self, *parts) | {"last_refusal": self._last_refusal}
+        return gateway_status(self, *parts)

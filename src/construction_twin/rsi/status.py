@@ -43,6 +43,7 @@ def gateway_status(
         "speed_limit": speed.report(),
         "stop": stopping.report(),
         "intruder": {"session": owners.intruder, "count": owners.intrusions},
+        "last_refusal": gateway.refusals.last,
         "counters": dict(gateway.counters),
     }
 
