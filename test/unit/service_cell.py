@@ -117,7 +117,7 @@ class Client:
     def __init__(self, port, topics, protocol=MQTTProtocolVersion.MQTTv5):
         self.topics, self.messages = topics, []
         self.seq, self.stamp = 0, 10**18
-        self._ids = itertools.count()
+        self._ids = itertools.count(1)
         subscribed = threading.Event()
         self.paho = paho.Client(CallbackAPIVersion.VERSION2, protocol=protocol)
         self.paho.on_connect = lambda client, *_: client.subscribe(f"{topics.prefix}/#", 1)
@@ -148,7 +148,8 @@ class Client:
 
     def control(self, verb, value=None, session="s1"):
         """Send a verb and return the answer."""
-        control = Control(f"c{next(self._ids)}", session, verb, value)
+        # rising numbers: what `speed_limit` needs
+        control = Control(str(next(self._ids)), session, verb, value)
         self.paho.publish(self.topics.control, control.to_json(), qos=1)
 
         def answers():

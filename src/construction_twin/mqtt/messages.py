@@ -132,6 +132,11 @@ def is_session(text: str) -> bool:
     return _SESSION.fullmatch(text) is not None
 
 
+def message_number(text: str) -> int | None:
+    """Return the number of which a control message's id consists, up to 19 digits; None when it is another text."""
+    return int(text) if _NUMBER.fullmatch(text) else None
+
+
 def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
     """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
     values = _read(pairs, ("session", "seq", "stamp"))
@@ -150,7 +155,10 @@ def read_state_properties(pairs: list[tuple[str, str]]) -> StateProperties:
 
 @dataclass(frozen=True)
 class Control:
-    """A message on `control`: who (session), which message (id), what (verb), and the verb's value."""
+    """A message on `control`: who (session), which message (id), what (verb), and the verb's value.
+
+    The id of a `speed_limit` is a number that rises from message to message of the session.
+    """
 
     id: str
     session: str

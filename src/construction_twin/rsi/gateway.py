@@ -213,7 +213,9 @@ class GatewayService:
         self.gateway.on_command(message.payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
-        self.gateway.refusals.message("retained", f"a message on {name} with the retain flag: nobody knows how old it is")
+        self.gateway.refusals.message(
+            "retained", f"a message on {name} with the retain flag: nobody knows how old it is"
+        )
 
     def _on_control(self, message: paho.MQTTMessage) -> None:
         if message.retain:
@@ -226,6 +228,8 @@ class GatewayService:
             self._log(logging.WARNING, f"refused on {error.reason}", str(error))
             return
         ok, reason = self.gateway.on_control(control, time.monotonic_ns())
+        if not reason:
+            return
         if control.verb == "speed_limit":
             # repeated several times a second: only what is new is worth a line and an answer
             before, self._speed_answer = self._speed_answer, (control.session, ok, reason)

@@ -77,7 +77,9 @@ class TelegramInbox:
             refusals.telegram("address", f"a datagram from {source[0]}; only those from {self._controller} are read")
             return None
         if not self._gateway.accepts(source, self._clock()):
-            refusals.telegram("source", f"a datagram from {source[0]}:{source[1]} while another sender's session is alive")
+            refusals.telegram(
+                "source", f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
+            )
             return None
         try:
             return self._decoder.parse(data)

@@ -281,7 +281,7 @@ class Gateway:
         -------
         ok : bool
         reason : str
-            Why, in one sentence; goes into `control/ack`.
+            Why, in one sentence; goes into `control/ack`. "" when there is nothing to answer: it was answered before.
         """
         if control.verb == "speed_limit":
             return self._limit_speed(control, now)
@@ -302,6 +302,11 @@ class Gateway:
         refusal = self.speed.refusal(control, self.session)
         if refusal:
             return self._refuse("speed_limit", refusal)
+        if self.speed.is_repeated(control):
+            self._refuse(
+                "repeated", f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
+            )
+            return False, ""
         self._changed |= self.speed.give(float(control.value), control.session, now)
         self._poll_speed_limit(now)
         return True, f"speed at most {control.value:g} of the limits"
