@@ -356,7 +356,7 @@ def test_after_reset_and_arm_the_stream_begins_where_the_arm_was_stopped():
     cell.cycle(100)
     stopped = cell.held()
     cell.control("reset")
-    assert cell.control("arm", "s2", cell.config.hash)[0]
+    assert cell.arm("s2")[0]
     for _ in range(50):
         cell.send(stopped, session="s2")
         cell.cycle()

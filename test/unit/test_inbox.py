@@ -6,7 +6,7 @@ import itertools
 from collections import deque
 
 import pytest
-from gateway_cell import CONFIG, START
+from gateway_cell import CONFIG, RUN, START
 
 from construction_twin.rsi.codec import RobotEncoder
 from construction_twin.rsi.inbox import DRAIN_LIMIT, TelegramInbox
@@ -26,7 +26,7 @@ class Line:
     """Datagrams that wait: IPOC, bytes or an error, from HERE or with its source."""
 
     def __init__(self, controller=None):
-        self.gateway = Gateway(CONFIG)
+        self.gateway = Gateway(CONFIG, RUN)
         self.waiting: deque = deque()
         self.inbox = TelegramInbox(self.gateway, self._receive, lambda: 10**9, controller)
         self.arrivals = itertools.count(1)

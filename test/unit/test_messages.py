@@ -179,6 +179,10 @@ def test_a_gateway_s_status_and_answer_are_read():
     [
         {"state": 5},
         {"state": None},
+        {"run": 5},
+        {"run": None},
+        {"run": "r" * 65},
+        {"run": "two\nlines"},
         {"counters": 5},
         {"counters": {"telegrams": "many"}},
         {"counters": {"telegrams": -1}},

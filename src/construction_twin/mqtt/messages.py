@@ -17,6 +17,8 @@ _NUMBER = re.compile(r"[0-9]{1,19}")
 _MAX_NUMBER = (1 << 32) * NANOSECONDS - 1
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _LEVEL = re.compile(r"[A-Za-z0-9_-]+")
+#: What a `control` message may ask for.
+VERBS = ("arm", "stop", "reset", "end", "speed_limit")
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
 
@@ -170,6 +172,14 @@ class Control:
         return json.dumps(asdict(self)).encode()
 
 
+def arm_value(config_hash: str, run: str) -> dict[str, str]:
+    """Return the value of `arm`: the configuration, and the gateway's present run, as its status names them.
+
+    A gateway that was started again remembers no session: what was recorded before names another run.
+    """
+    return {"hash": config_hash, "run": run}
+
+
 def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
     document = parse_object(payload, "control")
@@ -186,7 +196,8 @@ def parse_control(payload: bytes) -> Control:
 def parse_status(payload: bytes) -> dict:
     """Parse a gateway's status (or answer) into a dict; PayloadError (``status``) when it is not one.
 
-    What is reported on ROS is checked here: a word as `state`, whole numbers as counters, the reply-time histogram.
+    What is reported on ROS, or sent back, is checked here: a word as `state`, a short text as `run`, whole numbers as counters, the
+    reply-time histogram.
     """
     status = parse_object(payload, "status", limit=1 << 20)
     reply = status.get("reply_us", {})
@@ -194,6 +205,8 @@ def parse_status(payload: bytes) -> dict:
         raise PayloadError(
             "status", f"status message {payload[:80]!r} whose state or reply_us is not what the interface says"
         )
+    if not _is_short_text(status.get("run", "")):
+        raise PayloadError("status", "status message whose run is not a short text in one line")
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
         raise PayloadError("status", "status message whose counters are not whole numbers by name")

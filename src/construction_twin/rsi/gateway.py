@@ -9,6 +9,7 @@ import argparse
 import gc
 import json
 import logging
+import secrets
 import selectors
 import signal
 import socket
@@ -32,7 +33,7 @@ from construction_twin.mqtt.client import (
     user_properties,
 )
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.messages import Topics, parse_control, read_command_properties
+from construction_twin.mqtt.messages import VERBS, Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.realtime import lock_memory, request_realtime
 from construction_twin.rsi.codec import SensorEncoder
@@ -42,7 +43,7 @@ from construction_twin.rsi.histogram import Histogram
 from construction_twin.rsi.inbox import TelegramInbox
 from construction_twin.rsi.log import LineLimiter, log_beside_the_loop
 from construction_twin.rsi.mode import NOTES, Mode
-from construction_twin.rsi.session import VERBS, Gateway, State
+from construction_twin.rsi.session import Gateway, State
 from construction_twin.rsi.status import StatusClock
 from construction_twin.rsi.trace import TraceWriter
 from construction_twin.rsi.udp import bind, receive
@@ -66,6 +67,8 @@ class GatewayService:
         Bound UDP socket, see `bind`.
     broker : Broker
     topics : Topics
+    run : str
+        Random id of this run, see `Gateway`.
     controller : str or None
         Only datagrams from this address are read; None reads any.
     commissioning : bool, optional
@@ -78,10 +81,11 @@ class GatewayService:
         sock: socket.socket,
         broker: Broker,
         topics: Topics,
+        run: str,
         controller: str | None = None,
         commissioning: bool = False,
     ):
-        self.gateway = Gateway(config, commissioning)
+        self.gateway = Gateway(config, run, commissioning)
         self.reply_time = Histogram.of_microseconds()
         self._sock = sock
         self._inbox = TelegramInbox(self.gateway, lambda: receive(sock), time.monotonic_ns, controller)
@@ -329,9 +333,9 @@ def _run(arguments: argparse.Namespace) -> int:
         address = _listen_address(arguments.listen, config)
         told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
-        service = GatewayService(
-            config, bind(*address), broker, topics, arguments.controller, arguments.commissioning == "true"
-        )
+        commissioning = arguments.commissioning == "true"
+        run = secrets.token_hex(8)
+        service = GatewayService(config, bind(*address), broker, topics, run, arguments.controller, commissioning)
         service.gateway.trace = trace and trace.record
     except ConstructionTwinError as error:
         log.error("%s", error)

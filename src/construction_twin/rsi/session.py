@@ -12,7 +12,7 @@ from collections.abc import Callable
 from construction_twin.errors import MotionRefused, PayloadError
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties
-from construction_twin.rsi.arming import refusal_of_arm
+from construction_twin.rsi.arming import refusal_of_arm, refusal_of_value
 from construction_twin.rsi.codec import RobotTelegram
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.controller_session import ControllerSession
@@ -32,9 +32,6 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 #: blow when the motion goes on at its speed than when it starts over [ns].
 STANDSTILL = 2 * CYCLE_NS
 
-#: What a `control` message may ask for.
-VERBS = ("arm", "stop", "reset", "end", "speed_limit")
-
 
 class Gateway:
     """One robot's gateway between the command stream and the RSI session.
@@ -42,12 +39,15 @@ class Gateway:
     Parameters
     ----------
     config : GatewayConfig
+    run : str
+        An id that no other run of the gateway has had; an `arm` must name it.
     commissioning : bool, optional
         True: everything runs and is reported as usual, but every correction that leaves is zero.
     """
 
-    def __init__(self, config: GatewayConfig, commissioning: bool = False):
+    def __init__(self, config: GatewayConfig, run: str, commissioning: bool = False):
         self.config = config
+        self.run = run
         self.mode = Mode.of(config, commissioning)
         #: The last correction, as it would be without commissioning mode [rad], [m].
         self.correction: tuple[float, ...] = ()
@@ -319,7 +319,7 @@ class Gateway:
             self._player.limit(self.speed.share)
 
     def _arm(self, control: Control) -> tuple[bool, str]:
-        if self.state in (State.ARMED, State.FOLLOWING) and control.value == self.config.hash:
+        if self.state in (State.ARMED, State.FOLLOWING) and not refusal_of_value(control.value, self):
             if control.session == self.session:
                 return True, "already armed for this session"
             self._owners.refuse(control.session)
