@@ -15,7 +15,7 @@ from link_mqtt import MqttEnd, publish_packet, read_publish
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, free_port
 
 from construction_twin.mqtt.codec import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, Topics
+from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value
 from construction_twin.robot import read_robot_files
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.export import gateway_config
@@ -107,7 +107,7 @@ class Commander:
     def arm(self) -> None:
         """Arm the gateway and begin the stream."""
         self.wait_for("ready")
-        control = Control("1", "bench", "arm", self._config.hash)
+        control = Control("1", "bench", "arm", arm_value(self._config.hash, self.status["run"]))
         self._end.publish(publish_packet(self._topics.control, control.to_json()))
         self.wait_for("armed")
         self._due = time.monotonic_ns()

@@ -22,7 +22,7 @@ import numpy as np
 import yaml
 
 from construction_twin.mqtt.codec import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control
+from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
 from construction_twin.planning.timing import time_path
 from construction_twin.robot import RobotModel, read_robot_files
 from construction_twin.rsi.config import GatewayConfig
@@ -158,7 +158,7 @@ class Rig:
     """
 
     def __init__(self, config: GatewayConfig, start: tuple[float, ...]):
-        self.gateway = Gateway(config)
+        self.gateway = Gateway(config, "benchmark")
         self.codec = JointStringCodec(len(config.axes), config.decimals)
         self.positions: list[tuple[float, ...]] = []
         self._config = config
@@ -187,7 +187,7 @@ class Rig:
             self._control("reset")
         if self.gateway.state is State.READY:
             self._sessions += 1
-            self._control("arm", self._config.hash)
+            self._control("arm", arm_value(self._config.hash, self.gateway.run))
 
     def _control(self, verb: str, value: object = None) -> None:
         self._controls += 1

@@ -93,7 +93,7 @@ class SimulatedChain:
         self.controller = controller
         #: The arm's faults; those of its network have no effect here, where a link has no datagrams.
         self.faults = FaultBoard(controller, 0)
-        self.gateway = Gateway(config)
+        self.gateway = Gateway(config, "simulation")
         self.executor = Executor(robot)
         self.verdicts: list[Verdict] = []
         self.codec = JointStringCodec.of(robot, config.decimals)

@@ -25,7 +25,7 @@ from construction_twin.rsi.codec import RobotDecoder, SensorDecoder
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 STATUS = {
-    "state": "armed", "decimals": 3, "counters": {"telegrams": 7}, "mode": "normal", "last_refusal": "arm: no",
+    "state": "armed", "run": "1f", "decimals": 3, "counters": {"telegrams": 7}, "mode": "normal", "last_refusal": "arm: no",
     "playout": {"delay_ms": 20.0, "drift_ppm": None}, "intruder": {"session": "x", "count": 1},
     "reply_us": {"bins": [50, 100], "counts": [1, 2, 3], "max": 80},
 }  # fmt: skip

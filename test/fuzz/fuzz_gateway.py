@@ -30,7 +30,7 @@ from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.mqtt.client import subscriptions
 from construction_twin.mqtt.codec import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, Topics
+from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value
 from construction_twin.rsi.codec import parse_sensor
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.mock_controller import MockConfig, MockController
@@ -209,7 +209,7 @@ class Mqtt:
         self._client.loop_start()
         demand(subscribed.wait(10.0), "the broker does not answer")
         self.wait(lambda: bool(self.status), "the gateway's status")
-        self.target = Target("", "", "", self.codec.encode(FAR), self.codec.encode(HOME))
+        self.target = Target("", "", {}, self.codec.encode(FAR), self.codec.encode(HOME))
 
     def _on_message(self, client, userdata, received) -> None:
         document = json.loads(received.payload)
@@ -262,9 +262,10 @@ class Mqtt:
                 self.wait(lambda: self.status["state"] in ("holding", "ready"), "rest")
             self.ask("reset")
             ended, session = self.target.session, next(self._sessions)
-            answer = self.ask("arm", session, self.status["hash"])
+            arming = arm_value(self.status["hash"], self.status["run"])
+            answer = self.ask("arm", session, arming)
             if answer["ok"]:
-                self.target = Target(session, ended, self.status["hash"], self.target.far, self.target.held)
+                self.target = Target(session, ended, arming, self.target.far, self.target.held)
                 return
         raise Refused(f"arm was refused: {answer['reason']}")
 

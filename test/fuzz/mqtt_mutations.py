@@ -49,15 +49,15 @@ class Target:
         Owner of the stream.
     ended : str
         A session that had its turn.
-    hash : str
-        Of the configuration; anybody can read it in the status.
+    arming : dict
+        Value of an `arm`: configuration and run; anybody can read both in the status.
     far, held : bytes
         Joint strings: degrees away from the arm on every joint, and where it stands.
     """
 
     session: str
     ended: str
-    hash: str
+    arming: dict
     far: bytes
     held: bytes
 
@@ -108,8 +108,8 @@ def _spoilt_pairs(rng: random.Random, pairs: list[tuple[str, str]]) -> list[tupl
 
 def _control(rng: random.Random, target: Target) -> bytes:
     session = rng.choice((target.session, target.ended, "another", ""))
-    # the right hash only from who is armed already, or had its turn: arming anew is the access rules' business
-    value = target.hash if session in (target.session, target.ended) else rng.choice((None, "0" * 64, 1.0, []))
+    # the right value only from who is armed already, or had its turn: arming anew is the access rules' business
+    value = target.arming if session in (target.session, target.ended) else rng.choice((None, "0" * 64, 1.0, []))
     verb = rng.choice(VERBS)
     document = {"id": str(rng.randrange(10**6)), "session": session, "verb": verb, "value": value}
     if rng.random() < 0.5:

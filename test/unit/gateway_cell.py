@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 from construction_twin.mqtt.codec import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control
+from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
 from construction_twin.rsi.codec import RobotTelegram
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.session import Gateway, State
@@ -14,6 +14,8 @@ from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS
 
 CONFIG = GatewayConfig("arm", ("A1", "A2"), (-0.5, -3.2), (0.5, 3.2), (2.0, 4.5), (2.34, 17.4))
 DELAY_CYCLES = 5
+#: The gateway's present run.
+RUN = "run1"
 START = JointStringCodec(2).quantise((0.1, -1.0))
 #: The sender's clock when the cell's reads 0.
 SENDER_EPOCH = 1_764_000_000_000_000_000
@@ -42,7 +44,7 @@ class Cell:
 
     def __init__(self, start=START, **changes):
         self.config = dataclasses.replace(CONFIG, **changes)
-        self.gateway = Gateway(self.config)
+        self.gateway = Gateway(self.config, RUN)
         self.codec = JointStringCodec(2, self.config.decimals)
         self.now = 50 * NANOSECONDS
         self.ipoc = 1_000_000
@@ -98,9 +100,14 @@ class Cell:
         return self.gateway.on_control(Control(str(self.controls), session, verb, value), self.now)
 
     def arm(self, session="s1"):
-        return self.control("arm", session, self.config.hash)
+        return self.control("arm", session, self.arming)
 
     # shorthand
+
+    @property
+    def arming(self):
+        """The value of an `arm` that is meant for this gateway."""
+        return arm_value(self.config.hash, self.gateway.run)
 
     @property
     def state(self):

@@ -16,7 +16,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from construction_twin.mqtt.client import Broker, user_properties
 from construction_twin.mqtt.codec import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control
+from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
 from construction_twin.rsi.codec import RobotEncoder, parse_sensor
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.gateway import GatewayService, bind
@@ -30,6 +30,8 @@ PATIENT = dataclasses.replace(CONFIG, playout_delay=0.1, silence=8.0, max_age=20
 CODEC = JointStringCodec(2)
 START = CODEC.quantise((0.1, -1.0))
 POSE = ((0.0,) * 3, (0.0,) * 3)
+#: The gateway's present run.
+RUN = "run1"
 
 
 class Controller(threading.Thread):
@@ -98,8 +100,8 @@ def controller_of(address):
 def serving(port, topics, config=CONFIG, sock=None, **options):
     """A GatewayService in a thread; yields it and its UDP address."""
     sock = sock or bind("127.0.0.1", 0)
-    protocol = options.pop("protocol", "5")
-    service = GatewayService(config, sock, Broker(port=port, protocol=protocol), topics, **options)
+    protocol, run = options.pop("protocol", "5"), options.pop("run", RUN)
+    service = GatewayService(config, sock, Broker(port=port, protocol=protocol), topics, run, **options)
     thread = threading.Thread(target=service.run)
     address = sock.getsockname()
     thread.start()
@@ -117,7 +119,7 @@ class Client:
     def __init__(self, port, topics, protocol=MQTTProtocolVersion.MQTTv5):
         self.topics, self.messages = topics, []
         self.seq, self.stamp = 0, 10**18
-        self._ids = itertools.count()
+        self._ids = itertools.count(1)
         subscribed = threading.Event()
         self.paho = paho.Client(CallbackAPIVersion.VERSION2, protocol=protocol)
         self.paho.on_connect = lambda client, *_: client.subscribe(f"{topics.prefix}/#", 1)
@@ -148,7 +150,8 @@ class Client:
 
     def control(self, verb, value=None, session="s1"):
         """Send a verb and return the answer."""
-        control = Control(f"c{next(self._ids)}", session, verb, value)
+        # rising numbers: what `speed_limit` needs
+        control = Control(str(next(self._ids)), session, verb, value)
         self.paho.publish(self.topics.control, control.to_json(), qos=1)
 
         def answers():
@@ -159,6 +162,10 @@ class Client:
             ]
 
         return wait_until(answers, what=f"answer to {verb}")[0]
+
+    def arm(self, config=CONFIG, session="s1", run=RUN):
+        """Arm a gateway with this configuration, in this run, and return the answer."""
+        return self.control("arm", arm_value(config.hash, run), session)
 
     def command(self, q):
         self.seq += 1

@@ -10,7 +10,7 @@ import pytest
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
 from construction_twin.units import NANOSECONDS, last_digit
 
-HASH, DECIMALS = "cafe", 3
+HASH, DECIMALS, RUN = "cafe", 3, "run1"
 TOLERANCE = math.radians(0.05)
 POSE = (0.1, 0.2)
 POLL = NANOSECONDS // 50
@@ -32,7 +32,7 @@ class Bench:
             HASH, DECIMALS, (TOLERANCE,) * len(POSE), (last_digit(DECIMALS),) * len(POSE), lambda: next(ids), mirrors
         )
         self.now = 100 * NANOSECONDS
-        self.gateway = {"state": "ready", "reason": "", "session": "", "hash": HASH, "decimals": DECIMALS}
+        self.gateway = {"state": "ready", "reason": "", "session": "", "run": RUN, "hash": HASH, "decimals": DECIMALS}
         self.pose: tuple[float, ...] | None = POSE
         self.command: tuple[float, ...] | None = POSE
         self.answering = True

@@ -12,6 +12,7 @@ import rospy
 from gateway_cell import following
 
 from construction_twin.mqtt.freshness import StateCheck
+from construction_twin.mqtt.messages import parse_control
 from construction_twin.mqtt.speed_forwarder import SpeedForwarder
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
 from construction_twin.ros import mqtt_bridge_node
@@ -166,6 +167,32 @@ def test_a_second_source_of_speed_limit_is_refused_as_by_the_executor(bridge, cl
         bridge._on_speed_limit(SimpleNamespace(limit=limit, _connection_header={"callerid": source}))
     assert bridge._diagnostics.refused == {"speed_limit_source": 1, "speed_limit": 1}
     assert bridge._speed.poll("s1", clocks.steady) == 0.2
+
+
+def test_speed_limits_go_to_the_gateway_numbered_upwards(bridge, clocks, monkeypatch):
+    bridge._speed = SpeedForwarder(0.5)
+    bridge._topics.control = "control"
+    bridge._supervisor = SimpleNamespace(
+        poll=lambda now: None, state=LinkState.ARMED, reason="", session="s1", status={}
+    )
+    sent, turns = [], iter(range(50))
+
+    def publish(topic, payload, *_, **__):
+        if topic == "control":
+            sent.append(parse_control(payload))
+
+    def sleep(seconds):
+        clocks.run(seconds)
+        bridge._speed.on_limit(0.5, "/separation", clocks.steady)
+
+    bridge._client = SimpleNamespace(publish=publish, disconnect=lambda: None, loop_stop=lambda: None)
+    monkeypatch.setattr(mqtt_bridge_node.time, "sleep", sleep, raising=False)
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: next(turns, None) is None)
+    bridge.run()
+    assert [(control.verb, control.session, control.value) for control in sent] == [("speed_limit", "s1", 0.5)] * len(
+        sent
+    )
+    assert [control.id for control in sent] == [str(k) for k in range(1, len(sent) + 1)] and len(sent) >= 4
 
 
 def test_mirror_mode_is_kept_where_the_next_process_finds_it(bridge, clocks, monkeypatch):

@@ -107,10 +107,11 @@ def test_gateway_counters_are_documented():
     files = ("gateway", "session", "player", "controller_session", "command_stream", "intake", "inbox")
     code = "".join((ROOT / f"src/construction_twin/rsi/{file}.py").read_text() for file in files)
     # a refusal is documented by its reason
-    counters = [re.sub(r"^(telegram_)?refused_", "", name) for name in re.findall(r"counters\[\"(\w+)\"", code)]
-    reasons = re.findall(r"(?:PayloadError|MotionRefused)\(\"(\w+)\"", code)
-    assert {"repeated", "source", "cycles_without_command"} <= set(counters)
-    assert {"duplicate", "lead"} <= set(reasons)
+    counters = re.findall(r"counters\[\"(\w+)\"", code)
+    refused = r"(?:PayloadError|MotionRefused|refusals\.\w+|_refuse)\(\s*\"(\w+)\""
+    reasons = re.findall(refused, code)
+    assert {"settling", "cycles_without_command"} <= set(counters)
+    assert {"duplicate", "lead", "repeated", "verb", "source", "retained"} <= set(reasons)
     assert undocumented([*counters, *reasons, "arm", "stop", "reset", "end"]) == []
 
 

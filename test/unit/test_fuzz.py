@@ -15,6 +15,7 @@ from construction_twin.errors import PayloadError
 from construction_twin.rsi.codec import RobotDecoder, SensorEncoder
 
 ROOT = Path(__file__).resolve().parents[2]
+ARMING = {"hash": "0" * 64, "run": "run1"}
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_codecs_and_running_gateway_stand_up_to_a_short_run(fuzz, capsys):
 
 
 def test_the_same_seed_makes_the_same_messages_and_another_one_others(mutations):
-    target = mutations.Target("owner", "ended", "0" * 64, b"+001.000", b"+000.000")
+    target = mutations.Target("owner", "ended", ARMING, b"+001.000", b"+000.000")
 
     def made(seed):
         rng = random.Random(seed)
@@ -64,7 +65,7 @@ def test_the_same_seed_makes_the_same_messages_and_another_one_others(mutations)
 
 
 def test_no_hostile_message_is_a_whole_command_of_the_armed_session_at_the_held_pose(mutations):
-    rng, target = random.Random(5), mutations.Target("owner", "ended", "0" * 64, b"+030.000", b"+000.000")
+    rng, target = random.Random(5), mutations.Target("owner", "ended", ARMING, b"+030.000", b"+000.000")
     for _ in range(20_000):
         sent = mutations.message(rng, target)
         assert sent.payload != b"+000.000" or dict(sent.pairs).get("session") != "owner"
@@ -133,7 +134,7 @@ class ForgetfulMqtt:
     """A gateway that leaves every `leave_out`-th message uncounted, as `flood_mqtt` sees it."""
 
     def __init__(self, mutations, leave_out: int):
-        self.target = mutations.Target("owner", "ended", "0" * 64, b"+001.000", b"+000.000")
+        self.target = mutations.Target("owner", "ended", ARMING, b"+001.000", b"+000.000")
         self.sent = self.granted = self.counted = self.seen = 0
         self._leave_out = leave_out
 

@@ -209,7 +209,7 @@ class Pilot:
 
     def _take_over(self, value, cycles):
         for verb in ("arm", "reset", "arm"):
-            self.cell.control(verb, f"x{cycles}", self.cell.config.hash)
+            self.cell.control(verb, f"x{cycles}", self.cell.arming)
             for _ in range(cycles):
                 self.cell.send((self.q + value, START[1]), session=f"x{cycles}")
                 self.cycle()

@@ -269,8 +269,9 @@ def test_silence_brakes_after_its_time_holds_and_goes_on_answering():
 def test_a_stream_resumed_within_the_silence_goes_on():
     cell = following()
     here = cell.codec.quantise(slow(99))
-    cell.cycle(DELAY_CYCLES + 20)
-    cell.stamp += (DELAY_CYCLES + 20) * CYCLE_NS
+    # as long as a hole may be: the playout has been dry for most of it
+    cell.cycle(24)
+    cell.stamp += 24 * CYCLE_NS
     cell.stream([here] * 50)
     assert (cell.state, cell.count("stops_silence")) == (State.FOLLOWING, 0)
     assert cell.measured == pytest.approx(here, abs=1e-12)
@@ -355,7 +356,7 @@ def test_after_reset_and_arm_the_stream_begins_where_the_arm_was_stopped():
     cell.cycle(100)
     stopped = cell.held()
     cell.control("reset")
-    assert cell.control("arm", "s2", cell.config.hash)[0]
+    assert cell.arm("s2")[0]
     for _ in range(50):
         cell.send(stopped, session="s2")
         cell.cycle()

@@ -66,7 +66,7 @@ def test_read_only_publishes_states_and_answers_nothing(broker, topics):
             assert controller.replies == [None] * 5
             client.wait_for_status(state="read_only")
             assert client.on(topics.state)
-            answer = client.control("arm", service.gateway.config.hash)
+            answer = client.arm(service.gateway.config)
             assert not answer["ok"] and "ONLYSEND TRUE" in answer["reason"]
 
 
@@ -77,7 +77,7 @@ def test_commissioning_is_in_the_status(broker, topics):
                 controller.cycle()
             client.wait_for_status(state="ready", mode="commissioning")
             assert "commissioning" in client.status()["reason"]
-            assert client.control("arm", CONFIG.hash)["reason"].startswith("armed; commissioning")
+            assert client.arm()["reason"].startswith("armed; commissioning")
 
 
 def test_every_hostile_telegram_is_counted_and_none_disturbs_the_session(topics):

@@ -6,7 +6,7 @@ import dataclasses
 import re
 
 import pytest
-from gateway_cell import START, Cell, following, gap, jump_ahead, other_source, slow
+from gateway_cell import RUN, START, Cell, following, gap, jump_ahead, other_source, slow
 from hypothesis import given
 from hypothesis import strategies as st
 from rsi_mutations import mutate
@@ -39,7 +39,7 @@ def link(cell) -> LinkSupervisor:
 
 def commissioning() -> Cell:
     cell = Cell()
-    cell.gateway = Gateway(cell.config, commissioning=True)
+    cell.gateway = Gateway(cell.config, RUN, commissioning=True)
     cell.cycle(3)
     return cell
 
@@ -110,7 +110,7 @@ def test_read_only_answers_nothing_publishes_states_and_refuses_motion_with_the_
     payload, _ = cell.gateway.state_message(cell.now)
     assert cell.codec.decode(payload) == pytest.approx(START)
     for verb in ("arm", "reset", "end"):
-        ok, said = cell.control(verb, "s1", cell.config.hash)
+        ok, said = cell.control(verb, "s1", cell.arming)
         assert not ok
     assert "ONLYSEND TRUE" in cell.arm()[1]
     cell.send(START)
@@ -140,7 +140,7 @@ def test_the_link_says_that_the_gateway_only_reads():
 
 
 def test_onlysend_wins_over_commissioning():
-    assert Gateway(Cell(layout=READ_ONLY).config, commissioning=True).status()["mode"] == "read_only"
+    assert Gateway(Cell(layout=READ_ONLY).config, RUN, commissioning=True).status()["mode"] == "read_only"
 
 
 # -- the end of RSI_MOVECORR -------------------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ class TrackCell(Cell):
     def __init__(self):
         super().__init__()
         self.config = config = TRACK_CONFIG
-        self.gateway = Gateway(config)
+        self.gateway = Gateway(config, RUN)
         self.codec = type(self.codec).of_config(config)
         start = (2.0, 0.1)
         mock = MockConfig(

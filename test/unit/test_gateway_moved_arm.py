@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from gateway_cell import START, Cell, following, gap, other_source, slow
+from gateway_cell import RUN, START, Cell, following, gap, other_source, slow
 
 from construction_twin.rsi.session import Gateway, State
 from construction_twin.units import CYCLE, NANOSECONDS
@@ -102,7 +102,7 @@ class TestSwitchedOffAndOn:
 
     def test_commissioning_sends_no_correction_so_there_is_nothing_to_lose(self):
         cell = Cell()
-        cell.gateway = Gateway(cell.config, commissioning=True)
+        cell.gateway = Gateway(cell.config, RUN, commissioning=True)
         cell.cycle(3)
         cell.arm()
         cell.stream(slow(k) for k in range(200))

@@ -8,7 +8,7 @@ import pytest
 from gateway_cell import START, Cell, following, slow
 
 from construction_twin.mqtt.messages import CommandProperties, Control
-from construction_twin.rsi.session import State
+from construction_twin.rsi.session import Gateway, State
 from construction_twin.units import CYCLE_NS
 
 
@@ -112,17 +112,41 @@ def test_a_replayed_stream_does_nothing():
     cell.cycle(200)
     held = cell.measured
     for verb in ("reset", "arm"):
-        cell.gateway.on_control(Control("1", "s1", verb, cell.config.hash), cell.now)
+        cell.gateway.on_control(Control("1", "s1", verb, cell.arming), cell.now)
         for message in recorded:
             cell.gateway.on_command(*message, cell.now)
             cell.cycle()
     assert cell.measured == held
 
 
+def test_a_recording_of_a_former_run_moves_nothing_after_a_restart_of_the_gateway():
+    cell = Cell()
+    cell.cycle(3)
+    recorded = [(cell.control, ("reset", "s1")), (cell.control, ("arm", "s1", cell.arming))]
+    recorded += [(cell.control, ("speed_limit", "s1", 1.0))]
+    for k in range(200):
+        recorded.append((cell.send, (slow(k),)))
+    # no memory of any session, and the arm where it was when the recording began
+    cell.gateway = Gateway(cell.config, "run2")
+    cell.cycle(3)
+    before = cell.measured
+    for play, arguments in recorded:
+        play(*arguments)
+        cell.cycle()
+    assert (cell.state, cell.measured) == (State.READY, before)
+    assert (cell.count("refused_arm"), cell.count("refused_speed_limit"), cell.count("refused_not_armed")) == (
+        1,
+        1,
+        200,
+    )
+    # today's bridge takes the run from the status
+    assert cell.arm("s2")[0]
+
+
 def test_a_control_message_that_comes_twice_acts_once_but_a_stop_always_acts():
     cell = Cell()
     cell.cycle(3)
-    arm = Control("a1", "s1", "arm", cell.config.hash)
+    arm = Control("a1", "s1", "arm", cell.arming)
     assert cell.gateway.on_control(arm, cell.now) == (True, "armed")
     cell.stream([START] * 20)
     stop = Control("a2", "s1", "stop")
@@ -136,6 +160,7 @@ def test_a_control_message_that_comes_twice_acts_once_but_a_stop_always_acts():
     ok, reason = cell.gateway.on_control(reset, cell.now)
     assert not ok and "answered before" in reason
     assert cell.gateway.status()["fault"] and cell.count("refused_repeated") == 1
+    assert cell.gateway.status()["last_refusal"] == f"repeated: {reason}"
     assert cell.gateway.on_control(Control("a4", "s1", "reset"), cell.now)[0]
 
 

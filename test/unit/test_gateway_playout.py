@@ -6,6 +6,8 @@ import math
 
 import pytest
 from gateway_cell import DELAY_CYCLES, START, Cell, following, slow
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from construction_twin.rsi.session import State
 from construction_twin.units import CYCLE, CYCLE_NS
@@ -57,20 +59,57 @@ def test_while_commands_are_overdue_the_arm_never_turns_round():
     assert cell.state is State.HOLDING
 
 
-def test_a_hole_up_to_the_silence_is_bridged_and_a_longer_one_brakes_as_silence_does():
-    for missing, state in ((24, State.FOLLOWING), (25, State.BRAKING)):
-        cell = following(cycles=300, playout_delay=0.2)
-        cell.seq += missing
-        cell.stamp += missing * CYCLE_NS
-        cell.cycle(missing)
-        cell.send(slow(300 + missing))
-        assert cell.state is state
-        assert cell.count("commands_lost") == missing
-    assert "missing" in cell.gateway.reason
-    assert not cell.gateway.status()["fault"]
-    cell.cycle(200)
+def hole(cell, missing, begin=300):
+    """Lose `missing` commands in mid-motion; the next one comes in time."""
+    cell.seq += missing
+    cell.stamp += missing * CYCLE_NS
+    cell.cycle(missing)
+    cell.send(slow(begin + missing))
+
+
+#: Commands that can be missing within the silence of 0.1 s: the next one is a cycle further on.
+BRIDGED = 24
+
+
+@settings(max_examples=60, deadline=None)
+@given(delay=st.integers(5, 62), missing=st.integers(1, 70))
+@example(delay=35, missing=BRIDGED)
+@example(delay=35, missing=BRIDGED + 1)
+@example(delay=35, missing=34)
+@example(delay=35, missing=35)
+@example(delay=35, missing=58)
+@example(delay=5, missing=BRIDGED)
+@example(delay=5, missing=BRIDGED + 1)
+def test_a_hole_longer_than_the_silence_brakes_with_every_delay_and_a_shorter_one_never(delay, missing):
+    cell = following(cycles=300, playout_delay=delay * CYCLE)
+    hole(cell, missing)
+    if missing <= BRIDGED:
+        assert (cell.state, cell.count("commands_lost"), cell.count("stops_silence")) == (State.FOLLOWING, missing, 0)
+        cell.stream(slow(300 + k) for k in range(missing + 1, missing + 300))
+        assert cell.state is State.FOLLOWING
+        # a hole as long as the delay makes it longer, never shorter
+        assert cell.measured[0] == pytest.approx(slow(600 + missing - delay)[0], abs=0.02)
+        return
+    assert cell.state in (State.BRAKING, State.HOLDING)
+    assert (cell.count("stops_silence"), cell.gateway.session) == (1, "")
+    assert cell.gateway.reason.startswith("silence: ") and not cell.gateway.status()["fault"]
+    before = cell.measured[0]
+    for _ in range(200):
+        cell.cycle()
+        assert cell.measured[0] >= before
+        before = cell.measured[0]
     assert cell.state is State.HOLDING
-    cell.held()
+    # by law 5: another session from where the arm stands
+    resume(cell)
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.14])
+def test_a_hole_that_is_too_long_is_told_as_silence_and_teaches_nothing_about_the_link(delay):
+    cell = following(cycles=300, playout_delay=delay)
+    hole(cell, BRIDGED + 1)
+    assert cell.gateway.reason == "silence: 0.104 s of the stream are missing"
+    resume(cell)
+    assert cell.gateway.status()["playout"]["delay_ms"] == 1000 * delay
 
 
 def test_a_bridged_hole_is_hardly_felt():

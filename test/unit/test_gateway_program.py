@@ -60,6 +60,25 @@ def program(config_file, port, topics, *options):
         process.communicate(timeout=10.0)
 
 
+def test_every_run_names_itself_and_a_recorded_arm_is_void_in_the_next(broker, topics, config_file):
+    runs = []
+    with client_of(broker, topics) as client:
+        for _ in range(2):
+            with program(config_file, broker, topics) as (_, address), controller_of(address) as controller:
+                controller.start()
+                client.wait_for_status(state="ready")
+                assert client.status()["run"] not in runs
+                runs.append(client.status()["run"])
+                assert re.fullmatch("[0-9a-f]{16}", runs[-1])
+                for former in runs[:-1]:
+                    said = f"run '{former}' is not the gateway's present one"
+                    assert client.arm(run=former)["reason"].startswith(said)
+                    client.wait_for_counter("refused_arm", 1)
+                    assert client.status()["last_refusal"].startswith(f"arm: {said}")
+                assert client.arm(run=runs[-1])["ok"]
+            client.wait_for_status(state="offline")
+
+
 def test_a_killed_gateway_is_declared_offline_by_its_last_will(broker, topics, config_file):
     with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, _):
         client.wait_for_status(state="no_controller")
@@ -102,7 +121,7 @@ def test_sigterm_ends_the_program_cleanly(broker, topics, config_file):
 
 def test_ended_in_mid_motion_it_brakes_the_arm_before_it_goes(broker, topics):
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
-        assert client.control("arm", PATIENT.hash)["ok"]
+        assert client.arm(PATIENT)["ok"]
         stream(client, controller, (motion(k) for k in range(200)))
         count = len(controller.replies)
         service.stop()

@@ -14,6 +14,7 @@ from service_cell import (
     CODEC,
     CONFIG,
     PATIENT,
+    RUN,
     START,
     assert_still,
     cell,
@@ -25,12 +26,12 @@ from service_cell import (
 )
 
 from construction_twin.mqtt.client import received_pairs, user_properties
-from construction_twin.mqtt.messages import Control, read_state_properties
+from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
 
 
 def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics):
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
-        answer = client.control("arm", PATIENT.hash)
+        answer = client.arm(PATIENT)
         assert (answer["ok"], answer["verb"], answer["session"]) == (True, "arm", "s1")
         assert client.status()["state"] == "armed"
         stream(client, controller, (motion(k) for k in range(200)))
@@ -54,7 +55,7 @@ def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topi
 
 def test_the_state_after_a_verb_is_told_before_its_answer(broker, topics):
     with cell(broker, topics) as (service, controller, client):
-        client.control("arm", CONFIG.hash)
+        client.arm()
         order = [message.topic for message in client.messages if message.topic in (topics.status, topics.control_ack)]
         payloads = [json.loads(message.payload) for message in client.on(topics.status)]
         before = order[: order.index(topics.control_ack)]
@@ -71,7 +72,7 @@ def test_a_wrong_hash_is_answered_with_the_reason_and_arms_nothing(broker, topic
 
 def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
     with cell(broker, topics) as (service, controller, client):
-        client.control("arm", CONFIG.hash)
+        client.arm()
         garbage = [b"", b"\x00\xff", b"{}", b"nan,nan", b"+010.000,+010.000", b"x" * 5000]
         for payload in garbage:
             client.paho.publish(topics.command, payload)
@@ -90,6 +91,7 @@ def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
             client.paho.publish(topics.control, payload, qos=1)
         client.wait_for_counter("refused_control", len(controls))
         client.wait_for_counter("refused_properties", 2 * len(garbage))
+        assert client.status()["last_refusal"].startswith("control: control message whose id")
         assert_still(controller)
         assert controller.measured == pytest.approx(START)
         assert service.gateway.status()["state"] == "armed"
@@ -97,14 +99,14 @@ def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
 
 def test_a_gateway_without_a_stream_brakes_and_keeps_answering(broker, topics):
     with cell(broker, topics) as (service, controller, client):
-        client.control("arm", CONFIG.hash)
+        client.arm()
         stream(client, controller, (motion(k) for k in range(100)))
         client.wait_for_status(state="holding")
         assert_still(controller)
         assert controller.missed == 0
-        assert not client.control("arm", CONFIG.hash, "s2")["ok"]
+        assert not client.arm(CONFIG, "s2")["ok"]
         assert client.control("reset")["ok"]
-        assert client.control("arm", CONFIG.hash, "s2")["ok"]
+        assert client.arm(CONFIG, "s2")["ok"]
 
 
 @pytest.mark.parametrize("name", ["command", "control"])
@@ -115,14 +117,16 @@ def test_messages_retained_before_the_gateway_came_are_refused(broker, topics, n
         client.paho.publish(topic, payload, qos=1, retain=True).wait_for_publish(5.0)
         with serving(broker, topics):
             client.wait_for_counter("refused_retained", 1)
+            assert client.status()["last_refusal"].startswith(f"retained: a message on {name} with the retain flag")
         assert not client.on(topics.control_ack)
 
 
 def test_a_retained_message_is_refused_when_it_comes_live_too(broker, topics):
     with cell(broker, topics) as (service, controller, client):
-        arm = Control("live", "s1", "arm", CONFIG.hash)
+        arm = Control("live", "s1", "arm", arm_value(CONFIG.hash, RUN))
         client.paho.publish(topics.control, arm.to_json(), qos=1, retain=True)
         client.wait_for_counter("refused_retained", 1)
+        assert client.status()["last_refusal"].startswith("retained: a message on control")
         assert service.gateway.status()["state"] == "ready"
         client.paho.publish(topics.control, b"", qos=1, retain=True)
 
@@ -144,7 +148,7 @@ def test_a_stopped_gateway_says_that_it_is_offline(broker, topics):
 
 def test_when_the_broker_dies_the_arm_brakes_replies_go_on_and_the_gateway_comes_back(broker_process, topics):
     with cell(broker_process.port, topics) as (service, controller, client):
-        client.control("arm", CONFIG.hash)
+        client.arm()
         stream(client, controller, (motion(k) for k in range(100)))
         broker_process.kill()
         wait_until(lambda: service.gateway.status()["state"] == "holding", what="holding")
@@ -162,7 +166,7 @@ def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):
         with client_of(broker, topics, protocol=MQTTProtocolVersion.MQTTv311) as client:
             controller.start()
             client.wait_for_status(state="ready", properties=False)
-            assert client.control("arm", config.hash)["ok"]
+            assert client.arm(config)["ok"]
             begin = len(controller.replies)
             for k in range(150):
                 client.paho.publish(topics.command, CODEC.encode(motion(min(k, 100))))

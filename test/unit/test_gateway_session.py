@@ -8,6 +8,7 @@ import pytest
 from gateway_cell import (
     CONFIG,
     DELAY_CYCLES,
+    RUN,
     SENDER_EPOCH,
     START,
     Cell,
@@ -254,12 +255,35 @@ def test_a_reference_that_drifts_is_counted_and_the_origin_stays():
 def test_only_the_right_configuration_hash_arms():
     cell = Cell()
     cell.cycle()
-    for value in (None, "", "0" * 64, cell.config.hash[:-1], [cell.config.hash]):
+    wrong = ("", "0" * 64, cell.config.hash[:-1], [cell.config.hash])
+    for value in (None, *wrong, {}, *({"hash": each, "run": RUN} for each in wrong)):
         ok, reason = cell.control("arm", value=value)
         assert not ok
-        assert "hash" in reason
+        assert reason.startswith("configuration hash ") and cell.config.hash in reason
     assert cell.state is State.READY
-    assert cell.count("refused_arm") == 5
+    assert cell.count("refused_arm") == 10
+
+
+@pytest.mark.parametrize(
+    "named", [{"run": "run0"}, {"run": ""}, {"run": None}, {"run": [RUN]}, {}, {"run": RUN, "x": 1}]
+)
+def test_only_the_gateway_s_present_run_arms(named):
+    cell = Cell()
+    cell.cycle()
+    ok, reason = cell.control("arm", value={"hash": cell.config.hash} | named)
+    assert not ok and "run" in reason
+    assert (cell.state, cell.count("refused_arm")) == (State.READY, 1)
+    status = cell.gateway.status()
+    assert (status["last_refusal"], status["run"]) == (f"arm: {reason}", RUN)
+    # the session has not had its turn, and the next attempt may be right
+    assert cell.arm()[0]
+
+
+def test_the_hash_alone_as_an_older_bridge_sends_it_arms_nothing_and_says_why():
+    cell = Cell()
+    cell.cycle()
+    ok, reason = cell.control("arm", value=cell.config.hash)
+    assert not ok and reason == "arm must name hash and run of the gateway's status, and nothing else"
 
 
 def test_without_a_controller_nothing_arms_and_nothing_resets():
@@ -283,6 +307,7 @@ def test_unknown_verbs_do_nothing(verb):
     assert not ok
     assert "unknown verb" in reason
     assert cell.state is State.FOLLOWING
+    assert (cell.count("refused_verb"), cell.gateway.status()["last_refusal"]) == (1, f"verb: {reason}")
 
 
 # -- what is told ----------------------------------------------------------------------------------------------------

@@ -6,10 +6,11 @@ import itertools
 from collections import deque
 
 import pytest
-from gateway_cell import CONFIG, START
+from gateway_cell import CONFIG, RUN, START
 
 from construction_twin.rsi.codec import RobotEncoder
 from construction_twin.rsi.inbox import DRAIN_LIMIT, TelegramInbox
+from construction_twin.rsi.refusals import LONGEST_REFUSAL
 from construction_twin.rsi.session import Gateway
 from construction_twin.rsi.state import State
 from construction_twin.rsi.status import QUIET, StatusClock
@@ -26,7 +27,7 @@ class Line:
     """Datagrams that wait: IPOC, bytes or an error, from HERE or with its source."""
 
     def __init__(self, controller=None):
-        self.gateway = Gateway(CONFIG)
+        self.gateway = Gateway(CONFIG, RUN)
         self.waiting: deque = deque()
         self.inbox = TelegramInbox(self.gateway, self._receive, lambda: 10**9, controller)
         self.arrivals = itertools.count(1)
@@ -85,6 +86,33 @@ def test_what_is_no_telegram_takes_nobody_s_place():
     assert sum(counted.values()) == 2 and all(name.startswith("telegram_refused_") for name in counted)
 
 
+@pytest.mark.parametrize(
+    "thing, reason",
+    [
+        ((1004, ("10.0.0.1", 1)), "telegram address: a datagram from 10.0.0.1; only those from 192.168.1.20 are read"),
+        (b"", "telegram size: telegram of 0 B"),
+        (b"\xff" * 60, "telegram encoding: "),
+        (b"<Rob", "telegram xml: telegram is not well-formed"),
+        (b"<Sen><IPOC>4</IPOC></Sen>", "telegram root: the telegram's root is 'Sen'"),
+        (b"<" + b"R" * 900 + b"/>", "telegram root: "),
+    ],
+)
+def test_every_refused_datagram_has_a_counter_and_a_reason_in_the_status(thing, reason):
+    line = Line("192.168.1.20")
+    assert line.newest(thing) is None
+    said = line.gateway.status()["last_refusal"]
+    assert said.startswith(reason) and len(said) <= LONGEST_REFUSAL
+    assert line.counted() == {f"telegram_refused_{said.split(':')[0].split()[1]}": 1}
+
+
+def test_good_telegrams_leave_the_last_refusal_alone():
+    line = Line()
+    line.newest(b"")
+    before = line.gateway.status()["last_refusal"]
+    assert line.newest(1000, 1004, 1004)[0] == 1004
+    assert line.gateway.status()["last_refusal"] == before
+
+
 def test_while_a_controller_is_alive_nobody_else_is_read():
     line = Line()
     line.waiting.append((1000, HERE))
@@ -92,6 +120,8 @@ def test_while_a_controller_is_alive_nobody_else_is_read():
     line.gateway.on_telegram(read, source, 10**9)
     assert line.newest((1004, THERE)) is None
     assert line.counted()["telegram_refused_source"] == 1
+    said = line.gateway.status()["last_refusal"]
+    assert said == "telegram source: a datagram from 192.168.1.20:49153 while another sender's session is alive"
 
 
 def test_while_there_is_no_controller_the_first_other_address_is_named_once():

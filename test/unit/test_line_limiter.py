@@ -59,7 +59,7 @@ class TestStatusClock:
 def test_a_hostile_sender_makes_few_lines_and_repeats_make_none(broker, topics, caplog):
     caplog.set_level(logging.INFO, logger="rsi_gateway")
     with cell(broker, topics) as (service, controller, client):
-        assert client.control("arm", service.gateway.config.hash)["ok"]
+        assert client.arm()["ok"]
         for _ in range(300):
             client.paho.publish(topics.control, b"rubbish", qos=1)
         client.wait_for_counter("refused_control", 300)
@@ -69,8 +69,14 @@ def test_a_hostile_sender_makes_few_lines_and_repeats_make_none(broker, topics, 
         answers, said = len(client.on(topics.control_ack)), len(caplog.records)
         for k in range(20):
             client.paho.publish(
-                topics.control, f'{{"id": "r{k}", "session": "s1", "verb": "speed_limit", "value": 0.5}}', qos=1
+                topics.control, f'{{"id": "{100 + k}", "session": "s1", "verb": "speed_limit", "value": 0.5}}', qos=1
+            )
+        # what was recorded of them: counted, and nothing else
+        for _ in range(20):
+            client.paho.publish(
+                topics.control, '{"id": "2", "session": "s1", "verb": "speed_limit", "value": 1.0}', qos=1
             )
         assert not client.control("speed_limit", 2.0)["ok"]
+        assert client.status()["counters"]["refused_repeated"] == 20
         assert len(client.on(topics.control_ack)) == answers + 1
         assert sum("speed_limit" in record.getMessage() for record in caplog.records[said:]) <= 1

@@ -15,6 +15,7 @@ from construction_twin.mqtt.messages import (
     Control,
     StateProperties,
     Topics,
+    message_number,
     parse_control,
     parse_status,
     read_command_properties,
@@ -72,6 +73,16 @@ def test_command_properties_survive_the_wire(session, seq, stamp):
 def test_state_properties_survive_the_wire(seq, stamp, command_stamp):
     properties = StateProperties(seq, stamp, command_stamp)
     assert read_state_properties(properties.pairs()) == properties
+
+
+@pytest.mark.parametrize("text, number", [("0", 0), ("007", 7), ("9" * 19, 10**19 - 1)])
+def test_a_control_message_s_id_may_be_a_number(text, number):
+    assert message_number(text) == number
+
+
+@pytest.mark.parametrize("text", ["", "-1", "+1", "1.0", " 1", "1\n", "0x1", "1e3", "٣", "1_000", "9" * 20, "cafe"])
+def test_any_other_id_is_none(text):
+    assert message_number(text) is None
 
 
 def test_properties_may_come_in_any_order():
@@ -168,6 +179,10 @@ def test_a_gateway_s_status_and_answer_are_read():
     [
         {"state": 5},
         {"state": None},
+        {"run": 5},
+        {"run": None},
+        {"run": "r" * 65},
+        {"run": "two\nlines"},
         {"counters": 5},
         {"counters": {"telegrams": "many"}},
         {"counters": {"telegrams": -1}},

@@ -43,6 +43,16 @@ def test_a_source_that_falls_silent_is_not_repeated():
     assert sent(forwarder, 5 * NANOSECONDS) == [(0, 0.5)]
 
 
+def test_what_is_sent_is_numbered_upwards_in_every_session():
+    forwarder, numbers = SpeedForwarder(0.5), []
+    for k in range(40):
+        now = k * 100 * MS
+        forwarder.on_limit((0.5, 0.2)[k % 2], "/source", now)
+        if forwarder.poll("s1" if k < 20 else "s2", now) is not None:
+            numbers.append(forwarder.number)
+    assert numbers == list(range(1, 41))
+
+
 def test_a_change_is_sent_at_once():
     forwarder = SpeedForwarder(0.5)
     forwarder.on_limit(0.5, "/source", 0)

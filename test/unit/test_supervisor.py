@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from supervisor_bench import FAULT, HASH, SILENCE, TOLERANCE, armed, bench, moved
+from supervisor_bench import FAULT, HASH, RUN, SILENCE, TOLERANCE, armed, bench, moved
 
 from construction_twin.errors import ReviewError
+from construction_twin.mqtt.messages import arm_value
 from construction_twin.mqtt.supervisor import FRESH, RETRY, STATUS_TIMEOUT, LinkState
 from construction_twin.units import NANOSECONDS
 
@@ -34,7 +35,7 @@ class TestFirstStart:
         bench.run(0.5)
         assert bench.state is LinkState.ARMED and bench.forwarded
         assert bench.verbs == ["arm"]
-        assert (bench.sent[0].value, bench.sent[0].session) == (HASH, bench.supervisor.session)
+        assert (bench.sent[0].value, bench.sent[0].session) == (arm_value(HASH, RUN), bench.supervisor.session)
 
     def test_the_new_session_is_known_before_it_is_armed(self, bench):
         bench.command = None
@@ -82,7 +83,14 @@ class TestFirstStart:
 
 class TestMismatch:
     @pytest.mark.parametrize(
-        "change, word", [({"hash": "beef"}, "hash"), ({"decimals": 6}, "6 decimals"), ({"hash": None}, "hash")]
+        "change, word",
+        [
+            ({"hash": "beef"}, "hash"),
+            ({"decimals": 6}, "6 decimals"),
+            ({"hash": None}, "hash"),
+            ({"run": ""}, "run"),
+            ({"run": None}, "run"),
+        ],
     )
     def test_never_arms_another_configuration_and_says_what_differs(self, bench, change, word):
         bench.gateway |= change
@@ -188,6 +196,47 @@ class TestWhileArmed:
         armed.set_gateway("offline", "connection lost")
         armed.run(0.04)
         assert armed.state is LinkState.GATEWAY_OFFLINE
+
+
+class TestRun:
+    """The gateway is started again; its retained status, or the last one on its way, is still the former run's."""
+
+    def started_again(self, bench, control, run):
+        """What a gateway of this run does with an `arm` that may name another one: it tells its status before it answers."""
+        if control is None or control.verb != "arm":
+            return
+        if control.value == arm_value(HASH, run):
+            bench.set_gateway("armed", "armed", session=control.session)
+            bench.answer(control)
+        else:
+            bench.set_gateway("ready", run=run)
+            bench.supervisor.on_status(dict(bench.gateway), bench.now)
+            bench.refuse(control, "run 'run1' is not the gateway's present one")
+
+    def test_a_former_run_s_status_costs_one_refusal_and_no_person(self, bench):
+        bench._carry_out = lambda control: self.started_again(bench, control, "run2")
+        bench.run(3.0)
+        assert bench.state is LinkState.ARMED and bench.gateway["session"] == bench.supervisor.session
+        assert [control.value["run"] for control in bench.sent] == ["run1", "run2"]
+
+    def test_while_the_former_run_s_status_stays_it_says_why_and_asks_at_the_usual_pace(self, bench):
+        bench._carry_out = lambda control: bench.refuse(control, "run 'run1' is not the gateway's present one")
+        bench.run(5.0)
+        assert bench.state is LinkState.RESYNC and "present one" in bench.supervisor.reason
+        assert 2 <= len(bench.sent) <= 5.0 * NANOSECONDS / RETRY + 1
+        bench._carry_out = lambda control: self.started_again(bench, control, "run2")
+        bench.set_gateway("ready", run="run2")
+        bench.run(2 * RETRY / NANOSECONDS + 0.5)
+        assert bench.state is LinkState.ARMED
+
+    def test_an_arm_that_nobody_answered_is_asked_again_of_the_run_that_is_there_then(self, bench):
+        bench._carry_out = lambda control: None
+        bench.run(0.3)
+        bench.gateway["run"] = "run2"
+        bench._carry_out = lambda control: self.started_again(bench, control, "run2")
+        bench.run(2.0)
+        assert bench.state is LinkState.ARMED
+        assert [control.value["run"] for control in bench.sent] == ["run1", "run2"]
 
 
 class TestRefusedArm:

@@ -17,6 +17,8 @@ _NUMBER = re.compile(r"[0-9]{1,19}")
 _MAX_NUMBER = (1 << 32) * NANOSECONDS - 1
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _LEVEL = re.compile(r"[A-Za-z0-9_-]+")
+#: What a `control` message may ask for.
+VERBS = ("arm", "stop", "reset", "end", "speed_limit")
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
 
@@ -132,6 +134,11 @@ def is_session(text: str) -> bool:
     return _SESSION.fullmatch(text) is not None
 
 
+def message_number(text: str) -> int | None:
+    """Return the number of which a control message's id consists, up to 19 digits; None when it is another text."""
+    return int(text) if _NUMBER.fullmatch(text) else None
+
+
 def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
     """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
     values = _read(pairs, ("session", "seq", "stamp"))
@@ -150,7 +157,10 @@ def read_state_properties(pairs: list[tuple[str, str]]) -> StateProperties:
 
 @dataclass(frozen=True)
 class Control:
-    """A message on `control`: who (session), which message (id), what (verb), and the verb's value."""
+    """A message on `control`: who (session), which message (id), what (verb), and the verb's value.
+
+    The id of a `speed_limit` is a number that rises from message to message of the session.
+    """
 
     id: str
     session: str
@@ -160,6 +170,14 @@ class Control:
     def to_json(self) -> bytes:
         """Return the message's payload."""
         return json.dumps(asdict(self)).encode()
+
+
+def arm_value(config_hash: str, run: str) -> dict[str, str]:
+    """Return the value of `arm`: the configuration, and the gateway's present run, as its status names them.
+
+    A gateway that was started again remembers no session: what was recorded before names another run.
+    """
+    return {"hash": config_hash, "run": run}
 
 
 def parse_control(payload: bytes) -> Control:
@@ -178,7 +196,8 @@ def parse_control(payload: bytes) -> Control:
 def parse_status(payload: bytes) -> dict:
     """Parse a gateway's status (or answer) into a dict; PayloadError (``status``) when it is not one.
 
-    What is reported on ROS is checked here: a word as `state`, whole numbers as counters, the reply-time histogram.
+    What is reported on ROS, or sent back, is checked here: a word as `state`, a short text as `run`, whole numbers as counters, the
+    reply-time histogram.
     """
     status = parse_object(payload, "status", limit=1 << 20)
     reply = status.get("reply_us", {})
@@ -186,6 +205,8 @@ def parse_status(payload: bytes) -> dict:
         raise PayloadError(
             "status", f"status message {payload[:80]!r} whose state or reply_us is not what the interface says"
         )
+    if not _is_short_text(status.get("run", "")):
+        raise PayloadError("status", "status message whose run is not a short text in one line")
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
         raise PayloadError("status", "status message whose counters are not whole numbers by name")

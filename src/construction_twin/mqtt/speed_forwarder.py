@@ -26,6 +26,8 @@ class SpeedForwarder:
         self._deadline = round(deadline * NANOSECONDS)
         #: The last limit heard; None before the first one.
         self.limit: float | None = None
+        #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.
+        self.number = 0
         self._source = ""
         self._heard_at = 0
         self._unsent = False
@@ -63,4 +65,5 @@ class SpeedForwarder:
         if not (self._unsent and due):
             return None
         self._unsent, self._sent, self._sent_at = False, (self.limit, session), now
+        self.number += 1
         return self.limit

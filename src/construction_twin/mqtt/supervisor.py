@@ -13,7 +13,7 @@ from enum import Enum
 
 from construction_twin.errors import ReviewError
 from construction_twin.limits import outside_tolerance
-from construction_twin.mqtt.messages import Control
+from construction_twin.mqtt.messages import Control, arm_value
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.units import NANOSECONDS
 
@@ -294,6 +294,11 @@ class LinkSupervisor:
                 "gateway runs another configuration (its hash differs); export it again with `rosrun construction_twin "
                 "export_gateway_config` and restart the gateway",
             )
+        if not self.status.get("run"):
+            return (
+                LinkState.MISMATCH,
+                "gateway names no run in its status: it is older than the bridge; install the same version on both sides",
+            )
         if gateway in ("no_controller", "joined_running") or (self._reads_only and not self._mirror):
             return LinkState.NO_CONTROLLER, f"gateway has no RSI session to command: {self.status.get('reason')}"
         return None
@@ -360,7 +365,7 @@ class LinkSupervisor:
             self._begin_session(f"another session, because {self.reason}")
             self._asked_for = asked_for
             return None
-        return self._send("arm", now, self._hash)
+        return self._send("arm", now, arm_value(self._hash, self.status["run"]))
 
     def _send(self, verb: str, now: int, value: object = None, session: str | None = None) -> Control:
         self._pending = Control(self._new_id(), self.session if session is None else session, verb, value)

@@ -99,7 +99,7 @@ class MqttBridgeNode:
                 self._send_control(control)
             if limit is not None:
                 # repeated for as long as its source speaks: no line in the log
-                self._publish_control(Control(uuid.uuid4().hex, armed, "speed_limit", limit))
+                self._publish_control(Control(str(self._speed.number), armed, "speed_limit", limit))
             self._publish_link()
             time.sleep(POLL)
         self._client.publish(

@@ -1,4 +1,7 @@
-"""When the gateway may be armed: by whom, with which configuration, and with the arm where the gateway holds it. Pure; rad."""
+"""When the gateway may be armed: by whom, with which configuration, in this run, and with the arm where the gateway holds it.
+
+Pure; rad.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,23 @@ if TYPE_CHECKING:
 DISPLACED = 2.0
 
 
+def refusal_of_value(value: object, gateway: Gateway) -> str:
+    """Return in one sentence why the value of an `arm` does not mean the gateway's configuration and run; "" when it does."""
+    named = value if isinstance(value, dict) else {"hash": value}
+    if named.get("hash") != gateway.config.hash:
+        return f"configuration hash {named.get('hash')!r} is not the gateway's {gateway.config.hash}"
+    if set(named) != {"hash", "run"}:
+        return "arm must name hash and run of the gateway's status, and nothing else"
+    if named["run"] != gateway.run:
+        return f"run {named['run']!r} is not the gateway's present one: it was started again, or a recording is being replayed"
+    return ""
+
+
 def refusal_of_arm(control: Control, gateway: Gateway, controller: ControllerSession, follower: Follower | None) -> str:
     """Return in one sentence why an `arm` must be refused; "" when nothing speaks against it."""
-    if control.value != gateway.config.hash:
-        return f"configuration hash {control.value!r} is not the gateway's {gateway.config.hash}"
+    another = refusal_of_value(control.value, gateway)
+    if another:
+        return another
     if not is_session(control.session):
         return f"session {control.session!r} cannot be armed; expected 1 to 64 letters, digits, - and _"
     if gateway.fault:

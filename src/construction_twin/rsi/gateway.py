@@ -9,6 +9,7 @@ import argparse
 import gc
 import json
 import logging
+import secrets
 import selectors
 import signal
 import socket
@@ -32,7 +33,7 @@ from construction_twin.mqtt.client import (
     user_properties,
 )
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.messages import Topics, parse_control, read_command_properties
+from construction_twin.mqtt.messages import VERBS, Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.realtime import lock_memory, request_realtime
 from construction_twin.rsi.codec import SensorEncoder
@@ -42,7 +43,7 @@ from construction_twin.rsi.histogram import Histogram
 from construction_twin.rsi.inbox import TelegramInbox
 from construction_twin.rsi.log import LineLimiter, log_beside_the_loop
 from construction_twin.rsi.mode import NOTES, Mode
-from construction_twin.rsi.session import VERBS, Gateway, State
+from construction_twin.rsi.session import Gateway, State
 from construction_twin.rsi.status import StatusClock
 from construction_twin.rsi.trace import TraceWriter
 from construction_twin.rsi.udp import address_of, bind, receive
@@ -66,6 +67,8 @@ class GatewayService:
         Bound UDP socket, see `bind`.
     broker : Broker
     topics : Topics
+    run : str
+        Random id of this run, see `Gateway`.
     controller : str or None
         Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
     commissioning : bool, optional
@@ -78,10 +81,11 @@ class GatewayService:
         sock: socket.socket,
         broker: Broker,
         topics: Topics,
+        run: str,
         controller: str | None = None,
         commissioning: bool = False,
     ):
-        self.gateway = Gateway(config, commissioning)
+        self.gateway = Gateway(config, run, commissioning)
         self.reply_time = Histogram.of_microseconds()
         self._sock = sock
         self._inbox = TelegramInbox(self.gateway, lambda: receive(sock), time.monotonic_ns, controller)
@@ -206,7 +210,7 @@ class GatewayService:
 
     def _on_command(self, message: paho.MQTTMessage) -> None:
         if message.retain:
-            self.gateway.counters["refused_retained"] += 1
+            self._refuse_retained("command")
             return
         pairs = received_pairs(message)
         try:
@@ -215,17 +219,24 @@ class GatewayService:
             properties = error
         self.gateway.on_command(message.payload, properties, time.monotonic_ns())
 
+    def _refuse_retained(self, name: str) -> None:
+        self.gateway.refusals.message(
+            "retained", f"a message on {name} with the retain flag: nobody knows how old it is"
+        )
+
     def _on_control(self, message: paho.MQTTMessage) -> None:
         if message.retain:
-            self.gateway.counters["refused_retained"] += 1
+            self._refuse_retained("control")
             return
         try:
             control = parse_control(message.payload)
         except PayloadError as error:
-            self.gateway.counters[f"refused_{error.reason}"] += 1
+            self.gateway.refusals.message(error.reason, error)
             self._log(logging.WARNING, f"refused on {error.reason}", str(error))
             return
         ok, reason = self.gateway.on_control(control, time.monotonic_ns())
+        if not reason:
+            return
         if control.verb == "speed_limit":
             # repeated several times a second: only what is new is worth a line and an answer
             before, self._speed_answer = self._speed_answer, (control.session, ok, reason)
@@ -330,7 +341,8 @@ def _run(arguments: argparse.Namespace) -> int:
         told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
         controller = address_of(arguments.controller, "--controller") if arguments.controller else None
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
-        service = GatewayService(config, bind(*address), broker, topics, controller, arguments.commissioning == "true")
+        run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
+        service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
         service.gateway.trace = trace and trace.record
     except ConstructionTwinError as error:
         log.error("%s", error)

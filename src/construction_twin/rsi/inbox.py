@@ -74,18 +74,20 @@ class TelegramInbox:
         return newest
 
     def _read(self, data: bytes, source: tuple) -> RobotTelegram | None:
-        counters = self._gateway.counters
+        refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
-            counters["telegram_refused_address"] += 1
+            refusals.telegram("address", f"a datagram from {source[0]}; only those from {self._controller} are read")
             self._tell_of(source[0])
             return None
         if not self._gateway.accepts(source, self._clock()):
-            counters["telegram_refused_source"] += 1
+            refusals.telegram(
+                "source", f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
+            )
             return None
         try:
             return self._decoder.parse(data)
         except TelegramError as error:
-            counters[f"telegram_refused_{error.reason}"] += 1
+            refusals.telegram(error.reason, error)
             return None
 
     def _tell_of(self, stranger: str) -> None:

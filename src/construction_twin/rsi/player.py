@@ -81,10 +81,10 @@ class Player:
     def hole(self, stamp: int) -> float:
         """Return how much of the stream is missing before `stamp` [ns], if that is too much to bridge; else 0 [s].
 
-        Not when playout time has run past the newest command: then it is `silence` that says how much is too much.
+        How much that is does not depend on the delay: a playout that has run dry meanwhile knows no more of what is missing.
         """
         hole = stamp - self._playout.newest
-        return hole / NANOSECONDS if hole > self._longest_hole and not self._playout.silence else 0.0
+        return hole / NANOSECONDS if hole > self._longest_hole else 0.0
 
     def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
         """Take a command that passed every check: stamp [ns], pose [rad], time since the last telegram [ns]."""

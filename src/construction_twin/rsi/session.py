@@ -12,7 +12,7 @@ from collections.abc import Callable
 from construction_twin.errors import MotionRefused, PayloadError
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties
-from construction_twin.rsi.arming import refusal_of_arm
+from construction_twin.rsi.arming import refusal_of_arm, refusal_of_value
 from construction_twin.rsi.codec import RobotTelegram
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.controller_session import ControllerSession
@@ -20,6 +20,7 @@ from construction_twin.rsi.intake import CommandIntake, StreamBroken
 from construction_twin.rsi.mode import NOTES, Mode
 from construction_twin.rsi.ownership import Ownership
 from construction_twin.rsi.player import Player
+from construction_twin.rsi.refusals import Refusals
 from construction_twin.rsi.speed_limit import SpeedLimit
 from construction_twin.rsi.state import State
 from construction_twin.rsi.state_report import StateReport
@@ -30,11 +31,6 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. A single missed telegram is less of a
 #: blow when the motion goes on at its speed than when it starts over [ns].
 STANDSTILL = 2 * CYCLE_NS
-#: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
-LONGEST_REFUSAL = 300
-
-#: What a `control` message may ask for.
-VERBS = ("arm", "stop", "reset", "end", "speed_limit")
 
 
 class Gateway:
@@ -43,17 +39,22 @@ class Gateway:
     Parameters
     ----------
     config : GatewayConfig
+    run : str
+        An id that no other run of the gateway has had; an `arm` must name it.
     commissioning : bool, optional
         True: everything runs and is reported as usual, but every correction that leaves is zero.
     """
 
-    def __init__(self, config: GatewayConfig, commissioning: bool = False):
+    def __init__(self, config: GatewayConfig, run: str, commissioning: bool = False):
         self.config = config
+        self.run = run
         self.mode = Mode.of(config, commissioning)
         #: The last correction, as it would be without commissioning mode [rad], [m].
         self.correction: tuple[float, ...] = ()
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
+        #: What was refused, and why; whoever stands before the gateway refuses here too.
+        self.refusals = Refusals(self.counters)
         self.state = State.NO_CONTROLLER
         self.reason = "no telegram yet"
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
@@ -72,7 +73,6 @@ class Gateway:
         self._silence = round(config.silence * NANOSECONDS)
         self._answered_stamp = 0
         self._ending, self._changed = False, True
-        self._last_refusal = ""
 
     @property
     def session(self) -> str:
@@ -228,22 +228,18 @@ class Gateway:
         try:
             stamp, q = self._read_command(payload, properties, now)
         except PayloadError as error:
-            self._note_refusal(error.reason, error)
+            self.refusals.message(error.reason, error)
             if error.reason in ("session", "not_armed"):
                 self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
         try:
             self._take(stamp, q, now)
         except MotionRefused as refusal:
-            self._note_refusal(refusal.reason, refusal)
+            self.refusals.message(refusal.reason, refusal)
             if self.state is State.FOLLOWING:
                 self._brake("refused", str(refusal))
         except StreamBroken as broken:
             self._brake(broken.cause, str(broken))
-
-    def _note_refusal(self, reason: str, error: object) -> None:
-        self.counters[f"refused_{reason}"] += 1
-        self._last_refusal = f"{reason}: {error}"[:LONGEST_REFUSAL]
 
     def _note_stranger(self, session: str | None, now: int) -> None:
         if session is not None and self.session and not self._owners.knows(session):
@@ -281,28 +277,32 @@ class Gateway:
         -------
         ok : bool
         reason : str
-            Why, in one sentence; goes into `control/ack`.
+            Why, in one sentence; goes into `control/ack`. "" when there is nothing to answer: it was answered before.
         """
         if control.verb == "speed_limit":
             return self._limit_speed(control, now)
         verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset, "end": self._end}
         if control.verb not in verbs:
-            self.counters["refused_verb"] += 1
-            return False, f"unknown verb {control.verb!r}"
+            return self._refuse("verb", f"unknown verb {control.verb!r}")
         if self._owners.is_repeated(control) and control.verb != "stop":
-            self.counters["refused_repeated"] += 1
-            return False, f"message {control.id!r} of session {control.session!r} was answered before"
+            why = f"message {control.id!r} of session {control.session!r} was answered before"
+            return self._refuse("repeated", why)
         ok, reason = verbs[control.verb](control)
         return (ok, reason) if ok else self._refuse(control.verb, reason)
 
-    def _refuse(self, verb: str, reason: str) -> tuple[bool, str]:
-        self._note_refusal(verb, reason)
-        return False, reason
+    def _refuse(self, reason: str, why: str) -> tuple[bool, str]:
+        self.refusals.message(reason, why)
+        return False, why
 
     def _limit_speed(self, control: Control, now: int) -> tuple[bool, str]:
         refusal = self.speed.refusal(control, self.session)
         if refusal:
             return self._refuse("speed_limit", refusal)
+        if self.speed.is_repeated(control):
+            self._refuse(
+                "repeated", f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
+            )
+            return False, ""
         self._changed |= self.speed.give(float(control.value), control.session, now)
         self._poll_speed_limit(now)
         return True, f"speed at most {control.value:g} of the limits"
@@ -315,7 +315,7 @@ class Gateway:
             self._player.limit(self.speed.share)
 
     def _arm(self, control: Control) -> tuple[bool, str]:
-        if self.state in (State.ARMED, State.FOLLOWING) and control.value == self.config.hash:
+        if self.state in (State.ARMED, State.FOLLOWING) and not refusal_of_value(control.value, self):
             if control.session == self.session:
                 return True, "already armed for this session"
             self._owners.refuse(control.session)
@@ -397,4 +397,4 @@ class Gateway:
     def status(self) -> dict:
         """Return the content of the `status` topic."""
         parts = (self._controller, self._player, self.speed, self._stopping, self._owners)
-        return gateway_status(self, *parts) | {"last_refusal": self._last_refusal}
+        return gateway_status(self, *parts)

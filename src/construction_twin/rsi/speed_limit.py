@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from construction_twin.mqtt.messages import Control
+from construction_twin.mqtt.messages import Control, message_number
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.units import NANOSECONDS
 
@@ -25,6 +25,9 @@ class SpeedLimit:
     A lowered limit is enforced a grace after it came, a raised one at once: in force is the highest of those that were given within
     the grace. A sender that obeys has slowed down by then.
 
+    The messages of a session are numbered, and an old one does nothing: with a recording of a high limit among those of today the
+    low one would never come into force.
+
     Parameters
     ----------
     config : GatewayConfig
@@ -41,6 +44,8 @@ class SpeedLimit:
         #: The share in force.
         self.share = 1.0
         self._heard: int | None = None
+        # session and number of the last message that was taken
+        self._numbered: tuple[str, int] = ("", -1)
         # (when it came, share): shares fall from left to right, so the first is the highest
         self._recent: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
 
@@ -53,7 +58,20 @@ class SpeedLimit:
             return f"speed limit {str(share)[:32]!r}: expected a number from 0 to 1"
         if not session or control.session != session:
             return f"session {control.session!r} is not armed{session and f', {session!r} is'}"
+        if message_number(control.id) is None:
+            return (
+                f"speed limit with the id {control.id!r}: expected a whole number, higher than that of the one before"
+            )
         return ""
+
+    def is_repeated(self, control: Control) -> bool:
+        """Tell whether this message, one without a `refusal`, or a later one of its session came before: a copy, or a recording."""
+        number = message_number(control.id)
+        session, last = self._numbered
+        if control.session == session and number <= last:
+            return True
+        self._numbered = control.session, number
+        return False
 
     def give(self, share: float, session: str, now: int) -> bool:
         """Take a limit, 0 to 1, from a session; return whether it, or who gave it, is another than before."""

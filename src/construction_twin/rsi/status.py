@@ -36,6 +36,7 @@ def gateway_status(
         "mode": gateway.mode.value,
         "correction": list(gateway.correction),
         "last_ipoc_jump_ms": controller.jump_ms,
+        "run": gateway.run,
         "hash": config.hash,
         "decimals": config.decimals,
         "properties": config.properties,
@@ -43,6 +44,7 @@ def gateway_status(
         "speed_limit": speed.report(),
         "stop": stopping.report(),
         "intruder": {"session": owners.intruder, "count": owners.intrusions},
+        "last_refusal": gateway.refusals.last,
         "counters": dict(gateway.counters),
     }
 
