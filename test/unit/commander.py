@@ -50,6 +50,8 @@ class Commander(threading.Thread):
         Every status of the gateway.
     states : int
         States accepted.
+    moved_at : list of float
+        When a state showed another pose than the one before [s, `time.monotonic`].
     longest_pause : float
         Largest distance of two cycles of this thread: what the machine, not the network, did to the stream [s].
     """
@@ -69,6 +71,7 @@ class Commander(threading.Thread):
         self.links: list[tuple[LinkState, str]] = []
         self.statuses: list[dict] = []
         self.states = self.refused = self.sent = 0
+        self.moved_at: list[float] = []
         self.longest_pause = 0.0
         self._topics = topics
         self._timeout = feedback_timeout
@@ -207,7 +210,9 @@ class Commander(threading.Thread):
             self.refused += 1
             return
         with self._lock:
-            self.arm, self._heard_at = q, time.monotonic()
+            before, self.arm, self._heard_at = self.arm, q, time.monotonic()
+            if before is not None and q != before:
+                self.moved_at.append(self._heard_at)
             self.states += 1
             self._supervisor.on_pose(q, time.monotonic_ns())
 

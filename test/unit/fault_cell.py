@@ -41,6 +41,8 @@ GOAL = (40.0, -60.0, 75.0, 40.0, 60.0, -60.0)
 FINAL_ERROR = 1e-6
 #: Room for whatever a busy machine does [s].
 PATIENCE = 40.0
+#: A stall has struck a motion when the arm was seen to move this shortly before [s].
+STRUCK = 0.05
 
 
 def read_robot():
@@ -227,6 +229,17 @@ class FaultCell:
             ),
             "the arm to move",
         )
+
+    def move_into_a_stall(self, goal_deg=GOAL) -> bool:
+        """Begin a motion shortly before the next stall of the network; return, after the stall, whether it struck the moving arm."""
+        tcp, known = self.tcp, len(self.tcp.stalls)
+        self.wait(lambda: 0.35 < tcp.until_stall() < 0.5, "a stall to be near")
+        self.move(goal_deg)
+        self.wait(lambda: len(tcp.stalls) > known and time.monotonic() > tcp.stalls[-1].end, "the stall")
+        stall = tcp.stalls[known]
+        # the arm's last states before the stall show it in motion, and commands were on their way in it
+        moved = any(stall.begin - STRUCK < at <= stall.begin for at in self.commander.moved_at)
+        return moved and stall.down > 0
 
     def finish(self, goal_deg=GOAL) -> int:
         """Do what a person would until the arm is at the goal: `reset` where the link asks for it, and plan again.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import random
 import socket
@@ -60,11 +61,18 @@ class Profile:
 
     def released(self, at: float) -> float:
         """Return when what would arrive at `at` [s from the begin] really does, stalls and cut considered."""
-        if self.stall:
-            period, length = self.stall
-            into = (at - period / 2) % period
-            at += max(0.0, length - into) if at >= period / 2 else 0.0
+        begun = self.stalled_since(at)
+        if begun is not None:
+            at = begun + self.stall[1]
         return max(at, self.cut)
+
+    def stalled_since(self, at: float) -> float | None:
+        """Return when the stall began in which `at` lies, both [s from the begin]; None outside of stalls."""
+        if not self.stall or at < self.stall[0] / 2:
+            return None
+        period, length = self.stall
+        into = (at - period / 2) % period
+        return at - into if into < length else None
 
     @property
     def for_tcp(self) -> bool:
@@ -89,6 +97,16 @@ UDP_PROFILES = {
 }
 
 
+@dataclass
+class Stall:
+    """A stall that held something up, from `begin` to `end` [s, `time.monotonic`]: pieces that came in it, by direction."""
+
+    begin: float
+    end: float
+    up: int = 0
+    down: int = 0
+
+
 class _Line:
     """A profile that began at some time, and the draws for it."""
 
@@ -103,6 +121,18 @@ class _Line:
     def arrival(self, now: float) -> float:
         """Return when what is sent now arrives."""
         return self._since + self.profile.released(now - self._since + self.profile.travel(self._chance))
+
+    def stalled_since(self, now: float) -> float | None:
+        """Return when the stall began that holds up what comes now; None for none."""
+        begun = self.profile.stalled_since(now - self._since)
+        return None if begun is None else self._since + begun
+
+    def until_stall(self) -> float:
+        """Return how long it is until the next stall begins [s]; infinite without any."""
+        if not self.profile.stall:
+            return math.inf
+        period, into = self.profile.stall[0], self._clock() - self._since
+        return period / 2 - into if into < period / 2 else period - (into - period / 2) % period
 
     def happens(self, share: float) -> bool:
         return share > 0.0 and self._chance.random() < share
@@ -124,12 +154,15 @@ class TcpProxy:
     ----------
     counters : Counter
         ``connections``, ``refused`` (target does not answer), ``bytes_up``, ``bytes_down``.
+    stalls : list of Stall
+        Those that held something up, oldest first.
     """
 
     def __init__(self, target: tuple[str, int], seed: int = 1):
         self.target = target
         self.counters: Counter[str] = Counter()
         self.address: tuple[str, int] = ()
+        self.stalls: list[Stall] = []
         self._line = _Line(seed, time.monotonic)
         self._writers: set[asyncio.StreamWriter] = set()
 
@@ -143,6 +176,10 @@ class TcpProxy:
         if not profile.for_tcp:
             raise ValueError(f"{profile}: TCP neither loses nor repeats nor reorders")
         self._line.begin(profile)
+
+    def until_stall(self) -> float:
+        """Return how long it is until the next stall begins [s]; infinite without any."""
+        return self._line.until_stall()
 
     def reset(self) -> None:
         """Break every connection."""
@@ -195,6 +232,7 @@ class TcpProxy:
             # what arrives in one piece travels in one piece
             while data := await reader.read(_CHUNK):
                 now = time.monotonic()
+                self._note_stall(now, name)
                 last = max(last, self._line.arrival(now))
                 if self._line.profile.rate:
                     last += len(data) / self._line.profile.rate
@@ -205,6 +243,17 @@ class TcpProxy:
             return
         finally:
             taker.cancel()
+
+    def _note_stall(self, now: float, name: str) -> None:
+        begun = self._line.stalled_since(now)
+        if begun is None:
+            return
+        if not self.stalls or begun > self.stalls[-1].end:
+            self.stalls.append(Stall(begun, begun + self._line.profile.stall[1]))
+        if name == "bytes_up":
+            self.stalls[-1].up += 1
+        else:
+            self.stalls[-1].down += 1
 
     async def _deliver(self, waiting: asyncio.Queue, writer: asyncio.StreamWriter, name: str) -> None:
         while True:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import socket
 import threading
@@ -226,3 +227,35 @@ def test_nothing_arrives_before_its_time_nor_in_a_stall_or_a_cut(at, stall, cut)
     if released > cut and released >= stall[0] / 2:
         into = (released - stall[0] / 2) % stall[0]
         assert into >= stall[1] - 1e-6 or into < 1e-6
+
+
+@pytest.mark.parametrize(
+    "at, begun",
+    [(0.0, None), (2.499, None), (2.5, 2.5), (2.6, 2.5), (2.701, None), (7.4, None), (7.5, 7.5), (12.69, 12.5)],
+)
+def test_a_stall_knows_when_it_began(at, begun):
+    profile = TCP_PROFILES["stall_200ms_5s"]
+    assert profile.stalled_since(at) == (begun if begun is None else pytest.approx(begun))
+    assert Profile(cut=1.0).stalled_since(at) is None
+
+
+def test_a_proxy_records_the_stalls_that_held_something_up_and_no_others():
+    with tcp_pair() as (near, far, network, proxy):
+        assert proxy.until_stall() == math.inf
+        near.sendall(b"before")
+        assert receive(far, 6) == b"before"
+        network.apply(proxy, Profile(stall=(0.6, 0.3)))
+        # the first and the second; in the third nothing is sent
+        for begun in range(1, 3):
+            wait_until(lambda: 0.45 < proxy.until_stall() <= 0.6, what="the beginning of the next stall")
+            sent = time.monotonic()
+            near.sendall(b"up")
+            assert receive(far, 2) == b"up"
+            far.sendall(b"down!")
+            assert receive(near, 5) == b"down!"
+            stall = proxy.stalls[-1]
+            assert len(proxy.stalls) == begun and stall.begin <= sent and time.monotonic() >= stall.end
+            assert stall.end - stall.begin == pytest.approx(0.3)
+            assert stall.up == 1
+        wait_until(lambda: time.monotonic() > proxy.stalls[-1].end + 0.6, what="the third stall's end")
+        assert len(proxy.stalls) == 2
