@@ -91,13 +91,13 @@ class Player:
         if not self._playout.push(stamp, q, waited):
             self._counters["commands_late"] += 1
 
-    def play(self, elapsed: int) -> tuple[float, ...]:
-        """Move on by `elapsed` [ns] and return the position to send [rad]."""
+    def play(self, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
+        """Move on by `elapsed` [ns] and return the position to send [rad]; the arm is at `measured` [rad]."""
         self.stamp, target = self._playout.advance(elapsed)
         if self._playout.silence:
             # where the motion would have gone on, nobody has said
             self._counters["cycles_without_command"] += 1
-            return self._brake(elapsed)
+            return self._brake(elapsed, measured)
         self.braking = None
         if self._smoother is not None:
             target = self._smoother.smooth(target)
@@ -106,10 +106,10 @@ class Player:
             self._counters["settling"] += 1
         return position
 
-    def _brake(self, elapsed: int) -> tuple[float, ...]:
+    def _brake(self, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         follower = self.follower
         if self.braking is None:
-            self.braking = Braking(follower)
+            self.braking = Braking(follower, measured)
         if not follower.at_rest:
             self.braking.elapsed += elapsed
         return follower.brake()

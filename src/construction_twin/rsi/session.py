@@ -186,7 +186,7 @@ class Gateway:
 
     def _move(self, elapsed: int) -> tuple[float, ...]:
         if self.state is State.FOLLOWING:
-            position = self._player.play(elapsed)
+            position = self._player.play(elapsed, self._controller.measured)
             overdue = self._player.overdue
             if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
@@ -207,7 +207,7 @@ class Gateway:
         if self.state is not State.BRAKING:
             # asked again while it brakes, what was stated holds; for a stream that is missing it has braked since it ran dry
             begun = self._player.braking if cause == "silence" else None
-            self._stopping.begin(cause, self._player.follower, begun)
+            self._stopping.begin(cause, self._player.follower, self._controller.measured, begun)
         self._disarm()
         self._enter(State.BRAKING, f"{cause}: {reason}")
 

@@ -9,20 +9,23 @@ from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 
 class Braking:
-    """Braking of a follower from its present step on.
+    """Braking of a follower from its present step on, as the arm will carry it out.
 
     Parameters
     ----------
     follower : Follower
+    measured : tuple of float, shape (n,)
+        Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when unknown: where the follower is.
     """
 
-    def __init__(self, follower: Follower):
-        #: Way of each axis to rest [rad], [m].
-        self.distance, cycles = follower.braking()
-        #: Time to rest [s].
+    def __init__(self, follower: Follower, measured: tuple[float, ...]):
+        ways, cycles = follower.braking()
+        #: Where the arm was when it began [rad], [m].
+        self.start = measured or follower.position
+        #: Way of each axis to rest, what it is behind included [rad], [m].
+        self.distance = tuple([way + abs(q - at) for way, q, at in zip(ways, follower.position, self.start)])
+        #: Time until the corrections rest [s].
         self.time = cycles * CYCLE_NS / NANOSECONDS
-        #: Where it began [rad], [m].
-        self.start = follower.position
         #: What it has taken so far [ns].
         self.elapsed = 0
 
@@ -43,14 +46,14 @@ class StopReport:
         #: Way of each axis and time to rest, as stated when braking began [rad], [m]; [s].
         self.distance: tuple[float, ...] = ()
         self.time = 0.0
-        #: The same as it was in the end; empty and None until the arm is at rest.
+        #: The same as it was in the end, from where the arm was to where it is told to rest; empty and None until then.
         self.moved: tuple[float, ...] = ()
         self.took: float | None = None
         self._braking: Braking | None = None
 
-    def begin(self, cause: str, follower: Follower, begun: Braking | None = None) -> None:
+    def begin(self, cause: str, follower: Follower, measured: tuple[float, ...], begun: Braking | None = None) -> None:
         """State the way to rest; call it when braking begins, or with what has `begun` before anybody called it a stop."""
-        braking = begun or Braking(follower)
+        braking = begun or Braking(follower, measured)
         self.cause, self._braking = cause, braking
         self.distance, self.time = braking.distance, braking.time
         self.moved, self.took = (), None
