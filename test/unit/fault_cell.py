@@ -20,7 +20,8 @@ import numpy as np
 import yaml
 from commander import Commander
 from conftest import ROOT, BrokerProcess, wait_until
-from impairment import Network, Profile
+from impairment import Network
+from impairment_profiles import Profile
 from netem import ROS_PC, Namespaces
 
 from construction_twin.errors import ReviewError
@@ -231,7 +232,7 @@ class FaultCell:
         )
 
     def move_into_a_stall(self, goal_deg=GOAL) -> bool:
-        """Begin a motion shortly before the next stall of the network; return, after the stall, whether it struck the moving arm."""
+        """Begin a motion shortly before the network's next stall; return, after the stall, whether it struck the moving arm."""
         tcp, known = self.tcp, len(self.tcp.stalls)
         self.wait(lambda: 0.35 < tcp.until_stall() < 0.5, "a stall to be near")
         self.move(goal_deg)

@@ -8,7 +8,7 @@ import secrets
 import subprocess
 from contextlib import contextmanager
 
-from impairment import Profile
+from impairment_profiles import Profile
 
 #: Addresses of the two ends: the ROS PC and the cell PC. Nobody but the two namespaces sees them.
 ROS_PC, CELL_PC = "10.197.0.1", "10.197.0.2"

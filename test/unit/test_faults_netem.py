@@ -8,7 +8,7 @@ import sys
 
 import pytest
 from fault_cell import FaultCell
-from impairment import TCP_PROFILES, UDP_PROFILES, Profile
+from impairment_profiles import TCP_PROFILES, UDP_PROFILES, Profile
 from netem import CELL_PC, ROS_PC, Namespaces, netem_arguments, why_no_namespaces, why_no_netem
 
 PROFILES = {"delay_20_10": TCP_PROFILES["delay_20_10"]} | UDP_PROFILES

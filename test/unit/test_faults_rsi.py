@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 from fault_cell import GOAL, FaultCell, judge_arm
-from impairment import UDP_PROFILES, Profile
+from impairment_profiles import UDP_PROFILES, Profile
 
 from construction_twin.mqtt.supervisor import LinkState
 

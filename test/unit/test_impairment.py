@@ -13,7 +13,8 @@ import pytest
 from conftest import wait_until
 from hypothesis import given
 from hypothesis import strategies as st
-from impairment import TCP_PROFILES, UDP_PROFILES, Network, Profile
+from impairment import Network
+from impairment_profiles import TCP_PROFILES, UDP_PROFILES, Profile
 
 
 @contextmanager
