@@ -39,7 +39,10 @@ class MachineProbe(ExitStack):
         return self.enter_context(subprocess.Popen(command, text=True, bufsize=1, **pipes))
 
     def taken(self) -> dict:
-        """Return what was seen since the last call: number of pauses, the longest and all of them together [ms]."""
+        """Return what was seen since the last call: number of pauses, the longest and all of them together [ms].
+
+        ``above`` says whether every watch has its priority; else its pauses are also those that other programs made.
+        """
         seen = []
         for watch in self._watches:
             watch.stdin.write("\n")
@@ -48,15 +51,18 @@ class MachineProbe(ExitStack):
             "pauses": sum(one["pauses"] for one in seen),
             "longest_ms": max(one["longest_ms"] for one in seen),
             "stood_ms": round(sum(one["stood_ms"] for one in seen), 1),
+            "above": all(one["above"] for one in seen),
         }
 
 
 def watch(core: int, priority: int) -> None:
     """Sleep and see how late the wake-ups are; answer each line of the standard input with a line of JSON."""
     os.sched_setaffinity(0, {core})
+    above = False
     if priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            above = True
         except PermissionError:
             print("machine probe: SCHED_FIFO not permitted", file=sys.stderr)
     late: list[int] = []
@@ -67,7 +73,8 @@ def watch(core: int, priority: int) -> None:
             if not sys.stdin.readline():
                 return
             longest, together = max(late, default=0) / 1e6, sum(late) / 1e6
-            print(json.dumps({"pauses": len(late), "longest_ms": round(longest, 1), "stood_ms": together}), flush=True)
+            seen = {"pauses": len(late), "longest_ms": round(longest, 1), "stood_ms": together, "above": above}
+            print(json.dumps(seen), flush=True)
             late.clear()
         elif time.monotonic_ns() - due > PAUSE:
             late.append(time.monotonic_ns() - due)

@@ -234,8 +234,8 @@ class Executor:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
         return self._playback.braking(self.lag) if self.state is ExecutorState.STOPPING else None
 
-    def pause(self) -> str:
-        """Brake along the path smoothly and rest on it; return one sentence.
+    def pause(self, now: int) -> str:
+        """Brake along the path smoothly and rest on it; return a sentence. Plans asked for until `now` [ns] and not here are void.
 
         Raises
         ------
@@ -249,6 +249,7 @@ class Executor:
             return f"plan {self.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
         if self.state is not ExecutorState.PLAYING:
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
+        self.desk.void_coming(now)
         self._enter(ExecutorState.PAUSING, "pause requested")
         return f"plan {self.plan.id} comes to rest on its path; resume goes on"
 

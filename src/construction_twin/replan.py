@@ -39,7 +39,8 @@ class ReplanGoals:
 
     def __init__(self):
         self._goals: dict[str, ReplanGoal] = {}
-        self._played, self._playing, self._seen = "", False, 0
+        # one value, stored and read at once: the executor's reports come in a thread of their own
+        self._execution: tuple[str, bool, int] = ("", False, 0)
 
     def on_plan(
         self, plan_id: str, goal: Sequence[float], velocity_use: Sequence[float], acceleration_use: Sequence[float]
@@ -47,13 +48,14 @@ class ReplanGoals:
         """Take a plan that was offered; its use of the limits per joint, as measured by the planner."""
         shares = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
         self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), *shares)
-        old = [known for known in self._goals if known not in (self._played, plan_id)]
+        played = self._execution[0]
+        old = [known for known in self._goals if known not in (played, plan_id)]
         for known in old[: max(len(old) - KEPT, 0)]:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, playing: bool, stamp: int) -> None:
         """Take what the executor did at `stamp` [ns]: whether it played that plan, and nobody had told it to stop or to pause."""
-        self._played, self._playing, self._seen = plan_id, playing, stamp
+        self._execution = plan_id, playing, stamp
 
     @property
     def interrupted(self) -> ReplanGoal | None:
@@ -62,6 +64,7 @@ class ReplanGoals:
         None when nothing plays: what a person stops or pauses is not taken up by itself, and with `auto_approve` a new plan would
         be. Nor is a plan that stands still, whose shares the planner would read as its defaults.
         """
-        found = self._goals.get(self._played) if self._playing else None
+        played, playing, seen = self._execution
+        found = self._goals.get(played) if playing else None
         moves = found is not None and found.speed_scale > 0.0 and found.acceleration_scale > 0.0
-        return replace(found, seen=self._seen) if moves else None
+        return replace(found, seen=seen) if moves else None

@@ -87,15 +87,21 @@ class ReviewDesk:
         if plan.id in self._decided or (self.plan is not None and self.plan.id == plan.id):
             return None
         if plan.created_ns < self._void_before:
-            raise ReviewError(f"plan {plan.id} was asked for before the last stop or reset and is void; plan again")
+            raise ReviewError(
+                f"plan {plan.id} was asked for before the last stop, pause or reset and is void; plan again"
+            )
         replaced = self.clear()
         self.plan = plan
         return replaced
 
     def void(self, now: int) -> Plan | None:
         """Clear the desk and refuse plans asked for until `now` [ns] that are not here yet; return what lay there."""
-        self._void_before = now
+        self.void_coming(now)
         return self.clear()
+
+    def void_coming(self, now: int) -> None:
+        """Refuse plans asked for until `now` [ns] that are not here yet."""
+        self._void_before = now
 
     def on_scene(self, scene: str) -> Plan | None:
         """Take the present scene's hash; return the plan taken off the desk because it was made for another."""

@@ -2,18 +2,17 @@
 
 import os
 import signal
-import unittest
 from collections.abc import Callable
 
 import numpy as np
 import rospy
 from construction_twin.msg import Link
-from twin_client import FINAL_ERROR, HOME, LEFT, Stream, TwinClient, node_pid, wait
+from twin_client import FINAL_ERROR, HOME, LEFT, RobotTest, Stream, TwinClient, node_pid, wait
 
 from construction_twin.units import radians
 
 
-class Interruption(unittest.TestCase):
+class Interruption(RobotTest):
     """One interruption per test, each in the middle of a motion from home."""
 
     @classmethod
@@ -22,7 +21,7 @@ class Interruption(unittest.TestCase):
         cls.client = TwinClient()
 
     def setUp(self):
-        self.client.start_over()
+        self.begin()
         # on a busy machine the planner is the last to be there
         rospy.wait_for_service("plan_to_joints", 60.0)
         self.client.go_to(HOME)

@@ -2,7 +2,6 @@
 """An arm that is not a KUKA through the whole chain: plan to joints, to a pose and along a line; approve; execute; at the goal."""
 
 import sys
-import unittest
 
 import numpy as np
 import rospy
@@ -11,7 +10,7 @@ from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from sensor_msgs.msg import JointState
-from twin_client import Stream, TwinClient
+from twin_client import RobotTest, Stream, TwinClient
 
 from construction_twin.frames import rotation_to_quaternion
 from construction_twin.kinematics.chain import Chain
@@ -21,7 +20,7 @@ HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 GOAL = (35.0, -75.0, 80.0, -20.0, 70.0, 40.0)
 
 
-class AnotherArmTest(unittest.TestCase):
+class AnotherArmTest(RobotTest):
     """Every test begins at rest at home."""
 
     @classmethod
@@ -33,7 +32,7 @@ class AnotherArmTest(unittest.TestCase):
         cls.chain = Chain(cls.client.robot)
 
     def setUp(self):
-        self.client.start_over(60.0)
+        self.begin(60.0)
         self.client.go_to(HOME)
 
     def test_the_joints_are_those_of_its_urdf_and_begin_at_its_home(self):

@@ -2,7 +2,6 @@
 """After bringup: every topic at its rate, tf, diagnostics, twin and arm in the same pose."""
 
 import sys
-import unittest
 
 import numpy as np
 import rospy
@@ -10,7 +9,7 @@ import rostest
 import tf2_ros
 from construction_twin.msg import Feedback, Sync
 from sensor_msgs.msg import JointState
-from twin_client import HOME, Stream, TwinClient, wait
+from twin_client import HOME, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.units import NANOSECONDS, radians
 
@@ -48,7 +47,7 @@ class Rate:
         return (len(times) - 1) * NANOSECONDS / (times[-1] - times[0])
 
 
-class BringupTest(unittest.TestCase):
+class BringupTest(RobotTest):
     """The idle system."""
 
     @classmethod
@@ -57,7 +56,7 @@ class BringupTest(unittest.TestCase):
         cls.client = TwinClient()
 
     def setUp(self):
-        self.client.start_over()
+        self.begin()
 
     def test_streams_run_at_250_hz(self):
         rates = {topic: Rate(topic) for topic in STREAMS}

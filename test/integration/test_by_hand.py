@@ -4,13 +4,12 @@
 import subprocess
 import sys
 import time
-import unittest
 
 import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Review
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerInit, MarkerArray
 
 from construction_twin.frames import rotation_to_abc
@@ -106,7 +105,7 @@ class Rviz:
         self._publisher.publish(message)
 
 
-class ByHandTest(unittest.TestCase):
+class ByHandTest(RobotTest):
     """Every test begins at rest at home."""
 
     @classmethod
@@ -118,7 +117,7 @@ class ByHandTest(unittest.TestCase):
         cls.rviz = Rviz()
 
     def setUp(self):
-        self.client.start_over()
+        self.begin()
         self.client.go_to(HOME)
         self.rviz.go_back()
 

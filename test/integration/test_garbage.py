@@ -5,7 +5,6 @@ import json
 import socket
 import sys
 import time
-import unittest
 from collections import Counter
 from collections.abc import Callable
 
@@ -14,7 +13,7 @@ import rospy
 import rostest
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient
 
 from construction_twin.mqtt.client import user_properties
 from construction_twin.mqtt.codec import JointStringCodec
@@ -31,7 +30,7 @@ NOW = "1795000000000000000"
 WATCH = 250
 
 
-class GarbageTest(unittest.TestCase):
+class GarbageTest(RobotTest):
     """A hostile participant beside the running system."""
 
     @classmethod
@@ -62,7 +61,7 @@ class GarbageTest(unittest.TestCase):
             cls.heard_seq = int(pairs["seq"])
 
     def setUp(self):
-        self.client.start_over()
+        self.begin()
         self.client.wait(lambda: type(self).heard_seq > 2 * REMEMBERED, "a stream that has gone on for a while")
         self.client.go_to(HOME)
         self.session = self.client.link.session

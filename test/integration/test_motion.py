@@ -3,7 +3,6 @@
 
 import sys
 import tempfile
-import unittest
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from construction_twin.srv import (
 )
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.frames import rotation_to_quaternion
@@ -40,7 +39,7 @@ def pose_at(x: float, y: float, z: float) -> Pose:
     return Pose(Point(x, y, z), Quaternion(0.0, 0.0, 0.0, 1.0))
 
 
-class MotionTest(unittest.TestCase):
+class MotionTest(RobotTest):
     """Every test begins at rest at home in the shipped scene."""
 
     @classmethod
@@ -54,7 +53,7 @@ class MotionTest(unittest.TestCase):
             rospy.wait_for_service(service, 40.0)
 
     def setUp(self):
-        self.client.start_over()
+        self.begin()
         self.assertTrue(self.client.call("clear_scene").success)
         self.client.go_to(HOME)
 

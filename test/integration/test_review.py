@@ -2,13 +2,12 @@
 """Nothing moves without a person's approval, an approval covers one execution, `stop` brakes, a second commander is refused."""
 
 import sys
-import unittest
 
 import numpy as np
 import rospy
 import rostest
 from sensor_msgs.msg import JointState
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.units import radians
 
@@ -16,7 +15,7 @@ from construction_twin.units import radians
 WATCH = 300
 
 
-class ReviewTest(unittest.TestCase):
+class ReviewTest(RobotTest):
     """Plans, verdicts and what the arm makes of them. Every test begins at rest at home."""
 
     @classmethod
@@ -25,7 +24,7 @@ class ReviewTest(unittest.TestCase):
         cls.client = TwinClient()
 
     def setUp(self):
-        self.client.start_over()
+        self.begin()
         self.client.go_to(HOME)
 
     def assert_rests(self, stream: Stream):

@@ -4,14 +4,13 @@
 import json
 import os
 import sys
-import unittest
 from pathlib import Path
 
 import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Sync, Transition
-from twin_client import LEFT, Stream, TwinClient, wait
+from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.units import radians
 
@@ -20,7 +19,7 @@ JOINT = "joint_a3"
 WATCH = 200
 
 
-class StallTest(unittest.TestCase):
+class StallTest(RobotTest):
     """One stall in the middle of one motion."""
 
     @classmethod
@@ -32,7 +31,7 @@ class StallTest(unittest.TestCase):
         rospy.Subscriber("transitions", Transition, cls.transitions.append)
 
     def setUp(self):
-        self.client.start_over()
+        self.begin()
 
     def test_stalled_joint_holds_replans_and_finishes(self):
         with (

@@ -2,18 +2,17 @@
 """A stalled joint under each policy that was set live: `resume` ends the approved path, `stop` waits for a person's reset."""
 
 import sys
-import unittest
 
 import rospy
 import rostest
 from construction_twin.msg import Execution, Sync, Transition
 from dynamic_reconfigure.client import Client
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 
 JOINT = "joint_a3"
 
 
-class StallPolicyTest(unittest.TestCase):
+class StallPolicyTest(RobotTest):
     """One stall per test, each in the middle of a motion that a person approved."""
 
     @classmethod
@@ -27,7 +26,7 @@ class StallPolicyTest(unittest.TestCase):
     def setUp(self):
         # a busy machine's late feedback is not what is tested here
         self.live.update_configuration({"policy": "replan", "feedback_timeout": 2.0, "escalate_count": 100})
-        self.client.start_over()
+        self.begin()
         self.client.go_to(HOME)
         self.transitions.clear()
 

@@ -3,7 +3,6 @@
 
 import sys
 import tempfile
-import unittest
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from mqtt_listener import MqttListener
-from twin_client import Stream, TwinClient
+from twin_client import RobotTest, Stream, TwinClient
 
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.evaluation.report import write_report
@@ -35,7 +34,7 @@ FINAL_TRACK_ERROR = 5.1e-7
 LARGEST_STEP = 5e-3
 
 
-class TrackTest(unittest.TestCase):
+class TrackTest(RobotTest):
     """Every test begins at rest at home."""
 
     @classmethod
@@ -52,7 +51,7 @@ class TrackTest(unittest.TestCase):
         cls.mqtt.close()
 
     def setUp(self):
-        self.client.start_over(60.0)
+        self.begin(60.0)
         self.client.go_to(HOME)
 
     def test_joints_and_wire(self):

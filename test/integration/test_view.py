@@ -5,13 +5,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import unittest
 from pathlib import Path
 
 import rospy
 import rostest
 from construction_twin.msg import Sync
-from twin_client import LEFT, Stream, TwinClient, wait
+from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.screenshot import VirtualDisplay, bare_view, extent, share
@@ -29,7 +28,7 @@ LEAST = 0.01
 TALL = 0.35
 
 
-class ViewTest(unittest.TestCase):
+class ViewTest(RobotTest):
     """One system, looked at."""
 
     @classmethod
@@ -44,7 +43,7 @@ class ViewTest(unittest.TestCase):
         )  # fmt: skip
 
     def test_markers_show_the_arm_in_the_colour_of_the_state(self):
-        self.client.start_over()
+        self.begin()
         with Stream("sync_markers", MarkerArray) as pictures:
             wait(lambda: self.is_shown(pictures.messages[-1], SyncState.IN_SYNC), "the arm in the colour of IN_SYNC")
             shown = pictures.messages[-1].markers
@@ -74,7 +73,7 @@ class ViewTest(unittest.TestCase):
         return len(colours) == 1 and all(abs(a - b) < 1e-6 for a, b in zip(colours.pop(), COLOURS[state][:3]))
 
     def test_rviz_draws_the_arm(self):
-        self.client.start_over()
+        self.begin()
         with tempfile.TemporaryDirectory() as folder, VirtualDisplay(SIZE) as display:
             config = Path(folder) / "twin.rviz"
             config.write_text(bare_view((ROOT / "rviz/twin.rviz").read_text(), SIZE))

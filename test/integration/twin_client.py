@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import time
+import unittest
 import xmlrpc.client
 from collections.abc import Callable, Sequence
 
@@ -138,7 +139,7 @@ class TwinClient:
         )
 
     def start_over(self, timeout: float = 40.0) -> None:
-        """Begin a test: wait until a plan could be approved; what an earlier test left for a person, a person resets here."""
+        """Wait until a plan could be approved; what waits for a person's reset is reset."""
         asked = 0.0
 
         def ready() -> bool:
@@ -358,6 +359,25 @@ class TwinClient:
         for status in message.status:
             node = status.name.split(":")[0].strip("/").removeprefix(prefix)
             self._diagnostics[node] = {pair.key: pair.value for pair in status.values}
+
+
+class RobotTest(unittest.TestCase):
+    """Tests of one robot that follow each other: what a failed one leaves for a person must not fail the rest, too."""
+
+    client: TwinClient
+    _after_a_failure = False
+
+    def run(self, result=None):
+        """Run one test; see `unittest.TestCase`."""
+        type(self)._after_a_failure = result is not None and not result.wasSuccessful()
+        return super().run(result)
+
+    def begin(self, timeout: float = 40.0) -> None:
+        """Wait until a plan could be approved; only where a test has failed before, with a person's resets."""
+        if self._after_a_failure:
+            self.client.start_over(timeout)
+        else:
+            self.client.wait_until_ready(timeout)
 
 
 def node_pid(name: str) -> int:

@@ -136,7 +136,7 @@ class TestPlaying:
 
     def test_a_plan_asked_for_before_a_restart_is_void_when_it_arrives(self, bench):
         bench.executor.restart("new command session", bench.stamp)
-        with pytest.raises(ReviewError, match="last stop or reset"):
+        with pytest.raises(ReviewError, match="last stop, pause or reset"):
             bench.executor.offer(replace(make_plan(), created_ns=bench.stamp - 1))
         bench.executor.offer(replace(make_plan(), created_ns=bench.stamp))
 
@@ -252,6 +252,6 @@ class TestWords:
     def test_other_states_do_not_speak_of_it(self):
         bench = self.playing()
         bench.executor.limit_rate(0.25, "somebody is near")
-        bench.executor.pause()
+        bench.executor.pause(bench.stamp)
         bench.run(3)
         assert bench.executor.reason == "pause requested"

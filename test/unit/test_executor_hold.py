@@ -186,7 +186,7 @@ class TestPaused:
     @pytest.mark.parametrize("rested", [True, False], ids=["paused", "pausing"])
     def test_a_pause_comes_back_as_a_pause(self, bench, rested):
         bench.play(make_plan(), 200)
-        bench.executor.pause()
+        bench.executor.pause(bench.stamp)
         if rested:
             bench.run_until(PAUSED)
         bench.run(3)
@@ -200,7 +200,7 @@ class TestPaused:
 
     def test_a_pause_asked_for_while_held_is_one_afterwards(self, bench):
         last = hold(bench)
-        assert "HELD" in bench.executor.pause()
+        assert "HELD" in bench.executor.pause(bench.stamp)
         with pytest.raises(ExecutionError):
             bench.executor.resume()
         open_again(bench)
@@ -223,7 +223,7 @@ def act(bench: HoldBench, action) -> None:
     elif action == "open" and not bench.open:
         bench.try_to_open()
     elif action == "pause" and bench.state in (PLAYING, HELD):
-        bench.executor.pause()
+        bench.executor.pause(bench.stamp)
     elif action == "resume" and bench.state in (PAUSED, ExecutorState.PAUSING) and bench.open:
         try:
             bench.executor.resume()

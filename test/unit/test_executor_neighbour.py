@@ -111,7 +111,7 @@ def test_a_paused_plan_ends_and_is_not_resumed_when_the_other_arm_comes_into_its
     bench = Beside().offered()
     bench.approve()
     bench.run(100)
-    bench.executor.pause()
+    bench.executor.pause(bench.stamp)
     bench.run_until(ExecutorState.PAUSED)
     bench.say(PROBLEM)
     with pytest.raises(ExecutionError, match="may not go on"):

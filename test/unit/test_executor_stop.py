@@ -130,7 +130,7 @@ class TestStop:
 def pause_after(bench: Bench, cycles: int, motion: Trajectory | None = None) -> list:
     """Play a plan for some cycles and pause it; return the setpoints of the pausing."""
     bench.play(make_plan(motion=motion), cycles)
-    bench.executor.pause()
+    bench.executor.pause(bench.stamp)
     return bench.run_until(ExecutorState.PAUSED)
 
 
@@ -141,6 +141,16 @@ class TestPause:
         assert bench.state is ExecutorState.PAUSED and within_acceleration(bench.outputs)
         share = (np.array(pausing[-1]) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
         assert np.ptp(share) < 1e-12 and 0.5 < share[0] < 0.9
+
+    def test_a_plan_asked_for_before_the_pause_is_void_when_it_arrives_and_one_that_waits_is_not(self, bench):
+        bench.play(make_plan(), 250)
+        waiting = make_plan("waits")
+        bench.executor.desk.offer(waiting)
+        bench.executor.pause(bench.stamp)
+        assert bench.executor.desk.plan is waiting
+        with pytest.raises(ReviewError, match="before the last stop, pause or reset"):
+            bench.executor.desk.offer(make_plan("late", created_ns=bench.stamp - 1))
+        bench.executor.desk.offer(make_plan("new", created_ns=bench.stamp + 1))
 
     def test_goes_on_along_the_same_path_to_the_goal_without_another_approval(self, bench):
         pause_after(bench, 250)
@@ -154,35 +164,35 @@ class TestPause:
 
     def test_before_the_first_setpoint_nothing_moves_until_resumed(self, bench):
         bench.approve(make_plan())
-        bench.executor.pause()
+        bench.executor.pause(bench.stamp)
         assert set(bench.run(100)) == {ROBOT.home} and bench.state is ExecutorState.PAUSED
         bench.executor.resume()
         assert bench.run_until_idle()[-1] == GOAL and within_acceleration(bench.outputs)
 
     def test_can_be_resumed_while_it_still_brakes(self, bench):
         bench.play(make_plan(), 250)
-        bench.executor.pause()
+        bench.executor.pause(bench.stamp)
         bench.run(10)
         bench.executor.resume()
         assert bench.run_until_idle()[-1] == GOAL and within_acceleration(bench.outputs)
 
     def test_close_to_the_goal_it_ends_there(self, bench):
         bench.play(make_plan(), 498)
-        bench.executor.pause()
+        bench.executor.pause(bench.stamp)
         bench.run_until(ExecutorState.PAUSED, ExecutorState.IDLE)
         bench.run(3)
         assert within_acceleration(bench.outputs)
 
     def test_again_and_again_is_no_error(self, bench):
         bench.play(make_plan(), 250)
-        bench.executor.pause()
-        assert "PAUSING already" in bench.executor.pause()
+        bench.executor.pause(bench.stamp)
+        assert "PAUSING already" in bench.executor.pause(bench.stamp)
         bench.run_until(ExecutorState.PAUSED)
-        assert "PAUSED already" in bench.executor.pause()
+        assert "PAUSED already" in bench.executor.pause(bench.stamp)
 
     def test_needs_something_that_plays(self, bench):
         with pytest.raises(ExecutionError, match="IDLE"):
-            bench.executor.pause()
+            bench.executor.pause(bench.stamp)
         with pytest.raises(ExecutionError, match="nothing to resume"):
             bench.executor.resume()
         bench.play(make_plan(), 10)
@@ -192,7 +202,7 @@ class TestPause:
     def test_a_paused_plan_keeps_others_from_starting(self, bench):
         pause_after(bench, 250)
         with pytest.raises(ReviewError, match="PAUSED"):
-            bench.approve(make_plan("q", reach(start=bench.twin)))
+            bench.approve(make_plan("q", reach(start=bench.twin), created_ns=bench.stamp))
 
     @pytest.mark.parametrize("paused", [True, False], ids=["paused", "pausing"])
     @pytest.mark.parametrize(
@@ -209,7 +219,7 @@ class TestPause:
     )
     def test_ends_as_while_playing(self, bench, event, state, outcome, paused):
         bench.play(make_plan(), 250)
-        bench.executor.pause()
+        bench.executor.pause(bench.stamp)
         if paused:
             bench.run_until(ExecutorState.PAUSED)
         event(bench.executor, bench.stamp)
@@ -239,7 +249,7 @@ class TestPause:
                 bench.state
                 in {"pause": (ExecutorState.PLAYING,), "resume": (ExecutorState.PAUSING, ExecutorState.PAUSED)}[action]
             ):
-                getattr(bench.executor, action)()
+                bench.executor.pause(bench.stamp) if action == "pause" else bench.executor.resume()
         if data.draw(st.booleans()):
             bench.executor.stop(bench.stamp)
         elif bench.state in (ExecutorState.PAUSING, ExecutorState.PAUSED):

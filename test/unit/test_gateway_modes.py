@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 
 import pytest
@@ -57,6 +58,18 @@ def test_commissioning_takes_the_stream_computes_and_sends_zeros():
     # what it would have sent is what it sends without the mode
     assert cell.gateway.correction == normal.gateway.correction == normal.replies[-1] != (0.0, 0.0)
     assert cell.gateway.status()["correction"] == list(normal.replies[-1])
+
+
+def test_a_stop_in_commissioning_states_the_way_of_what_would_have_been_sent():
+    cell = commissioning()
+    assert cell.arm()[0]
+    cell.stream(slow(k) for k in range(200))
+    assert cell.control("stop")[0]
+    cell.cycle(100)
+    report = cell.gateway.status()["stop"]
+    # not the whole way from the arm, which has not moved at all
+    assert cell.measured == START and report["moved_deg"] == report["distance_deg"]
+    assert 0.0 < report["distance_deg"][0] < 0.5 * math.degrees(cell.gateway.correction[0])
 
 
 def test_commissioning_is_said_wherever_somebody_looks():

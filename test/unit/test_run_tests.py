@@ -15,11 +15,12 @@ import run_tests  # noqa: E402
 class Probe:
     """Says of each run how long the machine stood still [ms]."""
 
-    def __init__(self, *pauses: float):
+    def __init__(self, *pauses: float, above: bool = True):
         self._answers = [answer for pause in pauses for answer in (0.0, pause)]
+        self._above = above
 
     def taken(self) -> dict:
-        return {"longest_ms": self._answers.pop(0)}
+        return {"longest_ms": self._answers.pop(0), "above": self._above}
 
 
 class Runs:
@@ -39,6 +40,7 @@ class Runs:
 def earlier(monkeypatch):
     """What failed before is kept whatever happens."""
     monkeypatch.setattr(run_tests, "FAILED", ["earlier"])
+    monkeypatch.setattr(run_tests, "DISTURBED", [])
 
 
 @pytest.mark.parametrize(
@@ -87,6 +89,13 @@ def test_a_failure_beside_a_pause_is_told_and_the_next_run_counts(capsys):
     assert (runs.made, run_tests.FAILED) == (2, ["earlier", "failure 2", "failure 2"])
     told = capsys.readouterr().out
     assert "DISTURBED a.test" in told and "120 ms" in told and "not counted: failure 1" in told
+    assert run_tests.DISTURBED == ["a.test"]
+
+
+def test_a_probe_that_our_own_load_keeps_waiting_excuses_nothing():
+    runs = Runs((3, 1))
+    assert run_tests.undisturbed("a", runs, Probe(500.0, above=False)) == (3, 1)
+    assert (runs.made, run_tests.DISTURBED) == (1, [])
 
 
 def test_a_success_counts_whatever_the_machine_did():

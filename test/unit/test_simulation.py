@@ -271,7 +271,7 @@ def test_a_paused_plan_rests_on_both_robots_and_goes_on_inside_the_limits(speed_
     plan = make_plan(chain, REACH, speed_scale=speed_scale)
     chain.play(plan)
     chain.run_for(plan.trajectory.duration / 2)
-    chain.executor.pause()
+    chain.executor.pause(chain.now)
     assert chain.run_until(lambda: chain.executor.state is ExecutorState.PAUSED, 3.0)
     chain.run_for(0.5)
     resting = chain.twin.pose

@@ -45,10 +45,20 @@ class TestNumbers:
     def test_only_a_higher_number_is_taken_and_what_was_refused_uses_none(self):
         cell = armed()
         answers = [
-            self.give(cell, *each)[0] for each in ((0, 0.5), (0, 0.5), (7, 0.4), (6, 1.0), (9, 1.1), (8, 0.3), (8, 0.2))
+            self.give(cell, *each)[0] for each in ((0, 0.5), (0, 0.5), (7, 0.4), (6, 1.0), (9, 1.1), (8, 0.3), (8, 0.3))
         ]
         assert answers == [True, False, True, False, False, True, False]
         assert cell.gateway.status()["speed_limit"]["given"] == 0.3
+
+    def test_a_lower_limit_counts_whatever_its_number_a_source_may_have_been_started_again(self):
+        cell = armed()
+        assert self.give(cell, 1000, 1.0)[0]
+        assert self.give(cell, 1, 0.0)[0]
+        assert cell.gateway.status()["speed_limit"]["given"] == 0.0
+        # and it cannot be lifted by what was sent before
+        assert not self.give(cell, 1000, 1.0)[0] and not self.give(cell, 2, 0.5)[0]
+        assert cell.gateway.status()["speed_limit"]["given"] == 0.0
+        assert self.give(cell, 1001, 0.5)[0]
 
     @pytest.mark.parametrize("number", ["", "a", "-1", "1.0", " 1", "1e3", "٣", "9" * 20, "cafe"])
     def test_an_id_that_is_no_number_is_refused_with_the_reason(self, number):

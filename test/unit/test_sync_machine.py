@@ -244,7 +244,7 @@ class Cell(RuleBasedStateMachine):
     @rule(verb=st.sampled_from(["stop", "pause", "resume"]))
     def intervene(self, verb):
         try:
-            self.executor.stop(self.stamp) if verb == "stop" else getattr(self.executor, verb)()
+            self.executor.resume() if verb == "resume" else getattr(self.executor, verb)(self.stamp)
         except ConstructionTwinError:
             self.seen["refused request"] += 1
 

@@ -89,7 +89,7 @@ class ExecutorNode:
         self._subscribe(robot.joint_names, settings.arm)
         rospy.Service("review_plan", ReviewPlan, self._on_review)
         rospy.Service("stop", Trigger, self._on_stop)
-        rospy.Service("pause", Trigger, lambda _: self._on_trigger("pause", self._executor.pause))
+        rospy.Service("pause", Trigger, lambda _: self._on_trigger("pause", lambda: self._executor.pause(now_ns())))
         rospy.Service("resume", Trigger, lambda _: self._on_trigger("resume", self._executor.resume))
         self._timer = rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), self._on_timer)
         rospy.on_shutdown(self._write_records)

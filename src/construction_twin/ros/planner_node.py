@@ -151,8 +151,11 @@ class PlannerNode:
     # -- requests
 
     def _on_plan_to_joints(self, request) -> PlanToJointsResponse:
+        arrived = now_ns()
+
         def plan(asked: PlanRequest) -> Plan:
-            check_asked(asked, now_ns())
+            if request.asked:
+                check_asked(asked, arrived)
             return self._desk.to_joints(request.start or self._present_pose(), request.goal, asked)
 
         return PlanToJointsResponse(*self._answer(plan, self._request(request))[:5])

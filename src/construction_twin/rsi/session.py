@@ -186,7 +186,8 @@ class Gateway:
 
     def _move(self, elapsed: int) -> tuple[float, ...]:
         if self.state is State.FOLLOWING:
-            position = self._player.play(elapsed, self._controller.measured)
+            # in commissioning mode the arm does not do what the player does
+            position = self._player.play(elapsed, self._controller.measured if self.mode is Mode.NORMAL else ())
             overdue = self._player.overdue
             if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
@@ -207,7 +208,8 @@ class Gateway:
         if self.state is not State.BRAKING:
             # asked again while it brakes, what was stated holds; for a stream that is missing it has braked since it ran dry
             begun = self._player.braking if cause == "silence" else None
-            self._stopping.begin(cause, self._player.follower, self._controller.measured, begun)
+            follows = self.mode is Mode.NORMAL and self.state is State.FOLLOWING and cause != "drift"
+            self._stopping.begin(cause, self._player.follower, self._controller.measured if follows else (), begun)
         self._disarm()
         self._enter(State.BRAKING, f"{cause}: {reason}")
 
@@ -295,14 +297,12 @@ class Gateway:
         return False, why
 
     def _limit_speed(self, control: Control, now: int) -> tuple[bool, str]:
-        refusal = self.speed.refusal(control, self.session)
-        if refusal:
+        if refusal := self.speed.refusal(control, self.session):
             return self._refuse("speed_limit", refusal)
-        if self.speed.is_repeated(control):
-            self._refuse(
-                "repeated", f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
-            )
-            return False, ""
+        # a lower limit counts however old it looks: its source may count anew, and a recording of it can only slow the arm
+        if self.speed.is_repeated(control) and control.value >= self.speed.given:
+            why = f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
+            return self._refuse("repeated", why)[0], ""
         self._changed |= self.speed.give(float(control.value), control.session, now)
         self._poll_speed_limit(now)
         return True, f"speed at most {control.value:g} of the limits"

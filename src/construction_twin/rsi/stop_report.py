@@ -15,7 +15,8 @@ class Braking:
     ----------
     follower : Follower
     measured : tuple of float, shape (n,)
-        Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when unknown: where the follower is.
+        Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when it does not do what the follower does,
+        or is not known: then the way is the follower's.
     """
 
     def __init__(self, follower: Follower, measured: tuple[float, ...]):

@@ -170,7 +170,10 @@ def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
         crossing = _crossing(run, closing, fault.stamp)
         samples = crossing and crossing.samples
     measured |= {"detection_s": seconds, "detection_samples": samples}
-    checks = [_growth(run, closing, crossing)] if crossing is not None and fault.value == "stall" else []
+    checks = []
+    if crossing is not None and fault.value == "stall":
+        stalled = next(step.inject.joint for step in scenario.steps if step.inject and step.inject.fault == "stall")
+        checks.append(_growth(run, closing, crossing, stalled))
     for name, bound, found in (
         ("detection_s", scenario.expect.detection_s, seconds),
         ("detection_samples", scenario.expect.detection_samples, samples),
@@ -226,14 +229,17 @@ def _lag(closing: SyncMoment) -> float:
     return 0.0 if math.isnan(closing.servo_lag) else closing.servo_lag * NANOSECONDS
 
 
-def _growth(run: Run, closing: SyncMoment, crossing: _Crossing) -> Check:
+def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) -> Check:
     """Whether a stalled joint's error grew only for as long as its news and the commands under way took.
 
     From the command of the last sample within the threshold until the gate closed, which is the commands' way to the arm, the
     sample's way back and the detection, the error grows at the joint's speed at most; then nothing is sent that increases it.
     """
     joint = crossing.joint
-    threshold = closing.threshold[closing.joints.index(run.recording.joint_names[joint])]
+    name = run.recording.joint_names[joint]
+    if name != stalled:
+        return Check("error of the stalled joint", f"the gate to close for {stalled}", f"it closed for {name}", False)
+    threshold = closing.threshold[closing.joints.index(name)]
     twin = run.recording.twin
     under_way = (twin.stamps >= crossing.within - CYCLE_NS) & (twin.stamps <= closing.stamp)
     steps = np.abs(np.diff(twin.positions[under_way, joint]))
@@ -297,6 +303,9 @@ def _corrections(trace: Sequence[TraceEntry], limits: MotionLimits, decimals: in
 def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, measured: dict) -> list[Check]:
     """What the arm did with its sound joints; the cycles of a missed reply, which stops it dead, are only reported."""
     names = [name for name in limits.names if name not in scenario.faulted]
+    if not names:
+        measured |= {"arm_velocity_share": None, "arm_acceleration_share": None}
+        return []
     breaks = np.zeros(len(run.arm), dtype=bool)
     breaks[0] = True
     for change in run.changes:

@@ -8,7 +8,7 @@ import numpy as np
 
 from construction_twin.limits import MotionLimits
 from construction_twin.rsi.trace import TraceEntry
-from construction_twin.units import CYCLE, CYCLE_NS
+from construction_twin.units import CYCLE
 
 #: Of a share of a limit: room for the last bits of differences of floating point numbers.
 ROUNDING = 1e-6
@@ -88,7 +88,9 @@ def distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: i
     rest : float
         From `begin` to the last cycle that moved [s].
     """
-    inside = np.flatnonzero((stamps >= begin - CYCLE_NS) & (stamps <= end))
+    # from the cycle before: by its number, because a controller process that was late sends the next ones sooner
+    first = max(0, int(np.searchsorted(stamps, begin)) - 1)
+    inside = np.arange(first, int(np.searchsorted(stamps, end, side="right")))
     if not len(inside):
         return np.zeros(positions.shape[1]), 0.0
     part = positions[inside]
