@@ -100,7 +100,7 @@ def test_offering_tells_which_plan_was_replaced(desk):
 def test_voiding_tells_what_lay_there_and_refuses_what_is_on_its_way(desk):
     first = desk.plan
     assert desk.void(5) is first and desk.void(6) is None
-    with pytest.raises(ReviewError, match="last stop or reset"):
+    with pytest.raises(ReviewError, match="last stop, pause or reset"):
         desk.offer(make_plan("b"))
 
 
