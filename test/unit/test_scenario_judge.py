@@ -182,6 +182,19 @@ def test_an_emergency_stop_ends_within_what_the_controller_stated(stated, fails)
     assert failed(verdict_of(expectation(ends="holds", stop=stop), run)) == fails
 
 
+@pytest.mark.parametrize("noted", [-3, 0, 3], ids=["before the first cycle", "in it", "after it"])
+def test_an_arm_that_a_new_session_finds_elsewhere_has_not_moved(noted):
+    arm = np.tile(ROBOT.home, (COUNT, 1))
+    arm[950:, 0] += math.radians(20.0)
+    changes = [Change(at(950) + noted * 1_000_000, "fault", "restart_at"), Change(at(950), "session", "2")]
+    changes.sort(key=lambda change: change.stamp)
+    stop = {"event": "fault restart_at", "distance_deg": 0.01}
+    assert "stop distance" not in failed(verdict_of(expectation(stop=stop), make_run(arm, changes=changes)))
+    # what it does from then on is motion
+    arm[960:, 0] += math.radians(0.02)
+    assert "stop distance" in failed(verdict_of(expectation(stop=stop), make_run(arm, changes=changes)))
+
+
 def test_what_is_not_detected_fails():
     run = dataclasses.replace(stalled_run(), closings=())
     assert failed(verdict_of(stall_expectation(detection_samples=5), run)) == ["detection_samples"]

@@ -341,9 +341,12 @@ def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) ->
         if c.stamp > event.stamp
         and ((c.topic, c.value) == ("execution", "PLAYING") or c.topic in ("call", "move", "fault_end"))
     ]
-    distance, rest = distance_after(
-        run.arm_stamps, run.arm, event.stamp, min(released, default=int(run.arm_stamps[-1]))
-    )
+    begin = event.stamp
+    if event.value == "restart_at":
+        # the new session stands elsewhere from its first cycle on: that is no motion
+        session = run.first("session", since=begin - NANOSECONDS // 10)
+        begin = session.stamp + CYCLE_NS if session else begin
+    distance, rest = distance_after(run.arm_stamps, run.arm, begin, min(released, default=int(run.arm_stamps[-1])))
     largest = float(np.degrees(distance).max())
     measured |= {"stop_distance_deg": largest, "stop_time_s": rest}
     found = f"{largest:.4f} deg, at rest after {rest:.3f} s"
