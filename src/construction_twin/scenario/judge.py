@@ -20,7 +20,7 @@ from construction_twin.rsi.trace_limits import trace_excesses
 from construction_twin.scenario.motion import ROUNDING, distance_after, limit_shares, trace_arrays
 from construction_twin.scenario.scenario import Scenario
 from construction_twin.scenario.timeline import Change, Run, SyncMoment
-from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
+from construction_twin.units import CYCLE_NS, NANOSECONDS, radians
 
 #: The arm holds somewhere else than at the goal when a joint is at least this far from it [deg].
 ELSEWHERE_DEG = 1.0
@@ -242,8 +242,9 @@ def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) ->
     threshold = closing.threshold[closing.joints.index(name)]
     twin = run.recording.twin
     under_way = (twin.stamps >= crossing.within - CYCLE_NS) & (twin.stamps <= closing.stamp)
-    steps = np.abs(np.diff(twin.positions[under_way, joint]))
-    speed = float(steps.max(initial=0.0)) / CYCLE
+    # by the stamps: where the recording lost a message, two cycles lie between
+    speeds = np.abs(np.diff(twin.positions[under_way, joint])) / np.diff(twin.stamps[under_way]) * NANOSECONDS
+    speed = float(speeds.max(initial=0.0))
     delay = (closing.stamp - crossing.within) / NANOSECONDS
     released = run.first("fault_end", since=closing.stamp)
     end = released.stamp if released else int(run.recording.feedback.stamps[-1])
