@@ -147,7 +147,7 @@ def show(result: dict, details: dict) -> None:
         print(f"highest rate without loss [Hz]: {result['max_rate_hz']}; floor: {details['max_rate_hz_floor']}")
     for load, row in result.get("reply_us", {}).items():
         beside = details["reply"][load]
-        print(f"reply time, {load} [us]: {row}; the gateway ended {beside['state']}; machine: {beside['machine']}")
+        print(f"reply time, {load} [us]: {row}; {beside}")
     for name, value in details.get("end_to_end", {}).items():
         print(f"{name}: {value}")
     if "fleet" in result:

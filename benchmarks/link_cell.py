@@ -15,7 +15,7 @@ from link_mqtt import MqttEnd, publish_packet, read_publish
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, free_port
 
 from construction_twin.mqtt.codec import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value
+from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, read_state_properties
 from construction_twin.robot import read_robot_files
 from construction_twin.rsi.config import GatewayConfig
 from construction_twin.rsi.export import gateway_config
@@ -88,8 +88,9 @@ class Commander:
         self._topics = Topics(prefix, config.robot)
         self._config, self._home = config, home
         self._codec = JointStringCodec(len(home), config.decimals)
-        self._end = MqttEnd(port, "link-commander", [self._topics.status])
+        self._end = MqttEnd(port, "link-commander", [self._topics.status, self._topics.state])
         self.status: dict = {}
+        self.replies: list[int] = []  #: when the gateway answered, monotonic clock [ns]
         self.cycle = 0
         self._due = 0
 
@@ -140,7 +141,11 @@ class Commander:
     def _listen(self, seconds: float) -> None:
         if select.select([self._end.socket], [], [], seconds)[0]:
             for body in self._end.receive():
-                self.status = json.loads(read_publish(body)[1])
+                topic, payload, pairs = read_publish(body)
+                if topic == self._topics.state:
+                    self.replies.append(read_state_properties(pairs).stamp)
+                else:
+                    self.status = json.loads(payload)
 
 
 def reply_spread(before: dict, after: dict) -> dict:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from link_cell import Cell, Commander, reply_spread, shipped_config
 from link_world import REALTIME, World
-from machine import MachineProbe
+from machine import MachineProbe, held_up
 
 #: Time from arming to the beginning of the measurement [s].
 SETTLE = 2.0
@@ -19,7 +19,8 @@ _BUSY = "while True: pass"
 def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dict, dict]:
     """Return the spread of the reply time [us], late replies and cycles while a motion is streamed; and what goes with it.
 
-    That is the gateway's ``state`` at the end, and the ``machine``'s own pauses in the meantime; see `MachineProbe`.
+    That is the gateway's ``state`` at the end, the ``machine``'s own pauses in the meantime (see `MachineProbe`), how many replies
+    were ``held_up``, and how many of these beside no pause (``held_up_by_us``, see `machine.held_up`).
 
     On a machine that does not run the mock controller in time the stream gets ahead of it, and the gateway brakes: it goes on answering.
 
@@ -45,8 +46,15 @@ def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dic
         probe = world.enter_context(MachineProbe(realtime))
         before = commander.next_status()
         probe.taken()
+        commander.replies.clear()
         commander.stream(seconds)
         machine = probe.taken()
+        late, ours = held_up(commander.replies, machine.pop("intervals"))
         result = reply_spread(before, commander.next_status())
         commander.close()
-        return result, {"state": commander.status["state"], "machine": machine}
+        return result, {
+            "state": commander.status["state"],
+            "machine": machine,
+            "held_up": late,
+            "held_up_by_us": ours,
+        }

@@ -12,10 +12,13 @@ import select
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 
 #: Time asleep, and lateness from which on a wake-up counts as a pause [ns].
-PERIOD, PAUSE = 2_000_000, 1_000_000
+PERIOD, PAUSE = 500_000, 1_000_000
+#: The controller's cycle, and from how much more between two replies on one of them was held up [ns].
+CYCLE, HELD_UP = 4_000_000, 2_000_000
 
 
 class MachineProbe(ExitStack):
@@ -41,7 +44,8 @@ class MachineProbe(ExitStack):
     def taken(self) -> dict:
         """Return what was seen since the last call: number of pauses, the longest and all of them together [ms].
 
-        ``above`` says whether every watch has its priority; else its pauses are also those that other programs made.
+        ``intervals`` are their beginnings and ends on the monotonic clock [ns]. ``above`` says whether every watch has its priority;
+        else its pauses are also those that other programs made.
         """
         seen = []
         for watch in self._watches:
@@ -51,8 +55,40 @@ class MachineProbe(ExitStack):
             "pauses": sum(one["pauses"] for one in seen),
             "longest_ms": max(one["longest_ms"] for one in seen),
             "stood_ms": round(sum(one["stood_ms"] for one in seen), 1),
+            "intervals": sorted(tuple(interval) for one in seen for interval in one["intervals"]),
             "above": all(one["above"] for one in seen),
         }
+
+
+def held_up(stamps: Sequence[int], intervals: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """Return how many replies came late after the one before them, and how many of these no pause of the machine explains.
+
+    A pause explains a reply when it covers at least half of what the distance to the one before is beyond a cycle.
+
+    Parameters
+    ----------
+    stamps : sequence of int
+        Of the replies, rising, on the monotonic clock [ns].
+    intervals : sequence of tuple
+        Beginnings and ends of pauses, rising, of all cores; see `MachineProbe.taken`.
+    """
+    late = unexplained = first = 0
+    for earlier, later in zip(stamps, stamps[1:]):
+        beyond = later - earlier - CYCLE
+        if beyond < HELD_UP:
+            continue
+        late += 1
+        covered, at = 0, earlier
+        while first < len(intervals) and intervals[first][1] < earlier:
+            first += 1
+        for begin, end in intervals[first:]:
+            if begin >= later:
+                break
+            # pauses of two cores may overlap, what they share counts once
+            covered += max(0, min(end, later) - max(begin, at))
+            at = max(at, end)
+        unexplained += covered < beyond / 2
+    return late, unexplained
 
 
 def watch(core: int, priority: int) -> None:
@@ -65,19 +101,19 @@ def watch(core: int, priority: int) -> None:
             above = True
         except PermissionError:
             print("machine probe: SCHED_FIFO not permitted", file=sys.stderr)
-    late: list[int] = []
+    late: list[tuple[int, int]] = []
     while True:
         due = time.monotonic_ns() + PERIOD
         asked, _, _ = select.select([sys.stdin], [], [], PERIOD / 1e9)
         if asked:
             if not sys.stdin.readline():
                 return
-            longest, together = max(late, default=0) / 1e6, sum(late) / 1e6
-            seen = {"pauses": len(late), "longest_ms": round(longest, 1), "stood_ms": together, "above": above}
-            print(json.dumps(seen), flush=True)
+            lengths = [(end - begin) / 1e6 for begin, end in late]
+            seen = {"pauses": len(late), "longest_ms": round(max(lengths, default=0.0), 1), "stood_ms": sum(lengths)}
+            print(json.dumps(seen | {"intervals": late, "above": above}), flush=True)
             late.clear()
-        elif time.monotonic_ns() - due > PAUSE:
-            late.append(time.monotonic_ns() - due)
+        elif (now := time.monotonic_ns()) - due > PAUSE:
+            late.append((due, now))
 
 
 if __name__ == "__main__":

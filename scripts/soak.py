@@ -2,7 +2,8 @@
 
 Gateway, mock controller, bridge, broker and a commander on ROS that moves the arm all the time. Every minute a line: resident memory per
 process, late replies, lost commands and states, the distance from a command to its RSI packet beyond the playout's delay, and how often
-and for how long the machine itself ran nobody (benchmarks/machine.py): late replies beside no such pause are ours.
+and for how long the machine itself ran nobody (benchmarks/machine.py), how many replies were held up, and how many of these no
+such pause explains: those are ours.
 `python scripts/soak.py --minutes 5` is a shorter run. The exit code is 0 when the verdict is good.
 """
 
@@ -22,7 +23,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 import rospy  # noqa: E402
 from link_fleet import SETTLE, Fleet, command_to_rsi  # noqa: E402
 from link_world import REALTIME, World, end_in_order, environment, resident_mb, wait_for  # noqa: E402
-from machine import MachineProbe  # noqa: E402
+from machine import MachineProbe, held_up  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from construction_twin.realtime import release_realtime  # noqa: E402
@@ -43,7 +44,7 @@ CYCLES = (
 
 @dataclass(frozen=True)
 class Minute:
-    """What one interval showed: memory [MB] per process, counts, and how often and longest [ms] the machine ran nobody.
+    """What one interval showed: memory [MB] per process, counts, how often and longest [ms] the machine ran nobody, replies held up.
 
     The distance [ms] is None unless the playout's delay was the same at both ends of the interval: an adaptive delay that moves is
     no drift.
@@ -56,6 +57,8 @@ class Minute:
     holds: int = 0
     pauses: int = 0
     longest_ms: float = 0.0
+    held_up: int = 0
+    held_up_by_us: int = 0
 
 
 @dataclass
@@ -70,6 +73,7 @@ class Soak:
         self._counts = self._counters()
         # the last state's number, and commands of the second before that had not reached the broker yet: robot, stamp
         self._state: int | None = None
+        self._replies: list[int] = []
         self.fleet.ask("taken")  # what was sent before
         self._under_way: set[tuple[str, int]] = set()
         self._reset = rospy.ServiceProxy(f"/{self.fleet.names[0]}/reset", Trigger)
@@ -79,6 +83,7 @@ class Soak:
         delay = self._status()["playout"]["delay_ms"]
         self.probe.taken()
         distances: list[int] = []
+        self._replies = self._replies[-1:]
         lost = holds = 0
         for _ in range(max(1, round(interval))):
             lost += self._second(distances)
@@ -93,9 +98,9 @@ class Soak:
         late, missed = (now - then for now, then in zip(self._counts, before))
         memory = tuple(round(resident_mb(pid), 1) for pid in self.fleet.pids)
         machine = self.probe.taken()
-        self.minutes.append(
-            Minute(memory, late, lost + missed, distance, holds, machine["pauses"], machine["longest_ms"])
-        )
+        held = held_up(self._replies, machine["intervals"])
+        seen = machine["pauses"], machine["longest_ms"]
+        self.minutes.append(Minute(memory, late, lost + missed, distance, holds, *seen, *held))
         return self.minutes[-1]
 
     def _second(self, distances: list[int]) -> int:
@@ -106,6 +111,7 @@ class Soak:
         commands, states = self.fleet.ask("taken")
         distances += command_to_rsi(states)
         numbers = [state[1] for state in states]
+        self._replies += [state[2] for state in states]
         if self._state is not None:
             numbers.insert(0, self._state)
         lost = sum(later - earlier - 1 for earlier, later in zip(numbers, numbers[1:]))
@@ -142,7 +148,7 @@ class Soak:
         self.fleet.gates.moves = True
         self.fleet.gates.stream(SETTLE)
         self.fleet.ask("taken")
-        self._state, self._under_way = None, set()
+        self._state, self._replies, self._under_way = None, [], set()
 
     def _status(self) -> dict:
         return self.fleet.ask("statuses")[self.fleet.names[0]]
@@ -162,7 +168,11 @@ def verdict(minutes: list[Minute]) -> list[str]:
     late, lost = sum(minute.late for minute in minutes), sum(minute.lost for minute in minutes)
     if late:
         pauses, longest = sum(minute.pauses for minute in minutes), max(minute.longest_ms for minute in minutes)
-        machine = f"the machine ran nobody on a core {pauses} times for more than 1 ms, at most {longest:.1f} ms"
+        held, ours = (sum(getattr(minute, name) for minute in minutes) for name in ("held_up", "held_up_by_us"))
+        machine = (
+            f"the machine ran nobody on a core {pauses} times for more than 1 ms, at most {longest:.1f} ms; "
+            f"of {held} replies held up {ours} beside no such pause"
+        )
         wrong.append(f"{late} cycles late, skipped or irregular ({machine})")
     if lost:
         wrong.append(f"{lost} commands or states lost")
@@ -201,14 +211,15 @@ def main(arguments: list[str] | None = None) -> int:
         soak = Soak(fleet, world.enter_context(MachineProbe(options.realtime)))
         columns = "".join(f"{name + ' MB':>12s}" for name in PROCESSES)
         print(
-            f"{'minute':>7s}{columns}{'late':>6s}{'lost':>6s}{'beyond delay':>14s}{'holds':>6s}{'pauses':>8s}{'longest':>10s}",
+            f"{'minute':>7s}{columns}{'late':>6s}{'lost':>6s}{'beyond delay':>14s}{'holds':>6s}{'pauses':>8s}{'longest':>10s}"
+            f"{'held up':>9s}{'by us':>7s}",
             flush=True,
         )
         for number in range(max(1, round(options.minutes * 60.0 / options.interval))):
             minute = soak.run(options.interval)
             memory = "".join(f"{value:12.1f}" for value in minute.memory)
             distance = "-" if minute.distance is None else f"{minute.distance:+.2f} ms"
-            machine = f"{minute.holds:6d}{minute.pauses:8d}{minute.longest_ms:7.1f} ms"
+            machine = f"{minute.holds:6d}{minute.pauses:8d}{minute.longest_ms:7.1f} ms{minute.held_up:9d}{minute.held_up_by_us:7d}"
             print(f"{number + 1:7d}{memory}{minute.late:6d}{minute.lost:6d}{distance:>14s}{machine}", flush=True)
         fleet.dismiss()
         rospy.signal_shutdown("done")

@@ -1,4 +1,4 @@
-"""Real-time scheduling and locked memory where the system permits them; never required. Standard library only."""
+"""Real-time scheduling, processors kept awake, locked memory: where the system permits them, never required. Standard library only."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ import sys
 
 #: Linux: keep what is in memory now, without reading in what is not.
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
+#: Linux: the longest time a processor may take to wake up [us], kept for as long as the file is open (PM QoS, as cyclictest uses it).
+_WAKE_UP_LATENCY = "/dev/cpu_dma_latency"
+#: That file, while it is open.
+_awake: list[int] = []
 
 
 def request_realtime(priority: int) -> str:
     """Ask for SCHED_FIFO at `priority` for every thread of this process; threads and programs started later inherit it.
+
+    With it the processors are kept awake as long as this process lives: an idle one that has to wake up first answers late, in a
+    virtual machine by milliseconds, because its host has given it away.
 
     Parameters
     ----------
@@ -32,7 +39,18 @@ def request_realtime(priority: int) -> str:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         return f"SCHED_FIFO {priority} not permitted ({error.strerror}); normal scheduling"
-    return f"SCHED_FIFO {priority}"
+    return f"SCHED_FIFO {priority}, {_keep_awake()}"
+
+
+def _keep_awake() -> str:
+    if not _awake:
+        try:
+            file = os.open(_WAKE_UP_LATENCY, os.O_WRONLY)
+        except OSError as error:
+            return f"idle processors may sleep ({_WAKE_UP_LATENCY}: {error.strerror})"
+        _awake.append(file)
+        os.write(file, (0).to_bytes(4, sys.byteorder))
+    return "processors kept awake"
 
 
 def lock_memory() -> str:
@@ -54,11 +72,13 @@ def lock_memory() -> str:
 
 
 def release_realtime() -> None:
-    """Return every thread of this process to normal scheduling.
+    """Return every thread of this process to normal scheduling, and let the processors sleep.
 
     For the end of a ROS node: rospy's server threads spin on their closed sockets until the interpreter is gone, and at a real-time
     priority they would keep the processors to themselves.
     """
+    while _awake:
+        os.close(_awake.pop())
     if not hasattr(os, "sched_setscheduler"):
         return
     for thread in map(int, os.listdir("/proc/self/task")):

@@ -11,10 +11,16 @@ from construction_twin.realtime import release_realtime, request_realtime
 end = threading.Event()
 threading.Thread(target=end.wait, daemon=True).start()
 policies = lambda: {os.sched_getscheduler(int(thread)) for thread in os.listdir("/proc/self/task")}
-permitted = request_realtime(1) == "SCHED_FIFO 1"
-assert not permitted or policies() == {os.SCHED_FIFO}, policies()
+open_files = lambda: [os.readlink(file) for file in map("/proc/self/fd/{}".format, os.listdir("/proc/self/fd")) if os.path.islink(file)]
+for _ in range(2):
+    said = request_realtime(1)
+    permitted = said.startswith("SCHED_FIFO 1, ")
+    assert not permitted or policies() == {os.SCHED_FIFO}, policies()
+    assert open_files().count("/dev/cpu_dma_latency") == ("processors kept awake" in said), said
+    assert not permitted or "kept awake" in said or "may sleep (/dev/cpu_dma_latency: " in said, said
 release_realtime()
 assert policies() == {os.SCHED_OTHER}, policies()
+assert "/dev/cpu_dma_latency" not in open_files()
 """
 
 
