@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
 import rospy  # noqa: E402
+from link_cell import reply_spread  # noqa: E402
 from link_fleet import SETTLE, Fleet, command_to_rsi  # noqa: E402
 from link_world import REALTIME, World, end_in_order, environment, resident_mb, wait_for  # noqa: E402
 from machine import MachineProbe, held_up  # noqa: E402
@@ -70,6 +71,7 @@ class Soak:
     minutes: list[Minute] = field(default_factory=list)
 
     def __post_init__(self):
+        self._begin = self._status()
         self._counts = self._counters()
         # the last state's number, and commands of the second before that had not reached the broker yet: robot, stamp
         self._state: int | None = None
@@ -150,6 +152,10 @@ class Soak:
         self.fleet.ask("taken")
         self._state, self._replies, self._under_way = None, [], set()
 
+    def replies(self) -> dict:
+        """Return the spread of the reply time [us] since the begin."""
+        return reply_spread(self._begin, self._status())
+
     def _status(self) -> dict:
         return self.fleet.ask("statuses")[self.fleet.names[0]]
 
@@ -221,6 +227,7 @@ def main(arguments: list[str] | None = None) -> int:
             distance = "-" if minute.distance is None else f"{minute.distance:+.2f} ms"
             machine = f"{minute.holds:6d}{minute.pauses:8d}{minute.longest_ms:7.1f} ms{minute.held_up:9d}{minute.held_up_by_us:7d}"
             print(f"{number + 1:7d}{memory}{minute.late:6d}{minute.lost:6d}{distance:>14s}{machine}", flush=True)
+        print(f"the gateway's reply over all of it [us]: {soak.replies()}", flush=True)
         fleet.dismiss()
         rospy.signal_shutdown("done")
         release_realtime()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import rospy
-from construction_twin.msg import Link
+from construction_twin.msg import Link, Sync
 from twin_client import FINAL_ERROR, HOME, LEFT, RobotTest, Stream, TwinClient, node_pid, wait
 
 from construction_twin.units import radians
@@ -25,6 +25,14 @@ class Interruption(RobotTest):
         # on a busy machine the planner is the last to be there
         rospy.wait_for_service("plan_to_joints", 60.0)
         self.client.go_to(HOME)
+        self.links_before, self.syncs_before = len(self.client.links), len(self.client.syncs)
+
+    def assert_said(self, words: str):
+        """Since this test's begin the link asked for a reset, or the gate held, with a sentence that has these words."""
+        links = [link for link in self.client.links[self.links_before :] if link.state == Link.NEEDS_RESET]
+        syncs = [sync for sync in self.client.syncs[self.syncs_before :] if sync.state != Sync.IN_SYNC]
+        reasons = [state.reason for state in links + syncs]
+        self.assertTrue(any(words in reason for reason in reasons), reasons)
 
     def interrupt_and_recover(self, interrupt: Callable[[], None]):
         """Interrupt the path of commands in mid-motion: the arm stops, holds, and after `reset` executes a new plan."""

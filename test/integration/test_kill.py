@@ -12,15 +12,19 @@ class KillTest(Interruption):
 
     def test_killed_monitor(self):
         self.interrupt_and_recover(lambda: self.kill("pca_monitor"))
+        self.assert_said("silence: no command for")
 
     def test_killed_bridge(self):
         self.interrupt_and_recover(lambda: self.kill("mqtt_bridge"))
+        self.assert_said("silence: no command for")
 
     def test_killed_executor(self):
         self.interrupt_and_recover(lambda: self.kill("executor"))
+        self.assert_said("theta_next is")
 
     def test_stop_at_the_gateway(self):
         self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("mqtt_bridge/stop").success))
+        self.assert_said("stop")
 
 
 if __name__ == "__main__":

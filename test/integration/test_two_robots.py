@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import rospy
 import rostest
+import tf2_ros
+import yaml
 from construction_twin.msg import Conflict, Execution, Link, Plan, Sync
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
 from std_srvs.srv import Trigger
@@ -143,6 +145,25 @@ class TwoRobotsTest(unittest.TestCase):
     def setUp(self):
         for arm in (self.one, self.two):
             arm.wait_until_ready()
+
+    def test_0_one_tf_tree(self):
+        buffer = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(buffer)
+        tools = [f"{arm.name}/{side}/tool0" for arm in (self.one, self.two) for side in self.sides(arm)]
+        for tool in tools:
+            wait(
+                lambda tool=tool: buffer.can_transform("world", tool, rospy.Time(0)),
+                f"a transform from {tool} to world",
+            )
+        parents = {name: entry["parent"] for name, entry in yaml.safe_load(buffer.all_frames_as_yaml()).items()}
+        self.assertEqual({parent for parent in parents.values() if parent not in parents}, {"world"})
+        # whose frames these are
+        self.assertLessEqual({name.split("/")[0] for name in parents}, {"world", ONE, TWO, "cell"})
+        listener.unregister()
+
+    @staticmethod
+    def sides(arm: Arm) -> tuple[str, ...]:
+        return ("twin", "physical") if arm.has_arm else ("twin",)
 
     def test_1_both_move_at_once(self):
         arms = self.one, self.two

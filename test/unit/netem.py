@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import secrets
 import subprocess
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 from impairment_profiles import Profile
@@ -13,12 +18,25 @@ from impairment_profiles import Profile
 #: Addresses of the two ends: the ROS PC and the cell PC. Nobody but the two namespaces sees them.
 ROS_PC, CELL_PC = "10.197.0.1", "10.197.0.2"
 _CLONE_NEWNET = 0x40000000
+#: What a line is in an outage.
+_DARK = ("loss", "100%")
+
+
+def outages(profile: Profile) -> Iterator[tuple[float, float]]:
+    """Yield when nothing passes because of a profile's cut and stalls: begin and end [s from the profile's begin], rising.
+
+    netem has no such times. Here everything is lost in them, which is harder on TCP than the proxy's: it has to send again.
+    """
+    if profile.cut:
+        yield 0.0, profile.cut
+    if profile.stall:
+        period, length = profile.stall
+        for number in itertools.count():
+            yield (number + 0.5) * period, (number + 0.5) * period + length
 
 
 def netem_arguments(profile: Profile) -> list[str]:
-    """Return a profile as arguments of ``tc qdisc ... netem``; ValueError for stalls, cuts and rates, which are no steady state."""
-    if profile.stall or profile.cut or profile.rate:
-        raise ValueError(f"{profile}: netem has no stalls, cuts or rates here; switch the loss to 100 % for as long")
+    """Return a profile as arguments of ``tc qdisc ... netem``, but for its `outages`."""
     words = ["limit", "10000"]
     if profile.delay or profile.jitter:
         words += ["delay", f"{profile.delay * 1e3:g}ms", f"{profile.jitter * 1e3:g}ms"]
@@ -26,6 +44,8 @@ def netem_arguments(profile: Profile) -> list[str]:
         words += ["loss", f"{profile.loss * 100:g}%"]
     if profile.duplication:
         words += ["duplicate", f"{profile.duplication * 100:g}%"]
+    if profile.rate:
+        words += ["rate", f"{profile.rate:.0f}bps"]  # to tc that is bytes per second
     if profile.reordering:
         # netem lets the share overtake the rest, which must have a delay for it
         delay = profile.delay or profile.held_back
@@ -55,10 +75,33 @@ class Namespaces:
         for space in (self.ros, self.cell):
             subprocess.run(["ip", "netns", "delete", space], capture_output=True)
 
-    def apply(self, profile: Profile) -> None:
-        """Put a profile on both ends of the line."""
+    @contextmanager
+    def shaped(self, profile: Profile):
+        """Put a profile on both ends of the line while the block runs."""
+        self._shape(netem_arguments(profile))
+        ended = threading.Event()
+        try:
+            with ThreadPoolExecutor(1) as pool:
+                switching = pool.submit(self._switch, profile, ended)
+                try:
+                    yield
+                finally:
+                    ended.set()
+            switching.result()
+        finally:
+            self._shape(netem_arguments(Profile()))
+
+    def _switch(self, profile: Profile, ended: threading.Event) -> None:
+        since = time.monotonic()
+        for begin, end in outages(profile):
+            for at, words in ((begin, _DARK), (end, netem_arguments(profile))):
+                if ended.wait(max(0.0, since + at - time.monotonic())):
+                    return
+                self._shape(words)
+
+    def _shape(self, words: Sequence[str]) -> None:
         for space in (self.ros, self.cell):
-            self.inside(space, "tc", "qdisc", "replace", "dev", "line", "root", "netem", *netem_arguments(profile))
+            self.inside(space, "tc", "qdisc", "replace", "dev", "line", "root", "netem", *words)
 
     @contextmanager
     def entered(self):
@@ -96,7 +139,12 @@ def why_no_namespaces() -> str:
 
 def why_no_netem() -> str:
     """Return why `netem` cannot be used here; "" when it can. Tried in a namespace of its own."""
-    return why_no_namespaces() or _why_not(lambda spaces: spaces.apply(Profile(delay=0.02)))
+
+    def shape(spaces: Namespaces) -> None:
+        with spaces.shaped(Profile(delay=0.02)):
+            pass
+
+    return why_no_namespaces() or _why_not(shape)
 
 
 def _why_not(action) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import json
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 from conftest import ROOT
@@ -166,3 +168,51 @@ def test_soak_names_what_is_wrong(soak, changes, word):
     minutes = [minute(soak)] * 5 + [minute(soak, **changes)] * 4
     (sentence,) = soak.verdict(minutes)
     assert word in sentence
+
+
+@pytest.mark.parametrize(
+    "distances, pauses, expected",
+    [
+        ((4, 4, 4), [], (0, 0)),
+        ((4, 5.9, 4), [], (0, 0)),
+        ((4, 8, 4), [], (1, 1)),
+        ((4, 8, 4), [(0.0, 4.0)], (1, 1)),
+        ((4, 8, 4), [(5.0, 6.5)], (1, 1)),
+        ((4, 8, 4), [(5.0, 7.0)], (1, 0)),
+        ((4, 8, 4), [(3.0, 6.1)], (1, 0)),
+        ((4, 8, 4), [(11.0, 30.0)], (1, 1)),
+        # two cores that stand at the same time are not twice as long
+        ((4, 8, 4), [(5.0, 6.5), (5.1, 6.5)], (1, 1)),
+        ((4, 8, 4), [(5.0, 6.5), (7.0, 7.6)], (1, 0)),
+        ((8, 4, 9), [(1.0, 3.0), (12.5, 16.0)], (2, 0)),
+        ((8, 4, 9), [(1.0, 3.0)], (2, 1)),
+    ],
+)
+def test_replies_held_up_beside_no_pause_are_ours(modules, distances, pauses, expected):
+    base = 10**15
+    stamps = [base]
+    for distance in distances:
+        stamps.append(stamps[-1] + round(distance * 1e6))
+    intervals = [(base + round(begin * 1e6), base + round(end * 1e6)) for begin, end in pauses]
+    assert modules("machine").held_up(stamps, intervals) == expected
+
+
+def test_the_probe_tells_when_a_watch_did_not_run(modules):
+    machine = modules("machine")
+    with machine.MachineProbe(0) as probe:
+        probe.taken()
+        before = time.monotonic_ns()
+        watch = probe._watches[-1]
+        watch.send_signal(signal.SIGSTOP)
+        time.sleep(0.05)
+        watch.send_signal(signal.SIGCONT)
+        seen = probe.taken()
+        after = time.monotonic_ns()
+    assert not seen["above"]
+    assert seen["pauses"] == len(seen["intervals"]) > 0
+    assert seen["intervals"] == sorted(seen["intervals"])
+    assert all(
+        before - 10**9 < begin < end <= after and end - begin > machine.PAUSE for begin, end in seen["intervals"]
+    )
+    longest = max(end - begin for begin, end in seen["intervals"]) / 1e6
+    assert longest > 40.0 and seen["longest_ms"] == pytest.approx(longest, abs=0.06)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import socket
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import pytest
+from conftest import wait_until
 from fault_cell import FaultCell
 from impairment_profiles import TCP_PROFILES, UDP_PROFILES, Profile
-from netem import CELL_PC, ROS_PC, Namespaces, netem_arguments, why_no_namespaces, why_no_netem
+from netem import CELL_PC, ROS_PC, Namespaces, netem_arguments, outages, why_no_namespaces, why_no_netem
 
-PROFILES = {"delay_20_10": TCP_PROFILES["delay_20_10"]} | UDP_PROFILES
+STEADY = {"delay_20_10": TCP_PROFILES["delay_20_10"]} | UDP_PROFILES
 #: Sends numbered datagrams to the ROS PC at 250 Hz, from inside the cell's namespace.
 _SENDER = """
 import socket, sys, time
@@ -60,32 +63,32 @@ def test_the_two_namespaces_reach_each_other_and_nobody_else_does(namespaces):
         outside.bind((CELL_PC, 0))
 
 
-@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("name", STEADY)
 def test_a_profile_through_netem(namespaces, name):
     reason = why_no_netem()
     if reason:
         pytest.skip(f"no netem: {reason}")
-    profile = PROFILES[name]
-    namespaces.apply(profile)
-    arrived = carried(namespaces)
+    profile = STEADY[name]
+    with namespaces.shaped(profile):
+        arrived = carried(namespaces)
     assert 500 * (1 - profile.loss) - 30 <= len(set(arrived)) <= 500
     assert bool(profile.loss) == (len(set(arrived)) < 500)
     assert bool(profile.duplication) == (len(arrived) > len(set(arrived)))
     assert bool(profile.reordering or profile.jitter > 0.002) == (sorted(arrived) != arrived)
 
 
-@pytest.mark.parametrize("name", [None, "delay_20_10", "loss_1", "loss_5", "reordering", "duplication"])
+@pytest.mark.parametrize("name", [None, *TCP_PROFILES, *UDP_PROFILES])
 def test_a_motion_between_the_namespaces(namespaces, tmp_path, name):
     if name is not None:
         reason = why_no_netem()
         if reason:
             pytest.skip(f"no netem: {reason}")
     with namespaces.entered(), FaultCell(tmp_path, spaces=namespaces) as cell:
-        if name is not None:
-            namespaces.apply(PROFILES[name])
-        cell.move()
-        cell.finish()
-        cell.wait_until_following()
+        profile = (TCP_PROFILES | UDP_PROFILES).get(name)
+        with namespaces.shaped(profile) if profile else nullcontext():
+            cell.move()
+            cell.finish()
+            cell.wait_until_following()
         cell.assert_within_limits()
         cell.assert_nobody_restarted()
         assert cell.counter("stops_refused") == 0, cell.describe()
@@ -99,13 +102,43 @@ def test_a_motion_between_the_namespaces(namespaces, tmp_path, name):
         (Profile(duplication=0.05), "duplicate 5%"),
         (Profile(reordering=0.02), "delay 6ms reorder 2%"),
         (Profile(delay=0.02, jitter=0.01, loss=0.01), "delay 20ms 10ms loss 1%"),
+        (Profile(rate=80_000.0), "rate 80000bps"),
     ],
 )
-def test_profiles_as_netem_knows_them(profile, words):
+def test_profiles_as_netem_knows_them(namespaces, profile, words):
     assert " ".join(netem_arguments(profile)) == f"limit 10000 {words}"
+    # whether the kernel has netem or not, tc itself has to understand it
+    try:
+        with namespaces.shaped(profile):
+            pass
+    except subprocess.CalledProcessError as error:
+        assert "qdisc kind is unknown" in error.stderr
 
 
-@pytest.mark.parametrize("name", ["stall_50ms_1s", "cut_1s", "throttled"])
-def test_what_is_no_steady_state_is_refused(name):
-    with pytest.raises(ValueError, match="netem has no"):
-        netem_arguments(TCP_PROFILES[name])
+@pytest.mark.parametrize(
+    "name, expected",
+    [
+        ("delay_20_10", []),
+        ("cut_1s", [(0.0, 1.0)]),
+        ("stall_50ms_1s", [(0.5, 0.55), (1.5, 1.55), (2.5, 2.55)]),
+        ("stall_200ms_5s", [(2.5, 2.7), (7.5, 7.7), (12.5, 12.7)]),
+    ],
+)
+def test_outages_are_those_of_the_proxy(name, expected):
+    profile = TCP_PROFILES[name]
+    found = list(itertools.islice(outages(profile), 3))
+    assert found == [pytest.approx(times) for times in expected]
+    for begin, end in found:
+        assert profile.released(begin + 1e-6) == pytest.approx(end)
+
+
+def test_the_line_goes_dark_for_each_outage_and_is_restored(monkeypatch):
+    said: list[str] = []
+    spaces = Namespaces()
+    monkeypatch.setattr(spaces, "inside", lambda space, *command: said.append(" ".join(command[7:])))
+    with spaces.shaped(Profile(stall=(0.04, 0.02), delay=0.02)):
+        wait_until(lambda: said.count("loss 100%") >= 4, 20.0, "two outages")
+    plain, clear = "limit 10000 delay 20ms 0ms", "limit 10000"
+    # both ends of the line, one after the other
+    assert said[:8] == [plain, plain, *["loss 100%"] * 2, plain, plain, *["loss 100%"] * 2]
+    assert said[-2:] == [clear, clear]

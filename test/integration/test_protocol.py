@@ -1,0 +1,50 @@
+#!/usr/bin/env python3
+"""MQTT 3.1.1, the joint string alone: no session, sequence or stamp travels with it, and the arm still follows, stops and returns."""
+
+import sys
+
+import paho.mqtt.client as paho
+import rospy
+import rostest
+from interruption import Interruption
+from twin_client import HOME, LEFT, Stream, wait
+
+from construction_twin.mqtt.messages import Topics
+
+
+class ProtocolTest(Interruption):
+    """A motion and a stop on arrival times."""
+
+    def test_commands_and_states_are_the_joint_string_alone(self):
+        topics = Topics(rospy.get_param("~prefix"), "kr120")
+        taken = {topics.command: [], topics.state: []}
+        client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+        client.on_message = lambda _client, _data, message: taken[message.topic].append(message)
+        client.connect(rospy.get_param("mqtt_bridge/host"), rospy.get_param("mqtt_bridge/port"))
+        client.subscribe([(topic, 0) for topic in taken])
+        client.loop_start()
+        self.addCleanup(client.disconnect)
+        wait(lambda: all(len(messages) > 50 for messages in taken.values()), "commands and states")
+        client.loop_stop()
+        for topic, messages in taken.items():
+            with self.subTest(topic):
+                self.assertEqual([getattr(m.properties, "UserProperty", []) for m in messages[:50]], [[]] * 50)
+                self.assertEqual(len(messages[-1].payload.split(b",")), 6)
+
+    def test_a_motion_ends_at_its_goal(self):
+        missed = self.client.mock_counter("missed")
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            plan = self.client.start(LEFT)
+            self.client.wait_for_outcome(plan.plan_id, "finished")
+            self.client.assert_at(LEFT, twin, arm)
+            self.client.assert_within_limits(arm, missed)
+        self.client.wait_until_ready()
+        self.client.go_to(HOME)
+
+    def test_a_stop_holds_until_reset(self):
+        self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("mqtt_bridge/stop").success))
+        self.assert_said("stop")
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "protocol", ProtocolTest, sys.argv)
