@@ -67,16 +67,22 @@ class World(ExitStack):
         super().__init__()
         self.folder = folder
         self.broker_port = 0
+        self._processes: list[subprocess.Popen] = []
         self.environment = dict(os.environ, ROS_HOME=str(folder), ROS_LOG_DIR=str(folder / "log"))
 
     def start(self, name: str, command: Sequence[object], **environment: str) -> subprocess.Popen:
-        """Start a program; it is interrupted, and after 5 s killed, at the end of the block."""
+        """Start a program; it is interrupted, together with all others, and after 5 s killed, at the end of the block."""
         log = self.enter_context(open(self.folder / f"{name}.log", "ab"))
         process = subprocess.Popen(
             [str(part) for part in command], stdout=log, stderr=log, env=self.environment | environment
         )
-        self.callback(end, process)
+        self._processes.append(process)
         return process
+
+    def __exit__(self, *details):
+        """End all programs, at once: one after the other a machine that is too busy for them would take minutes."""
+        end(self._processes)
+        return super().__exit__(*details)
 
     def start_broker(self, realtime: int = REALTIME) -> int:
         """Start mosquitto with the project's configuration; return its port."""
@@ -105,14 +111,17 @@ def end_in_order() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
-def end(process: subprocess.Popen) -> None:
-    """Interrupt a process; kill it when that does not end it within 5 s."""
-    if process.poll() is None:
+def end(processes: Sequence[subprocess.Popen], patience: float = 5.0) -> None:
+    """Interrupt processes, the last one first; kill those which that does not end within `patience` [s]."""
+    for process in reversed(processes):
         process.send_signal(signal.SIGINT)
-    try:
-        process.wait(5.0)
-    except subprocess.TimeoutExpired:
-        process.kill()
+    deadline = time.monotonic() + patience
+    for process in reversed(processes):
+        try:
+            process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+    for process in processes:
         process.wait()
 
 

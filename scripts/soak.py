@@ -47,6 +47,8 @@ CYCLES = (
 class Minute:
     """What one interval showed: memory [MB] per process, counts, how often and longest [ms] the machine ran nobody, replies held up.
 
+    How many of these are ours is None where the probe has no priority above us: it then sees what we do.
+
     The distance [ms] is None unless the playout's delay was the same at both ends of the interval: an adaptive delay that moves is
     no drift.
     """
@@ -59,7 +61,7 @@ class Minute:
     pauses: int = 0
     longest_ms: float = 0.0
     held_up: int = 0
-    held_up_by_us: int = 0
+    held_up_by_us: int | None = 0
 
 
 @dataclass
@@ -75,17 +77,18 @@ class Soak:
         self._counts = self._counters()
         # the last state's number, and commands of the second before that had not reached the broker yet: robot, stamp
         self._state: int | None = None
-        self._replies: list[int] = []
+        # when the gateway answered: stretches of states without a gap in their numbers
+        self._replies: list[list[int]] = [[]]
         self.fleet.ask("taken")  # what was sent before
         self._under_way: set[tuple[str, int]] = set()
         self._reset = rospy.ServiceProxy(f"/{self.fleet.names[0]}/reset", Trigger)
+        self.probe.taken()
 
     def run(self, interval: float) -> Minute:
         """Let the loop run for an interval [s]; return what it showed. When the arm holds, go on as a person would."""
         delay = self._status()["playout"]["delay_ms"]
-        self.probe.taken()
         distances: list[int] = []
-        self._replies = self._replies[-1:]
+        self._replies = [self._replies[-1][-1:]]
         lost = holds = 0
         for _ in range(max(1, round(interval))):
             lost += self._second(distances)
@@ -100,9 +103,10 @@ class Soak:
         late, missed = (now - then for now, then in zip(self._counts, before))
         memory = tuple(round(resident_mb(pid), 1) for pid in self.fleet.pids)
         machine = self.probe.taken()
-        held = held_up(self._replies, machine["intervals"])
-        seen = machine["pauses"], machine["longest_ms"]
-        self.minutes.append(Minute(memory, late, lost + missed, distance, holds, *seen, *held))
+        held = [held_up(stretch, machine["intervals"]) for stretch in self._replies]
+        ours = sum(ours for _, ours in held) if machine["above"] else None
+        seen = machine["pauses"], machine["longest_ms"], sum(late for late, _ in held), ours
+        self.minutes.append(Minute(memory, late, lost + missed, distance, holds, *seen))
         return self.minutes[-1]
 
     def _second(self, distances: list[int]) -> int:
@@ -112,12 +116,14 @@ class Soak:
         self.fleet.gates.stream(1.0)
         commands, states = self.fleet.ask("taken")
         distances += command_to_rsi(states)
-        numbers = [state[1] for state in states]
-        self._replies += [state[2] for state in states]
-        if self._state is not None:
-            numbers.insert(0, self._state)
-        lost = sum(later - earlier - 1 for earlier, later in zip(numbers, numbers[1:]))
-        self._state = numbers[-1] if numbers else None
+        lost = 0
+        for _, number, stamp, _ in states:
+            if self._state is not None:
+                lost += number - self._state - 1
+            if number - 1 != self._state:
+                self._replies.append([])
+            self._replies[-1].append(stamp)
+            self._state = number
         arrived = {(robot, stamp) for robot, stamp, _ in commands}
         if self._status()["state"] == "following":
             # what is on its way at the second's end arrives in the next
@@ -150,7 +156,7 @@ class Soak:
         self.fleet.gates.moves = True
         self.fleet.gates.stream(SETTLE)
         self.fleet.ask("taken")
-        self._state, self._replies, self._under_way = None, [], set()
+        self._state, self._under_way = None, set()
 
     def replies(self) -> dict:
         """Return the spread of the reply time [us] since the begin."""
@@ -174,7 +180,8 @@ def verdict(minutes: list[Minute]) -> list[str]:
     late, lost = sum(minute.late for minute in minutes), sum(minute.lost for minute in minutes)
     if late:
         pauses, longest = sum(minute.pauses for minute in minutes), max(minute.longest_ms for minute in minutes)
-        held, ours = (sum(getattr(minute, name) for minute in minutes) for name in ("held_up", "held_up_by_us"))
+        held = sum(minute.held_up for minute in minutes)
+        ours = sum(minute.held_up_by_us or 0 for minute in minutes)
         machine = (
             f"the machine ran nobody on a core {pauses} times for more than 1 ms, at most {longest:.1f} ms; "
             f"of {held} replies held up {ours} beside no such pause"
@@ -225,7 +232,8 @@ def main(arguments: list[str] | None = None) -> int:
             minute = soak.run(options.interval)
             memory = "".join(f"{value:12.1f}" for value in minute.memory)
             distance = "-" if minute.distance is None else f"{minute.distance:+.2f} ms"
-            machine = f"{minute.holds:6d}{minute.pauses:8d}{minute.longest_ms:7.1f} ms{minute.held_up:9d}{minute.held_up_by_us:7d}"
+            machine = f"{minute.holds:6d}{minute.pauses:8d}{minute.longest_ms:7.1f} ms{minute.held_up:9d}"
+            machine += f"{'-' if minute.held_up_by_us is None else minute.held_up_by_us:>7}"
             print(f"{number + 1:7d}{memory}{minute.late:6d}{minute.lost:6d}{distance:>14s}{machine}", flush=True)
         print(f"the gateway's reply over all of it [us]: {soak.replies()}", flush=True)
         fleet.dismiss()

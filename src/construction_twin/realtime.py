@@ -1,4 +1,4 @@
-"""Real-time scheduling, processors kept awake, locked memory: where the system permits them, never required. Standard library only."""
+"""Real-time scheduling, processors that stay awake, locked memory: where permitted, never required. Standard library only."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 #: Linux: keep what is in memory now, without reading in what is not.
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
-#: Linux: the longest time a processor may take to wake up [us], kept for as long as the file is open (PM QoS, as cyclictest uses it).
+#: Linux: the longest time a processor may take to wake up [us], while the file is open (PM QoS, as cyclictest uses it).
 _WAKE_UP_LATENCY = "/dev/cpu_dma_latency"
 #: That file, while it is open.
 _awake: list[int] = []
@@ -17,8 +17,8 @@ _awake: list[int] = []
 def request_realtime(priority: int) -> str:
     """Ask for SCHED_FIFO at `priority` for every thread of this process; threads and programs started later inherit it.
 
-    With it the processors are kept awake as long as this process lives: an idle one that has to wake up first answers late, in a
-    virtual machine by milliseconds, because its host has given it away.
+    With it the processors are asked to stay awake as long as this process lives, or a program that takes its place: an idle one
+    that has to wake up first answers late, in a virtual machine by milliseconds, because its host has given it away.
 
     Parameters
     ----------
@@ -45,12 +45,18 @@ def request_realtime(priority: int) -> str:
 def _keep_awake() -> str:
     if not _awake:
         try:
-            file = os.open(_WAKE_UP_LATENCY, os.O_WRONLY)
+            _awake.append(os.open(_WAKE_UP_LATENCY, os.O_WRONLY))
+            os.set_inheritable(_awake[0], True)
+            os.write(_awake[0], (0).to_bytes(4, sys.byteorder))
         except OSError as error:
+            _let_sleep()
             return f"idle processors may sleep ({_WAKE_UP_LATENCY}: {error.strerror})"
-        _awake.append(file)
-        os.write(file, (0).to_bytes(4, sys.byteorder))
-    return "processors kept awake"
+    return "processors asked to stay awake"
+
+
+def _let_sleep() -> None:
+    while _awake:
+        os.close(_awake.pop())
 
 
 def lock_memory() -> str:
@@ -77,8 +83,7 @@ def release_realtime() -> None:
     For the end of a ROS node: rospy's server threads spin on their closed sockets until the interpreter is gone, and at a real-time
     priority they would keep the processors to themselves.
     """
-    while _awake:
-        os.close(_awake.pop())
+    _let_sleep()
     if not hasattr(os, "sched_setscheduler"):
         return
     for thread in map(int, os.listdir("/proc/self/task")):

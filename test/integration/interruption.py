@@ -34,6 +34,12 @@ class Interruption(RobotTest):
         reasons = [state.reason for state in links + syncs]
         self.assertTrue(any(words in reason for reason in reasons), reasons)
 
+    def stops(self) -> int:
+        """Return how often the gateway was told to stop, from a report that is sent after this call."""
+        seen = rospy.Time.now() + rospy.Duration(1.0)
+        self.client.wait(lambda: self.client.link.header.stamp > seen, "a report of the link")
+        return int(self.client.gateway_counters().get("stops_stop", 0))
+
     def interrupt_and_recover(self, interrupt: Callable[[], None]):
         """Interrupt the path of commands in mid-motion: the arm stops, holds, and after `reset` executes a new plan."""
         client = self.client

@@ -20,11 +20,15 @@ class KillTest(Interruption):
 
     def test_killed_executor(self):
         self.interrupt_and_recover(lambda: self.kill("executor"))
-        self.assert_said("theta_next is")
+        # nothing is forwarded any more, and the gate repeats nothing
+        self.assert_said("silence: no command for")
 
     def test_stop_at_the_gateway(self):
+        stops = self.stops()
         self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("mqtt_bridge/stop").success))
-        self.assert_said("stop")
+        self.assert_said("stopped at the gateway on request")
+        # and it was the gateway that braked for it, not a silence that followed
+        self.assertEqual(self.stops(), stops + 1)
 
 
 if __name__ == "__main__":

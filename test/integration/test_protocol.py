@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""MQTT 3.1.1, the joint string alone: no session, sequence or stamp travels with it, and the arm still follows, stops and returns."""
+"""MQTT 3.1.1, the joint string alone: nothing else travels with it, and the arm still follows, stops and returns."""
 
 import sys
 
 import paho.mqtt.client as paho
 import rospy
 import rostest
+from construction_twin.msg import Feedback
 from interruption import Interruption
 from twin_client import HOME, LEFT, Stream, wait
 
@@ -16,6 +17,9 @@ class ProtocolTest(Interruption):
     """A motion and a stop on arrival times."""
 
     def test_commands_and_states_are_the_joint_string_alone(self):
+        self.assertEqual(rospy.get_param("mqtt_bridge/protocol"), "3.1.1")
+        self.assertEqual(self.client.sync.comparison, "instant")
+        self.assertEqual(rospy.wait_for_message("physical/feedback", Feedback, 5.0).command_stamp.to_nsec(), 0)
         topics = Topics(rospy.get_param("~prefix"), "kr120")
         taken = {topics.command: [], topics.state: []}
         client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
@@ -42,8 +46,10 @@ class ProtocolTest(Interruption):
         self.client.go_to(HOME)
 
     def test_a_stop_holds_until_reset(self):
+        stops = self.stops()
         self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("mqtt_bridge/stop").success))
-        self.assert_said("stop")
+        self.assert_said("stopped at the gateway on request")
+        self.assertEqual(self.stops(), stops + 1)
 
 
 if __name__ == "__main__":

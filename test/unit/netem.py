@@ -20,12 +20,16 @@ ROS_PC, CELL_PC = "10.197.0.1", "10.197.0.2"
 _CLONE_NEWNET = 0x40000000
 #: What a line is in an outage.
 _DARK = ("loss", "100%")
+_TC, _ROOT = ("tc", "qdisc"), ("dev", "line", "root")
+#: A rate of the proxy counts payload, the kernel's whole frames, those that acknowledge among them.
+_FRAMES = 2.0
 
 
 def outages(profile: Profile) -> Iterator[tuple[float, float]]:
     """Yield when nothing passes because of a profile's cut and stalls: begin and end [s from the profile's begin], rising.
 
     netem has no such times. Here everything is lost in them, which is harder on TCP than the proxy's: it has to send again.
+    Not tried: the kernel this was written on has no netem.
     """
     if profile.cut:
         yield 0.0, profile.cut
@@ -45,11 +49,11 @@ def netem_arguments(profile: Profile) -> list[str]:
     if profile.duplication:
         words += ["duplicate", f"{profile.duplication * 100:g}%"]
     if profile.rate:
-        words += ["rate", f"{profile.rate:.0f}bps"]  # to tc that is bytes per second
+        words += ["rate", f"{_FRAMES * profile.rate:.0f}bps"]  # to tc that is bytes per second
     if profile.reordering:
         # netem lets the share overtake the rest, which must have a delay for it
-        delay = profile.delay or profile.held_back
-        words[2:4] = ["delay", f"{delay * 1e3:g}ms", *words[4:5]]
+        if not (profile.delay or profile.jitter):
+            words[2:2] = ["delay", f"{profile.held_back * 1e3:g}ms"]
         words += ["reorder", f"{profile.reordering * 100:g}%"]
     return words
 
@@ -78,18 +82,21 @@ class Namespaces:
     @contextmanager
     def shaped(self, profile: Profile):
         """Put a profile on both ends of the line while the block runs."""
-        self._shape(netem_arguments(profile))
         ended = threading.Event()
         try:
+            self._shape(netem_arguments(profile))
             with ThreadPoolExecutor(1) as pool:
                 switching = pool.submit(self._switch, profile, ended)
                 try:
                     yield
                 finally:
                     ended.set()
-            switching.result()
+                    # also when the block fails: a line that could not be switched is the likely cause
+                    switching.result()
         finally:
-            self._shape(netem_arguments(Profile()))
+            for space in (self.ros, self.cell):
+                # `replace` would keep what it is not told about, such as a rate; an end that has nothing to delete is as it should be
+                subprocess.run([*self.prefix(space), *_TC, "delete", *_ROOT], capture_output=True)
 
     def _switch(self, profile: Profile, ended: threading.Event) -> None:
         since = time.monotonic()
@@ -101,7 +108,7 @@ class Namespaces:
 
     def _shape(self, words: Sequence[str]) -> None:
         for space in (self.ros, self.cell):
-            self.inside(space, "tc", "qdisc", "replace", "dev", "line", "root", "netem", *words)
+            self.inside(space, *_TC, "replace", *_ROOT, "netem", *words)
 
     @contextmanager
     def entered(self):
