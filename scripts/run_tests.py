@@ -72,6 +72,17 @@ def count(file: Path) -> tuple[int, int]:
     return (total - failed - skipped, failed) if total else (0, 1)
 
 
+def said(file: Path) -> list[str]:
+    """Return what the tests of a rostest's result file printed: figures that are reported, not judged."""
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError):
+        return []  # `count` makes a failure of it
+    # rosunit escapes the marks of a CDATA section as if they were text
+    texts = ((part.text or "").replace("<![CDATA[", "").replace("]]>", "") for part in root.iter("system-out"))
+    return [line for text in texts for line in text.splitlines() if line.strip()]
+
+
 def run_unit(probe: MachineProbe) -> tuple[int, int]:
     """Run pytest over test/unit: first in two halves beside each other, then alone what runs the 250 Hz path in real processes."""
     alone, rest = [], []
@@ -153,6 +164,8 @@ def run_rostest(test: Path) -> tuple[int, int]:
         failed = 1
         FAILED.append(f"{test.name}: exit code {run.returncode}, {passed} passed")
     print(f"{test.name}: {passed} passed, {failed} failed in {time.monotonic() - started:.0f} s", flush=True)
+    for line in (line for file in sorted(results.rglob("rosunit-*.xml")) for line in said(file)):
+        print(f"  {line[:LINE]}", flush=True)
     if failed:
         print(output[-20000:], flush=True)
     return passed, failed

@@ -9,7 +9,7 @@ import rostest
 import tf2_ros
 from construction_twin.msg import Feedback, Sync
 from sensor_msgs.msg import JointState
-from twin_client import HOME, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, RobotTest, Stream, TwinClient, case, wait
 
 from construction_twin.units import NANOSECONDS, radians
 
@@ -61,7 +61,7 @@ class BringupTest(RobotTest):
     def test_streams_run_at_250_hz(self):
         rates = {topic: Rate(topic) for topic in STREAMS}
         for topic, rate in rates.items():
-            with self.subTest(topic):
+            with case(topic):
                 self.assertAlmostEqual(rate.value(WINDOW), 250.0, delta=5.0)
 
     def test_joint_states_run_at_50_hz(self):
@@ -77,7 +77,7 @@ class BringupTest(RobotTest):
 
     def test_twin_and_arm_are_at_home(self):
         for topic in ("twin/joint_states", "physical/joint_states", "mock_rsi/joint_states"):
-            with self.subTest(topic), Stream(topic) as stream:
+            with case(topic), Stream(topic) as stream:
                 np.testing.assert_array_equal(np.round(stream.positions()[-1] - radians(HOME), 12), 0.0)
 
     def test_names_and_headers(self):

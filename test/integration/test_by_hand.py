@@ -9,7 +9,7 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Review
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
 from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerInit, MarkerArray
 
 from construction_twin.frames import rotation_to_abc
@@ -250,7 +250,7 @@ class ByHandTest(RobotTest):
             (("plan",), 2, "required"),
             (("--robot", "nobody", "--timeout", 1, "stop"), 3, "no robot of this name; known here: /kr120"),
         ):
-            with self.subTest(words):
+            with case(words):
                 run = self.twin(*words)
                 self.assertEqual(run.returncode, code, run.stderr)
                 self.assertIn(sentence, run.stderr)

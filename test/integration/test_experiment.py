@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import rostest
+from twin_client import case
 
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.ros.bag import read_recording
@@ -56,12 +57,12 @@ class ExperimentTest(unittest.TestCase):
 
     def test_every_file_is_written(self):
         for name in FILES:
-            with self.subTest(name):
+            with case(name):
                 self.assertGreater((self.folder / name).stat().st_size, 0)
 
     def test_tables_are_printed(self):
         for text in ("by_command", "instant", "lag_removed", "summary.json"):
-            with self.subTest(text):
+            with case(text):
                 self.assertIn(text, self.output)
 
     def test_task_is_the_quick_one(self):
@@ -76,7 +77,7 @@ class ExperimentTest(unittest.TestCase):
 
     def test_rates(self):
         for stream, rate in self.summary["rate_hz"].items():
-            with self.subTest(stream):
+            with case(stream):
                 self.assertAlmostEqual(rate, 250.0, delta=5.0)
 
     def test_average_error_without_lag(self):
@@ -89,13 +90,13 @@ class ExperimentTest(unittest.TestCase):
         else:
             typical = {axis: table[axis]["avg_rad"] for axis in AXES}
         for axis in AXES:
-            with self.subTest(axis):
+            with case(axis):
                 self.assertLessEqual(typical[axis], BOUND)
                 self.assertLessEqual(table[axis]["avg_rad"], DISTURBED)
 
     def test_final_error(self):
         for axis in AXES:
-            with self.subTest(axis):
+            with case(axis):
                 self.assertLessEqual(self.summary["final_error_rad"][axis], BOUND)
 
 

@@ -8,7 +8,7 @@ import rospy
 import rostest
 from construction_twin.msg import Feedback
 from interruption import Interruption
-from twin_client import HOME, LEFT, Stream, wait
+from twin_client import HOME, LEFT, Stream, case, wait
 
 from construction_twin.mqtt.messages import Topics
 
@@ -31,7 +31,7 @@ class ProtocolTest(Interruption):
         wait(lambda: all(len(messages) > 50 for messages in taken.values()), "commands and states")
         client.loop_stop()
         for topic, messages in taken.items():
-            with self.subTest(topic):
+            with case(topic):
                 self.assertEqual([getattr(m.properties, "UserProperty", []) for m in messages[:50]], [[]] * 50)
                 self.assertEqual(len(messages[-1].payload.split(b",")), 6)
 

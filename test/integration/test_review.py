@@ -7,7 +7,7 @@ import numpy as np
 import rospy
 import rostest
 from sensor_msgs.msg import JointState
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
 
 from construction_twin.units import radians
 
@@ -98,7 +98,7 @@ class ReviewTest(RobotTest):
             "next/joint_states": ("pca_monitor",),
             "command/joint_states": ("virtual_robot", "mqtt_bridge"),
         }.items():
-            with self.subTest(topic), Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            with case(topic), Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
                 before = {node: self.refused(node) for node in nodes}
                 publisher = rospy.Publisher(topic, JointState, queue_size=10)
                 wait(lambda: publisher.get_num_connections() >= len(nodes), f"subscribers of {topic}")

@@ -13,7 +13,7 @@ from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from mqtt_listener import MqttListener
-from twin_client import RobotTest, Stream, TwinClient
+from twin_client import RobotTest, Stream, TwinClient, case
 
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.evaluation.report import write_report
@@ -62,7 +62,7 @@ class TrackTest(RobotTest):
             self.client.assert_at(GOAL, arm, physical)
             self.assertLess(abs(arm.positions(-1)[0][0] - 0.6123), FINAL_TRACK_ERROR)
             for topic in ("twin/kr120/command", "twin/kr120/state"):
-                with self.subTest(topic):
+                with case(topic):
                     self.client.wait(lambda t=topic: self.mqtt.last.get(t) == GOAL_STRING, f"{GOAL_STRING} on {topic}")
             self.client.assert_within_limits(arm, missed)
 

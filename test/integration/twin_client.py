@@ -10,6 +10,7 @@ import time
 import unittest
 import xmlrpc.client
 from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import rosgraph
@@ -78,6 +79,15 @@ class Stream:
         """Return whether a joint of the newest message is more than `angle_deg` away from the first one's [deg]."""
         first, last = self.messages[0].position, self.messages[-1].position
         return bool(np.rad2deg(np.abs(np.subtract(last, first)).max()) > angle_deg)
+
+
+@contextmanager
+def case(what: str):
+    """Name the case that fails. Of a failure inside unittest's `subTest` rosunit reports the number only, no reason."""
+    try:
+        yield
+    except AssertionError as error:
+        raise AssertionError(f"{what}: {error}") from error
 
 
 def wait(condition: Callable[[], object], what: str, timeout: float = 20.0, period: float = 0.01) -> None:

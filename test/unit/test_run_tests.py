@@ -77,6 +77,16 @@ def test_remembers_which_tests_failed_and_why(tmp_path, monkeypatch):
     assert "none.xml" in run_tests.FAILED[2]
 
 
+def test_what_a_rostest_reports_is_shown(tmp_path):
+    file = tmp_path / "rosunit-x.xml"
+    file.write_text(
+        '<testsuite tests="1"><testcase name="a"/><system-out>&lt;![CDATA[\nHOLDON: 12 deg/s\n\n]]&gt;</system-out></testsuite>'
+    )
+    assert run_tests.said(file) == ["HOLDON: 12 deg/s"]
+    file.write_text("not xml")
+    assert run_tests.said(file) == []
+
+
 def test_a_failure_on_a_machine_that_ran_counts():
     runs = Runs((3, 1))
     assert run_tests.undisturbed("a", runs, Probe(run_tests.HALT - 0.1)) == (3, 1)
