@@ -13,6 +13,7 @@ from collections.abc import Callable
 import yaml
 from link_mqtt import MqttEnd, publish_packet, read_publish
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, free_port
+from machine import Replies
 
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, read_state_properties
@@ -90,7 +91,7 @@ class Commander:
         self._codec = JointStringCodec(len(home), config.decimals)
         self._end = MqttEnd(port, "link-commander", [self._topics.status, self._topics.state])
         self.status: dict = {}
-        self.replies: list[int] = []  #: when the gateway answered, monotonic clock [ns]
+        self.replies = Replies()
         self.cycle = 0
         self._due = 0
 
@@ -143,7 +144,8 @@ class Commander:
             for body in self._end.receive():
                 topic, payload, pairs = read_publish(body)
                 if topic == self._topics.state:
-                    self.replies.append(read_state_properties(pairs).stamp)
+                    state = read_state_properties(pairs)
+                    self.replies.add(state.seq, state.stamp)
                 else:
                     self.status = json.loads(payload)
 

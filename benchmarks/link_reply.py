@@ -9,7 +9,7 @@ from pathlib import Path
 
 from link_cell import Cell, Commander, reply_spread, shipped_config
 from link_world import REALTIME, World
-from machine import MachineProbe, held_up
+from machine import MachineProbe
 
 #: Time from arming to the beginning of the measurement [s].
 SETTLE = 2.0
@@ -20,7 +20,7 @@ def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dic
     """Return the spread of the reply time [us], late replies and cycles while a motion is streamed; and what goes with it.
 
     That is the gateway's ``state`` at the end, the ``machine``'s own pauses in the meantime (see `MachineProbe`), how many replies
-    were ``held_up``, and how many of these beside no pause (``held_up_by_us``, see `machine.held_up`).
+    were ``held_up``, and how many of these beside no pause (``held_up_by_us``, see `machine.Replies`).
 
     On a machine that does not run the mock controller in time the stream gets ahead of it, and the gateway brakes: it goes on answering.
 
@@ -45,11 +45,11 @@ def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dic
             commander.stream(SETTLE)
         probe = world.enter_context(MachineProbe(realtime))
         before = commander.next_status()
-        probe.taken()
-        commander.replies.clear()
+        commander.replies.taken(probe.taken())
         commander.stream(seconds)
         machine = probe.taken()
-        late, ours = held_up(commander.replies, machine.pop("intervals"))
+        late, ours = commander.replies.taken(machine)
+        del machine["intervals"]
         result = reply_spread(before, commander.next_status())
         commander.close()
         return result, {

@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-#: Time asleep, and lateness from which on a wake-up counts as a pause [ns].
+#: Time asleep, short enough to see what holds up a single reply, and lateness from which on a wake-up counts as a pause [ns].
 PERIOD, PAUSE = 500_000, 1_000_000
 #: The controller's cycle, and from how much more between two replies on one of them was held up [ns].
 CYCLE, HELD_UP = 4_000_000, 2_000_000
@@ -28,15 +28,17 @@ class MachineProbe(ExitStack):
     ----------
     realtime : int
         SCHED_FIFO priority of the 250 Hz path; the probe's is 20 above it. 0: none, and the probe also sees what that path does.
+    period : int, optional
+        Time asleep between two looks [ns]: a pause that is shorter may pass unseen, and every look costs.
     """
 
-    def __init__(self, realtime: int):
+    def __init__(self, realtime: int, period: int = PERIOD):
         super().__init__()
         priority = realtime + 20 if realtime else 0
-        self._watches = [self._start(core, priority) for core in sorted(os.sched_getaffinity(0))]
+        self._watches = [self._start(core, priority, period) for core in sorted(os.sched_getaffinity(0))]
 
-    def _start(self, core: int, priority: int) -> subprocess.Popen:
-        command = [sys.executable, __file__, str(core), str(priority)]
+    def _start(self, core: int, priority: int, period: int) -> subprocess.Popen:
+        command = [sys.executable, __file__, str(core), str(priority), str(period)]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         # it ends with its standard input; leaving the block closes that and waits
         return self.enter_context(subprocess.Popen(command, text=True, bufsize=1, **pipes))
@@ -58,6 +60,49 @@ class MachineProbe(ExitStack):
             "intervals": sorted(tuple(interval) for one in seen for interval in one["intervals"]),
             "above": all(one["above"] for one in seen),
         }
+
+
+class Replies:
+    """When a gateway answered, told by its states; says how many replies were held up, and by whom."""
+
+    def __init__(self):
+        # stretches of states without a gap in their numbers: over a gap nobody knows what happened
+        self._stretches: list[list[int]] = [[]]
+        self._number: int | None = None
+
+    def add(self, number: int, stamp: int) -> int:
+        """Note a state; return how many are missing between the last one and this.
+
+        Parameters
+        ----------
+        number : int
+        stamp : int
+            Monotonic clock [ns].
+        """
+        missing = 0 if self._number is None else number - self._number - 1
+        if self._number is None or missing:
+            self._stretches.append([])
+        self._stretches[-1].append(stamp)
+        self._number = number
+        return missing
+
+    def interrupt(self) -> None:
+        """Let the next state follow on nothing."""
+        self._number = None
+
+    def taken(self, machine: dict) -> tuple[int, int | None]:
+        """Return how many replies were held up since the last call, and how many of these by no pause of the machine: by us.
+
+        The latter is None where the probe had no priority above ours, and so saw what we do.
+
+        Parameters
+        ----------
+        machine : dict
+            Of the same time; see `MachineProbe.taken`.
+        """
+        held = [held_up(stretch, machine["intervals"]) for stretch in self._stretches]
+        self._stretches = [self._stretches[-1][-1:]]
+        return sum(late for late, _ in held), sum(ours for _, ours in held) if machine["above"] else None
 
 
 def held_up(stamps: Sequence[int], intervals: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -92,7 +137,7 @@ def held_up(stamps: Sequence[int], intervals: Sequence[tuple[int, int]]) -> tupl
     return late, unexplained
 
 
-def watch(core: int, priority: int) -> None:
+def watch(core: int, priority: int, period: int) -> None:
     """Sleep and see how late the wake-ups are; answer each line of the standard input with a line of JSON."""
     os.sched_setaffinity(0, {core})
     above = False
@@ -104,8 +149,8 @@ def watch(core: int, priority: int) -> None:
             print("machine probe: SCHED_FIFO not permitted", file=sys.stderr)
     late: list[tuple[int, int]] = []
     while True:
-        due = time.monotonic_ns() + PERIOD
-        asked, _, _ = select.select([sys.stdin], [], [], PERIOD / 1e9)
+        due = time.monotonic_ns() + period
+        asked, _, _ = select.select([sys.stdin], [], [], period / 1e9)
         # also a pause in which somebody asked
         if (now := time.monotonic_ns()) - due > PAUSE:
             late.append((due, now))
@@ -119,4 +164,4 @@ def watch(core: int, priority: int) -> None:
 
 
 if __name__ == "__main__":
-    watch(int(sys.argv[1]), int(sys.argv[2]))
+    watch(*map(int, sys.argv[1:]))

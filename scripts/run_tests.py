@@ -38,6 +38,8 @@ DISTURBED: list[str] = []
 #: monitor calls a pose stale after 100 ms; 20 ms are usual on a shared machine, and the tests allow for that. More than the 50 ms
 #: for which Linux stops real-time processes that took 95 % of a second: that would be a fault of ours.
 HALT, AGAIN = 60.0, 3
+#: How often the probe looks [ns]: for such a time seldom is often enough, and every look takes from the tests.
+LOOK = 2_000_000
 #: Highest SCHED_FIFO priority of the nodes; the probe stands above it.
 REALTIME = 50
 #: Unit tests that run gateway, mock controller or bridge as processes in real time: they need the machine for themselves.
@@ -176,7 +178,7 @@ def main(selection: list[str]) -> int:
     shutil.rmtree(RESULTS, ignore_errors=True)
     RESULTS.mkdir(parents=True)
     totals = []
-    with MachineProbe(REALTIME) as probe:
+    with MachineProbe(REALTIME, LOOK) as probe:
         if not selection or "unit" in selection:
             totals.append(run_unit(probe))
         for test in sorted((ROOT / "test" / "integration").glob("*.test")):

@@ -24,7 +24,7 @@ import rospy  # noqa: E402
 from link_cell import reply_spread  # noqa: E402
 from link_fleet import SETTLE, Fleet, command_to_rsi  # noqa: E402
 from link_world import REALTIME, World, end_in_order, environment, resident_mb, wait_for  # noqa: E402
-from machine import MachineProbe, held_up  # noqa: E402
+from machine import MachineProbe, Replies  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from construction_twin.realtime import release_realtime  # noqa: E402
@@ -75,11 +75,9 @@ class Soak:
     def __post_init__(self):
         self._begin = self._status()
         self._counts = self._counters()
-        # the last state's number, and commands of the second before that had not reached the broker yet: robot, stamp
-        self._state: int | None = None
-        # when the gateway answered: stretches of states without a gap in their numbers
-        self._replies: list[list[int]] = [[]]
+        self._replies = Replies()
         self.fleet.ask("taken")  # what was sent before
+        # commands of the second before that had not reached the broker yet: robot, stamp
         self._under_way: set[tuple[str, int]] = set()
         self._reset = rospy.ServiceProxy(f"/{self.fleet.names[0]}/reset", Trigger)
         self.probe.taken()
@@ -88,7 +86,6 @@ class Soak:
         """Let the loop run for an interval [s]; return what it showed. When the arm holds, go on as a person would."""
         delay = self._status()["playout"]["delay_ms"]
         distances: list[int] = []
-        self._replies = [self._replies[-1][-1:]]
         lost = holds = 0
         for _ in range(max(1, round(interval))):
             lost += self._second(distances)
@@ -103,9 +100,7 @@ class Soak:
         late, missed = (now - then for now, then in zip(self._counts, before))
         memory = tuple(round(resident_mb(pid), 1) for pid in self.fleet.pids)
         machine = self.probe.taken()
-        held = [held_up(stretch, machine["intervals"]) for stretch in self._replies]
-        ours = sum(ours for _, ours in held) if machine["above"] else None
-        seen = machine["pauses"], machine["longest_ms"], sum(late for late, _ in held), ours
+        seen = machine["pauses"], machine["longest_ms"], *self._replies.taken(machine)
         self.minutes.append(Minute(memory, late, lost + missed, distance, holds, *seen))
         return self.minutes[-1]
 
@@ -116,14 +111,7 @@ class Soak:
         self.fleet.gates.stream(1.0)
         commands, states = self.fleet.ask("taken")
         distances += command_to_rsi(states)
-        lost = 0
-        for _, number, stamp, _ in states:
-            if self._state is not None:
-                lost += number - self._state - 1
-            if number - 1 != self._state:
-                self._replies.append([])
-            self._replies[-1].append(stamp)
-            self._state = number
+        lost = sum(self._replies.add(number, stamp) for _, number, stamp, _ in states)
         arrived = {(robot, stamp) for robot, stamp, _ in commands}
         if self._status()["state"] == "following":
             # what is on its way at the second's end arrives in the next
@@ -156,7 +144,8 @@ class Soak:
         self.fleet.gates.moves = True
         self.fleet.gates.stream(SETTLE)
         self.fleet.ask("taken")
-        self._state, self._under_way = None, set()
+        self._replies.interrupt()
+        self._under_way = set()
 
     def replies(self) -> dict:
         """Return the spread of the reply time [us] since the begin."""
@@ -181,7 +170,8 @@ def verdict(minutes: list[Minute]) -> list[str]:
     if late:
         pauses, longest = sum(minute.pauses for minute in minutes), max(minute.longest_ms for minute in minutes)
         held = sum(minute.held_up for minute in minutes)
-        ours = sum(minute.held_up_by_us or 0 for minute in minutes)
+        by_us = [minute.held_up_by_us for minute in minutes]
+        ours = "nobody knows how many" if None in by_us else sum(by_us)
         machine = (
             f"the machine ran nobody on a core {pauses} times for more than 1 ms, at most {longest:.1f} ms; "
             f"of {held} replies held up {ours} beside no such pause"

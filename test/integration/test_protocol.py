@@ -46,10 +46,7 @@ class ProtocolTest(Interruption):
         self.client.go_to(HOME)
 
     def test_a_stop_holds_until_reset(self):
-        stops = self.stops()
-        self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("mqtt_bridge/stop").success))
-        self.assert_said("stopped at the gateway on request")
-        self.assertEqual(self.stops(), stops + 1)
+        self.stop_and_recover()
 
 
 if __name__ == "__main__":

@@ -197,6 +197,30 @@ def test_replies_held_up_beside_no_pause_are_ours(modules, distances, pauses, ex
     assert modules("machine").held_up(stamps, intervals) == expected
 
 
+def test_replies_are_compared_within_stretches_only(modules):
+    replies, quiet = modules("machine").Replies(), {"intervals": [], "above": True}
+    cycle = 4_000_000
+    assert [replies.add(k, k * cycle) for k in (1, 2, 3)] == [0, 0, 0]
+    # two states lost: nobody knows what the gateway did there
+    assert replies.add(6, 6 * cycle) == 2
+    assert replies.taken(quiet) == (0, 0)
+    # the next one is compared with the last one before
+    assert replies.add(7, 8 * cycle) == 0
+    assert replies.taken(quiet) == (1, 1)
+    assert replies.taken(quiet) == (0, 0)
+    replies.interrupt()
+    assert replies.add(500, 600 * cycle) == 0
+    replies.add(501, 603 * cycle)
+    # a probe that sees what we do cannot tell whose pause it was
+    assert replies.taken({"intervals": [(600 * cycle, 603 * cycle)], "above": False}) == (1, None)
+
+
+def test_soak_does_not_claim_to_know_what_it_does_not(soak):
+    minutes = [soak.Minute((60.0, 40.0, 50.0), 3, 0, -4.0, held_up=3, held_up_by_us=by_us) for by_us in (1, None)]
+    assert "of 6 replies held up nobody knows how many" in soak.verdict(minutes)[0]
+    assert "of 3 replies held up 1 beside" in soak.verdict(minutes[:1])[0]
+
+
 def test_the_probe_tells_when_a_watch_did_not_run(modules):
     machine = modules("machine")
     with machine.MachineProbe(0) as probe:
