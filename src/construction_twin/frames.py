@@ -19,7 +19,7 @@ _GIMBAL = 1e-12
 _NORM_TOLERANCE = 1e-3
 
 
-def rotation_to_abc(rotation: np.ndarray) -> tuple[float, float, float]:
+def rotation_to_abc(rotation) -> tuple[float, float, float]:
     """Convert a rotation matrix to KUKA's A, B, C.
 
     At B = +-90 deg, where only A - C (or A + C) is defined, A is 0.
@@ -27,13 +27,14 @@ def rotation_to_abc(rotation: np.ndarray) -> tuple[float, float, float]:
     Parameters
     ----------
     rotation : array, shape (3, 3)
+        Or whatever gives an element for a row and a column, as a PyKDL.Frame or a PyKDL.Rotation.
 
     Returns
     -------
     a, b, c : float
         [rad]; A and C in [-pi, pi], B in [-pi/2, pi/2].
     """
-    r = np.asarray(rotation, dtype=float)
+    r = rotation
     cos_b = math.hypot(r[0, 0], r[1, 0])
     a = math.atan2(r[1, 0], r[0, 0]) if cos_b > _GIMBAL else 0.0
     b = math.atan2(-r[2, 0], cos_b)

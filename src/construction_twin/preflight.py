@@ -19,7 +19,13 @@ CHOICES = {
 }
 SWITCHES = ("auto_approve", "broker", "gateway", "commissioning", "tool_marker", "track", "gui", "separation")
 #: Whole numbers with their bounds.
-NUMBERS = {"decimals": (1, 6), "broker_port": (1, 65535), "rsi_port": (0, 65535), "realtime": (0, 80)}
+NUMBERS = {
+    "decimals": (1, 6),
+    "broker_port": (1, 65535),
+    "rsi_port": (0, 65535),
+    "realtime": (0, 80),
+    "frame_rate": (1, 250),
+}
 #: Files that must be there, and those that may be left out.
 FILES = ("robot_xacro", "robot_config", "joint_state_publisher_config", "self_collision", "ethernet_xml")
 OPTIONAL_FILES = ("scene", "bridge_account", "gateway_account")

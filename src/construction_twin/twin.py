@@ -108,6 +108,10 @@ class TwinClock:
         """Return whether to publish the held pose with the stamp `now` [ns]: no command came yet, or the stream fell silent."""
         return (self._heard is None or now - self._heard >= SILENCE) and self._is_newer(now)
 
+    def idle(self, now: int) -> int:
+        """Return for how long `on_cycle` says no, unless all is forgotten meanwhile [ns]; at most `SILENCE`."""
+        return 0 if self._heard is None else min(max(self._heard + SILENCE - now, 0), SILENCE)
+
     def _is_newer(self, stamp: int) -> bool:
         if stamp <= self._published:
             return False

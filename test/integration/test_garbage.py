@@ -15,8 +15,8 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient
 
-from construction_twin.mqtt.client import user_properties
 from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.messages import Topics
 from construction_twin.rsi.codec import RobotEncoder
 from construction_twin.rsi.command_stream import REMEMBERED
@@ -207,7 +207,7 @@ class GarbageTest(RobotTest):
         self, topic: str, payload: bytes, properties: list[tuple[str, str]] | None = None, retain: bool = False
     ):
         """Publish one message."""
-        beside = user_properties(properties) if properties else None
+        beside = UserProperties(properties) if properties else None
         self.mqtt.publish(topic, payload, qos=1, retain=retain, properties=beside)
 
     def assert_counted_without_motion(self, send: Callable[[], Counter], counters: Callable[[], dict]):

@@ -14,11 +14,12 @@ import yaml
 from construction_twin.msg import Conflict, Execution, Link, Plan, Sync
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
 from std_srvs.srv import Trigger
-from twin_client import Stream, case, wait
+from twin_client import case, wait
 
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.evaluation.recording import Recording
 from construction_twin.ros.bag import read_recording
+from construction_twin.ros.latest_pose import LatestPose
 from construction_twin.ros.params import robot_from_parameters
 from construction_twin.ros.recorder import Recorder
 from construction_twin.units import CYCLE_NS, radians
@@ -174,16 +175,16 @@ class TwoRobotsTest(unittest.TestCase):
 
     def test_1_both_move_at_once(self):
         arms = self.one, self.two
-        with Stream(f"/{ONE}/twin/joint_states") as twin_1, Stream(f"/{TWO}/twin/joint_states") as twin_2:
-            plans = [arm.plan_well(AWAY[arm.name]) for arm in arms]
-            for arm, plan in zip(arms, plans):
-                answer = arm.approve(plan)
-                self.assertTrue(answer.success, answer.message)
-            for arm, plan, twin in zip(arms, plans, (twin_1, twin_2)):
-                arm.finish(plan)
-                arm.wait_until_ready()
-                wait(twin.at_rest, "the twin to rest")
-                np.testing.assert_array_less(np.abs(twin.positions(-1)[0] - radians(AWAY[arm.name])), BOUND)
+        twins = [LatestPose(f"/{arm.name}/twin/joint_states", arm.robot.joint_names) for arm in arms]
+        plans = [arm.plan_well(AWAY[arm.name]) for arm in arms]
+        for arm, plan in zip(arms, plans):
+            answer = arm.approve(plan)
+            self.assertTrue(answer.success, answer.message)
+        for arm, plan, twin in zip(arms, plans, twins):
+            self.addCleanup(twin.close)
+            arm.finish(plan)
+            arm.wait_until_ready()
+            np.testing.assert_array_less(np.abs(np.subtract(twin.pose(0.5, 5.0), radians(AWAY[arm.name]))), BOUND)
         for arm in arms:
             arm.go(HOME)
 

@@ -13,8 +13,9 @@ import numpy as np
 from impairment import hurry
 
 from construction_twin.errors import PayloadError
-from construction_twin.mqtt.client import Broker, make_client, received_pairs, unique_id, user_properties
+from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.fast_client import UserProperties, received_pairs
 from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, Topics, parse_status, read_state_properties
 from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
@@ -158,7 +159,7 @@ class Commander(threading.Thread):
             self._client.publish(self._topics.control, control.to_json(), qos=1)
         if send:
             self.sent += 1
-            beside = user_properties(CommandProperties(session, self.sent, stamp).pairs())
+            beside = UserProperties(CommandProperties(session, self.sent, stamp).pairs())
             self._client.publish(self._topics.command, self._codec.encode(pose), properties=beside)
 
     def _advance(self) -> None:

@@ -14,8 +14,9 @@ from conftest import wait_until
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from construction_twin.mqtt.client import Broker, user_properties
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
 from construction_twin.rsi.codec import RobotEncoder, parse_sensor
 from construction_twin.rsi.config import GatewayConfig
@@ -170,7 +171,7 @@ class Client:
     def command(self, q):
         self.seq += 1
         self.stamp += CYCLE_NS
-        beside = user_properties(CommandProperties("s1", self.seq, self.stamp).pairs())
+        beside = UserProperties(CommandProperties("s1", self.seq, self.stamp).pairs())
         self.paho.publish(self.topics.command, CODEC.encode(q), properties=beside)
 
 

@@ -47,7 +47,7 @@ class World:
         patch(module, "read_parameters", lambda model: settings)
         patch(module, "robot_from_parameters", lambda: ROBOT)
         patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
-        patch(module, "JointSubscriber", lambda *_: None)
+        patch(module, "JointSubscriber", lambda *_, **__: None)
         patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
         patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
         self.node = module.ExecutorNode()

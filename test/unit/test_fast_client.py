@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import socket
 import threading
 
 import pytest
@@ -16,8 +18,8 @@ from paho.mqtt.exception import MalformedPacket
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from construction_twin.mqtt.client import Broker, make_client, received_pairs, user_properties
-from construction_twin.mqtt.fast_client import DirectClient, FastClient, UserProperties, read_plain
+from construction_twin.mqtt.client import Broker, make_client
+from construction_twin.mqtt.fast_client import DirectClient, FastClient, UserProperties, read_plain, received_pairs
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\ufeff"), max_size=40)
 PAIRS = st.lists(st.tuples(TEXT, TEXT), max_size=5)
@@ -144,10 +146,12 @@ def test_packets_of_several_threads_stay_whole_and_in_order(direct, topics):
 
     def send(thread: int) -> None:
         for number in range(30):
-            beside = user_properties([("seq", str(number))])
-            direct.publish(
-                topics.command, b"%d,%d:" % (thread, number) + bytes([65 + thread]) * 30_000, properties=beside
-            )
+            pairs = [("seq", str(number))]
+            payload = b"%d,%d:" % (thread, number) + bytes([65 + thread]) * 30_000
+            if number % 2:
+                direct.send_stream(topics.command, payload, pairs)
+            else:
+                direct.publish(topics.command, payload, properties=UserProperties(pairs))
 
     senders = [threading.Thread(target=send, args=(thread,)) for thread in range(4)]
     for sender in senders:
@@ -177,3 +181,133 @@ def test_connects_again_when_the_broker_comes_back(broker_process, topics):
     client.disconnect()
     client.loop_stop()
     assert not client._server.is_alive()
+
+
+class Reader:
+    """A client whose broker is the test: what its callbacks are given of the bytes that come in."""
+
+    def __init__(self, kind: type[paho.Client], streams: tuple[str, ...] = ()):
+        self.client = kind(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+        self.ours, self.broker = socket.socketpair()
+        self.ours.setblocking(False)
+        self.client._sock = self.ours
+        self.messages = []
+        self.client.on_message = lambda _client, _data, message: self.take(
+            message.topic, message.payload, received_pairs(message), message.retain
+        )
+        for topic in streams:
+            self.client.on_stream(topic, lambda *content, topic=topic: self.take(topic, *content))
+
+    def take(self, topic: str, payload: bytes, pairs, retained: bool) -> None:
+        self.messages.append((topic, bytes(payload), pairs, bool(retained)))
+
+    def hear(self, parts: list[bytes]) -> None:
+        """Read what comes in such parts."""
+        for part in parts:
+            self.broker.sendall(part)
+            # as many calls as packets could have come, and one more
+            for _ in range(len(part) // 2 + 2):
+                self.client.loop_read()
+
+    def close(self) -> None:
+        self.client._sock = None
+        self.ours.close()
+        self.broker.close()
+
+
+def with_header(body: bytes, header: int = 0x30) -> bytes:
+    return bytes([header]) + length_of(len(body)) + body
+
+
+def length_of(value: int) -> bytes:
+    packed = bytearray()
+    paho.Client(CallbackAPIVersion.VERSION2)._pack_remaining_length(packed, value)
+    return bytes(packed)
+
+
+TOPICS = st.sampled_from(["twin/arm/state", "twin/arm/status", "größe"])
+PACKETS = st.builds(
+    with_header,
+    st.builds(packet, TOPICS, PAIRS, st.binary(max_size=300) | st.just(b"x" * 20_000)),
+    st.sampled_from([0x30, 0x31]),
+) | st.just(b"\xd0\x00")
+
+
+@given(st.lists(PACKETS, max_size=6), st.lists(st.integers(1, 400), max_size=8), st.booleans())
+def test_a_stream_in_any_parts_is_read_as_paho_does(packets, cuts, as_stream):
+    """Ping answers and long packets in between; whole packets, several at once, and pieces."""
+    data, parts = b"".join(packets), []
+    for cut in cuts:
+        parts.append(data[:cut])
+        data = data[cut:]
+    parts = [part for part in (*parts, data) if part]
+    lean = Reader(FastClient, ("twin/arm/state",) if as_stream else ())
+    known = Reader(paho.Client)
+    try:
+        for reader in (lean, known):
+            reader.hear(parts)
+        assert lean.messages == known.messages
+    finally:
+        lean.close()
+        known.close()
+
+
+@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
+@given(pairs=PAIRS, payload=st.binary(max_size=300))
+def test_sends_what_paho_sends(protocol, pairs, payload):
+    version = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTTv311}[protocol]
+    sent = []
+    for kind in (FastClient, paho.Client):
+        client = kind(CallbackAPIVersion.VERSION2, protocol=version)
+        ours, broker = socket.socketpair()
+        with ours, broker:
+            client._sock = ours
+            if kind is FastClient:
+                client.send_stream("twin/arm/command", payload, pairs)
+            else:
+                properties = paho_properties(pairs) if protocol == "5" else None
+                client.publish("twin/arm/command", payload, properties=properties)
+            sent.append(broker.recv(100_000))
+            client._sock = None
+    assert sent[0] == sent[1]
+
+
+def test_without_a_connection_a_message_is_dropped():
+    client = FastClient(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+    client.send_stream("t", b"x")
+    assert not client.want_write()
+
+
+def test_a_connection_that_is_lost_while_it_sends_is_noticed(direct, topics):
+    lost = threading.Event()
+    direct.on_disconnect = lambda *_: lost.set()
+    direct._sock.shutdown(socket.SHUT_RDWR)
+    direct.send_stream(topics.command, b"x")
+    assert lost.wait(10.0)
+
+
+def test_a_broker_that_does_not_read_gets_everything_later():
+    client = FastClient(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+    ours, broker = socket.socketpair()
+    with ours, broker:
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        ours.setblocking(False)
+        client._sock = ours
+        numbers = 0
+        while len(client._out_packet) < 3:
+            client.send_stream("t", b"%06d" % numbers * 100)
+            numbers += 1
+        # what paho itself has to say goes behind what waits
+        client.publish("t", b"end")
+        expected = [b"%06d" % number * 100 for number in range(numbers)] + [b"end"]
+        reader = Reader(FastClient)
+        broker.setblocking(False)
+        for _ in range(100 * numbers):
+            with contextlib.suppress(BlockingIOError):
+                reader.hear([broker.recv(4096)])
+            client.loop_write()
+            if len(reader.messages) == len(expected):
+                break
+        assert [payload for _, payload, _, _ in reader.messages] == expected
+        reader.close()
+        client._sock = None

@@ -25,7 +25,7 @@ from service_cell import (
     stream,
 )
 
-from construction_twin.mqtt.client import received_pairs, user_properties
+from construction_twin.mqtt.fast_client import UserProperties, received_pairs
 from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
 
 
@@ -76,7 +76,7 @@ def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
         garbage = [b"", b"\x00\xff", b"{}", b"nan,nan", b"+010.000,+010.000", b"x" * 5000]
         for payload in garbage:
             client.paho.publish(topics.command, payload)
-            client.paho.publish(topics.command, payload, properties=user_properties([("session", "s1"), ("seq", "-1")]))
+            client.paho.publish(topics.command, payload, properties=UserProperties([("session", "s1"), ("seq", "-1")]))
         controls = [
             b"",
             b"{",

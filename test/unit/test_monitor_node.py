@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
-from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.msg import Execution, Link, Plan, Sync
 from executor_bench import ROBOT
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -52,7 +52,7 @@ class World:
         patch(module, "robot_from_parameters", lambda: ROBOT)
         patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
         patch(module, "LiveSettings", lambda *_: None)
-        patch(module, "JointSubscriber", lambda *_: None)
+        patch(module, "JointSubscriber", lambda *_, **__: None)
         patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
         patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
         patch(
@@ -88,10 +88,9 @@ def world(monkeypatch):
     return World(monkeypatch)
 
 
-def feedback(world: World, offset: float = 0.0) -> Feedback:
-    message = Feedback(name=ROBOT.joint_names, position=(HOME[0] + offset, *HOME[1:]))
-    message.header.stamp = to_time(world.wall)
-    return message
+def feedback(world: World, offset: float = 0.0) -> tuple:
+    """Return what is heard of the arm now: stamp, pose, and that the link carries no properties."""
+    return world.wall, (HOME[0] + offset, *HOME[1:]), 0, 0
 
 
 def run(world: World, node, cycles: int) -> None:
@@ -99,7 +98,7 @@ def run(world: World, node, cycles: int) -> None:
     for _ in range(cycles):
         world.pass_time()
         node._on_twin(world.wall - CYCLE_NS, HOME)
-        node._on_feedback(feedback(world))
+        node._on_feedback(*feedback(world))
         node._on_next(world.wall, HOME)
 
 
@@ -120,7 +119,7 @@ class TestOrder:
     def test_the_executor_hears_of_a_hold_before_anybody_else(self, world):
         node = opened(world)
         world.said.clear()
-        node._on_feedback(feedback(world, 0.2))
+        node._on_feedback(*feedback(world, 0.2))
         (first, sync), (second, change) = world.said
         assert (first, sync.text, second) == ("sync", "HOLDING", "transitions")
         assert change.target is SyncState.HOLDING and world.logged == []
@@ -137,7 +136,7 @@ class TestOrder:
             order.append(message.text)
 
         node._sync = SimpleNamespace(publish=slow)
-        held = threading.Thread(target=node._on_feedback, args=(feedback(world, 0.2),))
+        held = threading.Thread(target=node._on_feedback, args=feedback(world, 0.2))
         held.start()
         assert entered.wait(10.0)
 
@@ -168,11 +167,11 @@ class TestClocks:
         late = feedback(world)
         world.wall += round(step * NANOSECONDS)
         stamp = world.wall - round(step * NANOSECONDS)
-        node._on_feedback(late)
+        node._on_feedback(*late)
         for k in range(1, 50):
             world.pass_time()
             node._on_twin(stamp + (k - 1) * CYCLE_NS, HOME)
-            node._on_feedback(feedback(world))
+            node._on_feedback(*feedback(world))
             node._on_next(stamp + k * CYCLE_NS, HOME)
             node._on_timer(None)
         assert node._gate.state is SyncState.IN_SYNC and node._gate.violations == 0
@@ -181,13 +180,13 @@ class TestClocks:
         node = opened(world)
         waited = feedback(world)
         world.pass_time(0.11)
-        node._on_feedback(waited)
+        node._on_feedback(*waited)
         node._on_timer(None)
         assert world.syncs()[-1] == "STALE"
 
     def test_changes_are_reported_in_ros_time(self, world):
         node = opened(world)
-        node._on_feedback(feedback(world, 0.2))
+        node._on_feedback(*feedback(world, 0.2))
         assert [change.at for name, change in world.said if name == "transitions"][-1] == world.wall
 
 
@@ -204,7 +203,7 @@ class TestReplan:
         known.header.stamp = to_time(world.wall)
         node._on_execution(known)
         world.pass_time()
-        node._on_feedback(feedback(world, 0.2))
+        node._on_feedback(*feedback(world, 0.2))
         assert world.planned.wait(10.0) and node._gate.state is SyncState.REPLANNING
         assert world.request["goal"] == (0.5,) * 6
         assert (world.request["speed_scale"], world.request["acceleration_scale"]) == (0.2, 0.4)
@@ -216,14 +215,14 @@ class TestReplan:
         node = opened(world)
         self.offer(node)
         node._on_execution(Execution(state=state, plan_id="p"))
-        node._on_feedback(feedback(world, 0.2))
+        node._on_feedback(*feedback(world, 0.2))
         assert node._gate.state is SyncState.HOLDING and not world.planned.is_set()
 
 
 class TestStopped:
     def stop(self, world: World):
         node = opened(world)
-        node._on_feedback(feedback(world, 0.2))
+        node._on_feedback(*feedback(world, 0.2))
         world.pass_time(31.0)
         node._on_timer(None)
         node._stopped._writer.join(10.0)

@@ -14,7 +14,8 @@ import pytest
 from conftest import BrokerProcess, wait_until
 from site_broker import Listener, SiteBroker
 
-from construction_twin.mqtt.client import Broker, make_client, unique_id, user_properties
+from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.polled_client import PolledClient
 
 PERIOD = 0.004
@@ -111,7 +112,7 @@ def test_250_hz_both_ways_lose_nothing_and_keep_their_order(ways):
 
         def command():
             for payload in commands:
-                bridge.client.publish("twin/one/command", payload, properties=user_properties([("seq", "1")]))
+                bridge.client.publish("twin/one/command", payload, properties=UserProperties([("seq", "1")]))
                 time.sleep(PERIOD)
 
         sender = threading.Thread(target=command)

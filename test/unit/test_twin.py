@@ -99,6 +99,16 @@ class TestStamps:
         assert not clock.on_cycle(self.T0 + SILENCE - 1)
         assert clock.on_cycle(self.T0 + SILENCE) and clock.on_cycle(self.T0 + SILENCE + CYCLE_NS)
 
+    def test_says_for_how_long_it_will_not_repeat(self):
+        clock = TwinClock()
+        assert clock.idle(self.T0) == 0
+        clock.on_command(self.T0, self.T0)
+        assert clock.idle(self.T0 + 1) == SILENCE - 1 and clock.idle(self.T0 + 2 * SILENCE) == 0
+        # a clock that was set back says nothing of the future
+        assert clock.idle(self.T0 - NANOSECONDS) == SILENCE
+        clock.restart()
+        assert clock.idle(self.T0) == 0
+
     def test_silence_is_what_is_received_not_what_is_stamped(self):
         clock = TwinClock()
         delay = 2 * SILENCE

@@ -19,7 +19,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.errors import ConfigurationError
 from construction_twin.mqtt.account import Account
-from construction_twin.mqtt.fast_client import DirectClient, FastClient, UserProperties
+from construction_twin.mqtt.fast_client import DirectClient, FastClient
 
 _PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTTv311}
 
@@ -85,7 +85,7 @@ OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 def make_client(
     broker: Broker, client_id: str, will_topic: str, will: str = OFFLINE, direct: bool = False
-) -> paho.Client:
+) -> FastClient:
     """Return a client that is not connected yet.
 
     Parameters
@@ -102,7 +102,7 @@ def make_client(
 
     Returns
     -------
-    client : paho.Client
+    client : FastClient
         Call `connect_async` and a loop on it.
 
     Raises
@@ -154,13 +154,3 @@ def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tu
     if client.protocol != MQTTProtocolVersion.MQTTv5:
         return list(topics)
     return [(topic, SubscribeOptions(qos=qos, retainAsPublished=True)) for topic, qos in topics]
-
-
-def user_properties(pairs: list[tuple[str, str]]) -> UserProperties:
-    """Return MQTT 5 user properties for a publish."""
-    return UserProperties(pairs)
-
-
-def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
-    """Return a message's user properties; empty under MQTT 3.1.1 or when it has none."""
-    return list(getattr(message.properties, "UserProperty", ()))

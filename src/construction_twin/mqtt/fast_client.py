@@ -1,19 +1,25 @@
 """A paho client for 250 messages a second each way, without what a joint string does not need.
 
-Standard library and paho-mqtt only. What it saves per message, measured on its own: paho builds a table of all MQTT 5
-properties for each message it sends or receives (25 and 50 us), and hands what another thread publishes to its own thread.
+Standard library and paho-mqtt only. What it saves per message: paho builds a table of all MQTT 5 properties for each message it sends
+or receives (25 and 50 us), reads a packet in three pieces, keeps a record with a lock of each that it sends, and hands what
+another thread publishes to its own thread.
 """
 
 from __future__ import annotations
 
+import socket
 import struct
 import threading
+import time
+from collections.abc import Callable
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
 
 _USER_PROPERTY = 0x26
 _LENGTH = struct.Struct("!H")
+#: How much of what has come in is looked at before it is taken; what is longer is paho's [bytes].
+_AHEAD = 2048
 #: The loop looks after a connection that another thread has found lost at least this often [s].
 _LOOP_TIMEOUT = 0.1
 
@@ -93,22 +99,156 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
     return (text if text.isprintable() else None), stop
 
 
+def whole_publish(ahead: bytes) -> tuple[int, int] | None:
+    """Return where the first packet's topic begins and where the packet ends.
+
+    Parameters
+    ----------
+    ahead : bytes
+        What has come in, from the beginning of a packet on.
+
+    Returns
+    -------
+    span : tuple of int or None
+        None unless it is a PUBLISH of QoS 0, shorter than 16 kB, and all of it has come.
+    """
+    if len(ahead) < 3 or ahead[0] & 0xFE != paho.PUBLISH:
+        return None
+    start, length = 2, ahead[1]
+    if length > 127:
+        if ahead[2] > 127:
+            return None
+        start, length = 3, (length & 127) | ahead[2] << 7
+    return (start, start + length) if start + length <= len(ahead) else None
+
+
+def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
+    """Return a message's user properties; empty under MQTT 3.1.1 or when it has none."""
+    return list(getattr(message.properties, "UserProperty", ()))
+
+
 class FastClient(paho.Client):
-    """Reads joint strings without paho's general parser, whatever else comes in with it."""
+    """Reads and sends joint strings without paho's general code, whatever else goes over the connection.
+
+    paho has no public place for this; test_fast_client compares what is read and what is sent with paho's own.
+    """
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self._streams: dict[bytes, Callable[[bytes, list[tuple[str, str]], bool], None]] = {}
+        self._writing = threading.RLock()
+
+    def on_stream(self, topic: str, callback: Callable[[bytes, list[tuple[str, str]], bool], None]) -> None:
+        """Call ``callback(payload, pairs, retained)`` for each message on `topic`, in the thread that serves the connection.
+
+        Parameters
+        ----------
+        topic : str
+            Without wildcards.
+        callback : callable
+            ``pairs`` are the user properties.
+        """
+        self._streams[topic.encode()] = callback
+        self.message_callback_add(
+            topic, lambda _client, _data, message: callback(message.payload, received_pairs(message), message.retain)
+        )
+
+    def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
+        """Publish with QoS 0, from the caller's thread; what the socket does not take at once paho sends when it does.
+
+        While there is no connection the message is dropped, as by `publish`.
+
+        Parameters
+        ----------
+        topic : str
+        payload : bytes
+        pairs : list of (str, str), optional
+            User properties; MQTT 3.1.1 has none.
+        """
+        sock = self._sock
+        if sock is None:
+            return
+        packet = self._publish_packet(topic.encode(), payload, pairs)
+        with self._writing:
+            sent = 0
+            if not self._out_packet:
+                try:
+                    sent = sock.send(packet)
+                except OSError:
+                    # full, or lost: paho finds the same below, and looks after it
+                    pass
+            if sent == len(packet):
+                with self._msgtime_mutex:
+                    self._last_msg_out = time.monotonic()
+                return
+            self._out_packet.append(
+                {
+                    "command": paho.PUBLISH,
+                    "mid": 0,
+                    "qos": 0,
+                    "pos": sent,
+                    "to_process": len(packet) - sent,
+                    "packet": packet,
+                    "info": paho.MQTTMessageInfo(0),
+                }
+            )
+            self.loop_write()
+
+    def loop_write(self) -> MQTTErrorCode:
+        """Send what is queued; one thread at a time, so that packets keep their order and are never mixed."""
+        with self._writing:
+            return super().loop_write()
+
+    def _publish_packet(self, topic: bytes, payload: bytes, pairs: list[tuple[str, str]] | None) -> bytes:
+        properties = b""
+        if self._protocol == MQTTProtocolVersion.MQTTv5:
+            properties = UserProperties(pairs).pack() if pairs else b"\0"
+        body = _LENGTH.pack(len(topic)) + topic + properties + payload
+        return b"\x30" + _variable_length(len(body)) + body
+
+    def _packet_read(self) -> MQTTErrorCode:
+        """Take the next packet in one piece where it is a joint string; otherwise nothing was taken, and paho reads it."""
+        sock = self._sock
+        # bytes of TLS can not be looked at in advance
+        if self._in_packet["command"] or type(sock) is not socket.socket:
+            return super()._packet_read()
+        try:
+            ahead = sock.recv(_AHEAD, socket.MSG_PEEK)
+        except OSError:
+            return super()._packet_read()
+        span = whole_publish(ahead) if self._protocol == MQTTProtocolVersion.MQTTv5 else None
+        plain = read_plain(ahead[span[0] : span[1]]) if span else None
+        if plain is None:
+            return super()._packet_read()
+        try:
+            sock.recv(span[1])
+        except OSError:
+            # closed meanwhile by a thread that could not send
+            return super()._packet_read()
+        self._deliver(plain, bool(ahead[0] & 1))
+        with self._msgtime_mutex:
+            self._last_bytes_received = time.monotonic()
+        return MQTTErrorCode.MQTT_ERR_SUCCESS
 
     def _handle_publish(self) -> MQTTErrorCode:
-        # paho has no public place for this; test_fast_client compares the outcome with paho's own
         header = self._in_packet["command"]
         plain = None
         if self._protocol == MQTTProtocolVersion.MQTTv5 and not header & 0x0E:
             plain = read_plain(self._in_packet["packet"])
         if plain is None:
             return super()._handle_publish()
-        message = paho.MQTTMessage(topic=plain[0])
-        message.retain = bool(header & 1)
-        _, message.properties, message.payload = plain
-        self._handle_on_message(message)
+        self._deliver(plain, bool(header & 1))
         return MQTTErrorCode.MQTT_ERR_SUCCESS
+
+    def _deliver(self, plain: tuple[bytes, UserProperties, bytes], retained: bool) -> None:
+        topic, properties, payload = plain
+        callback = self._streams.get(topic)
+        if callback is not None:
+            callback(payload, properties.UserProperty, retained)
+            return
+        message = paho.MQTTMessage(topic=topic)
+        message.retain, message.properties, message.payload = retained, properties, payload
+        self._handle_on_message(message)
 
 
 class DirectClient(FastClient):
@@ -119,7 +259,6 @@ class DirectClient(FastClient):
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
-        self._writing = threading.RLock()
         self._server: threading.Thread | None = None
 
     def loop_start(self) -> MQTTErrorCode:
@@ -134,8 +273,3 @@ class DirectClient(FastClient):
         if self._server is not None:
             self._server.join(2.0)
         return MQTTErrorCode.MQTT_ERR_SUCCESS
-
-    def loop_write(self) -> MQTTErrorCode:
-        """Send what is queued; one thread at a time, so that packets keep their order and are never mixed."""
-        with self._writing:
-            return super().loop_write()

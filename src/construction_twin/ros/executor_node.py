@@ -40,6 +40,8 @@ from construction_twin.units import NANOSECONDS
 SYNC_TIMEOUT = NANOSECONDS // 2
 #: How often records that nobody waits for are written, and a plan is looked for that may approve itself [s].
 BACKGROUND_PERIOD = 0.05
+#: Between two looks at the twin [s]: its pose is needed where it rests, and counts as known for much longer.
+TWIN_PAUSE = 0.02
 #: How long who computes a forecast leaves the processor to the cycle, every few setpoints [s].
 PAUSE = 0.0005
 
@@ -98,7 +100,8 @@ class ExecutorNode:
             rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
 
     def _subscribe(self, joint_names: tuple[str, ...], arm: str) -> None:
-        JointSubscriber("twin/joint_states", joint_names, self._on_twin, self._diagnostics.refuse)
+        refuse = self._diagnostics.refuse
+        JointSubscriber("twin/joint_states", joint_names, self._on_twin, refuse, queue_size=1, pause=TWIN_PAUSE)
         rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
         self._scene = rospy.Subscriber("scene", Scene, self._on_scene, queue_size=5)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 
 import genpy
@@ -10,6 +11,8 @@ import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.errors import PayloadError
+from construction_twin.msg import Feedback
+from construction_twin.ros.pose_message import PoseMessage
 from construction_twin.ros.publisher import Publisher
 from construction_twin.units import NANOSECONDS
 
@@ -29,7 +32,8 @@ def from_time(time: genpy.Time) -> int:
 
 def now_ns() -> int:
     """Return ROS time in ns."""
-    return from_time(rospy.Time.now())
+    # of a wall clock without the objects that rospy makes of it
+    return time.time_ns() if rospy.rostime.is_wallclock() else from_time(rospy.Time.now())
 
 
 def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ...]:
@@ -64,22 +68,33 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
         by_name = dict(zip(message.name, message.position))
         q = tuple(by_name[name] for name in names)
     if not all(map(math.isfinite, q)):
-        raise PayloadError("values", f"joint state with positions {q}; expected finite numbers")
+        raise _not_finite(q)
     return q
 
 
+def _not_finite(q: tuple[float, ...]) -> PayloadError:
+    return PayloadError("values", f"joint state with positions {q}; expected finite numbers")
+
+
 class JointPublisher:
-    """Publishes poses of one robot on one topic."""
+    """Publishes poses of one robot on one topic.
 
-    def __init__(self, topic: str, names: tuple[str, ...]):
-        self._publisher = Publisher(topic, JointState, queue_size=QUEUE, tcp_nodelay=True)
-        self._names = list(names)
+    Parameters
+    ----------
+    topic : str
+    names : tuple of str
+        The robot's joint names.
+    kind : type, optional
+        `sensor_msgs/JointState` or `construction_twin/Feedback`.
+    """
 
-    def publish(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Publish a pose [rad] with its stamp [ns]."""
-        message = JointState(name=self._names, position=q)
-        message.header.stamp = to_time(stamp)
-        self._publisher.publish(message)
+    def __init__(self, topic: str, names: tuple[str, ...], kind: type = JointState):
+        self._publisher = Publisher(topic, kind, queue_size=QUEUE, tcp_nodelay=True)
+        self._message = PoseMessage(kind, names)
+
+    def publish(self, stamp: int, q: tuple[float, ...], seq: int = 0, command_stamp: int = 0) -> None:
+        """Publish a pose [rad] with its stamp [ns]; as feedback also with the gateway's counter and the command's stamp [ns]."""
+        self._publisher.publish(self._message.sent(stamp, q, seq, command_stamp))
 
 
 class JointSubscriber:
@@ -90,39 +105,59 @@ class JointSubscriber:
     topic : str
     names : tuple of str
     callback : callable
-        Called as ``callback(stamp, q)`` with ns and rad.
+        Called as ``callback(stamp, q)`` with ns and rad; for feedback as ``callback(stamp, q, seq, command_stamp)``.
     refused : callable
         Called as ``refused(reason, sentence)`` for a message that is not used.
     publisher : str, optional
         Resolved name of the only node whose messages count (design, law 4).
     queue_size : int, optional
         Messages kept for a callback that is busy; of more the oldest are dropped.
+    kind : type, optional
+        `sensor_msgs/JointState` or `construction_twin/Feedback`.
+    pause : float, optional
+        How long to look away after each message [s]. With a `queue_size` of 1 the callback then gets the newest of what came in the
+        meantime, and nobody is woken up for the others.
     """
 
     def __init__(
         self,
         topic: str,
         names: tuple[str, ...],
-        callback: Callable[[int, tuple[float, ...]], None],
+        callback: Callable[..., None],
         refused: Callable[[str, str], None],
         publisher: str | None = None,
         queue_size: int = QUEUE,
+        kind: type = JointState,
+        pause: float = 0.0,
     ):
         self._names = names
+        self._pause = pause
         self._callback = callback
         self._refused = refused
         self._publisher = publisher
-        self._subscriber = rospy.Subscriber(topic, JointState, self._receive, queue_size=queue_size, tcp_nodelay=True)
+        message = PoseMessage(kind, names).received
+        self._subscriber = rospy.Subscriber(topic, message, self._receive, queue_size=queue_size, tcp_nodelay=True)
 
-    def _receive(self, message: JointState) -> None:
+    def _receive(self, message) -> None:
         caller = message._connection_header["callerid"]
         if self._publisher is not None and caller != self._publisher:
             topic = self._subscriber.resolved_name
             self._refused("publisher", f"message from {caller}; only {self._publisher} may publish {topic}")
             return
         try:
-            q = joint_values(message, self._names)
+            content = message.content or self._read(message)
+            if not all(map(math.isfinite, content[1])):
+                raise _not_finite(content[1])
         except PayloadError as error:
             self._refused(error.reason, str(error))
             return
-        self._callback(from_time(message.header.stamp), q)
+        self._callback(*content)
+        if self._pause:
+            # rospy reads on when this returns
+            time.sleep(self._pause)
+
+    def _read(self, message: JointState | Feedback) -> tuple:
+        content = from_time(message.header.stamp), joint_values(message, self._names)
+        if isinstance(message, Feedback):
+            return (*content, message.seq, from_time(message.command_stamp))
+        return content

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from construction_twin.errors import PayloadError, ReviewError
-from construction_twin.mqtt.client import Broker, make_client, received_pairs, subscriptions, unique_id, user_properties
+from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.codec import JointStringCodec
 from construction_twin.mqtt.freshness import StateCheck
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
@@ -25,7 +25,7 @@ from construction_twin.mqtt.supervisor import LinkState, LinkSupervisor
 from construction_twin.msg import Feedback, Link, SpeedLimit
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.gateway_config import config_from_parameters
-from construction_twin.ros.joint_stream import QUEUE, JointPublisher, JointSubscriber, now_ns, to_time
+from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.mqtt_connection import MqttSettings, broker_of, report_of
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import read_parameters, robot_from_parameters
@@ -57,7 +57,6 @@ class MqttBridgeNode:
         self._settings = settings
         robot = robot_from_parameters()
         config = config_from_parameters()
-        self._names = list(robot.joint_names)
         self._codec = JointStringCodec.of(robot, config.decimals)
         self._properties = config.properties and settings.protocol == "5"
         self._lock = threading.Lock()
@@ -74,7 +73,7 @@ class MqttBridgeNode:
         self._reported_at = 0.0
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._physical = JointPublisher("physical/joint_states", robot.joint_names)
-        self._feedback = Publisher("physical/feedback", Feedback, queue_size=QUEUE, tcp_nodelay=True)
+        self._feedback = JointPublisher("physical/feedback", robot.joint_names, Feedback)
         self._link = Publisher("link", Link, queue_size=10, latch=True)
         self._topics = Topics(settings.prefix, robot.name)
         self._client = self._connect(broker_of(settings))
@@ -122,10 +121,8 @@ class MqttBridgeNode:
             self._diagnostics.refuse(error.reason, str(error))
             return
         self._sequence += 1
-        beside = (
-            user_properties(CommandProperties(session, self._sequence, stamp).pairs()) if self._properties else None
-        )
-        self._client.publish(self._topics.command, payload, properties=beside)
+        beside = CommandProperties(session, self._sequence, stamp).pairs() if self._properties else None
+        self._client.send_stream(self._topics.command, payload, beside)
 
     def _send_control(self, control: Control) -> None:
         rospy.loginfo("%s, session %s", control.verb, control.session)
@@ -150,7 +147,7 @@ class MqttBridgeNode:
         self._connection.watch(client)
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
-        client.message_callback_add(self._topics.state, self._on_state)
+        client.on_stream(self._topics.state, self._on_state)
         client.message_callback_add(self._topics.status, self._on_status)
         client.message_callback_add(self._topics.control_ack, self._on_answer)
         client.connect_async(broker.host, broker.port, broker.keepalive)
@@ -176,13 +173,12 @@ class MqttBridgeNode:
         with self._lock:
             self._supervisor.on_connection(False)
 
-    def _on_state(self, client, userdata, message) -> None:
+    def _on_state(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
         received, now = now_ns(), time.monotonic_ns()
-        pairs = received_pairs(message)
         try:
-            if message.retain:
+            if retained:
                 raise PayloadError("retained", "retained state: nobody knows how old it is")
-            q = self._codec.decode(message.payload)
+            q = self._codec.decode(payload)
             # where the link carries properties, a pose without them is not the gateway's
             properties = read_state_properties(pairs) if pairs or self._properties else None
             if properties is not None:
@@ -197,12 +193,8 @@ class MqttBridgeNode:
 
     def _publish_physical(self, q: tuple[float, ...], received: int, properties) -> None:
         self._physical.publish(received, q)
-        feedback = Feedback(name=self._names, position=q)
-        feedback.header.stamp = to_time(received)
-        if properties is not None:
-            feedback.seq = properties.seq
-            feedback.command_stamp = to_time(properties.command_stamp)
-        self._feedback.publish(feedback)
+        seq, command_stamp = (properties.seq, properties.command_stamp) if properties is not None else (0, 0)
+        self._feedback.publish(received, q, seq, command_stamp)
 
     def _on_status(self, client, userdata, message) -> None:
         try:

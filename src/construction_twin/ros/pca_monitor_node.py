@@ -13,7 +13,6 @@ from typing import Annotated, Literal
 import pydantic
 import rospy
 
-from construction_twin.errors import PayloadError
 from construction_twin.gate import REPLAN, Gate
 from construction_twin.limits import MotionLimits
 from construction_twin.mqtt.codec import JointStringCodec
@@ -24,7 +23,6 @@ from construction_twin.ros.joint_stream import (
     JointPublisher,
     JointSubscriber,
     from_time,
-    joint_values,
     now_ns,
     to_time,
 )
@@ -40,6 +38,8 @@ from construction_twin.units import NANOSECONDS
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
+#: Poses of the arm kept while the gate is busy.
+FEEDBACK_KEPT = 50
 
 
 class Settings(Behaviour):
@@ -91,7 +91,7 @@ class PcaMonitorNode:
     def _subscribe(self, names: tuple[str, ...], executor: str) -> None:
         refuse = self._diagnostics.refuse
         JointSubscriber("twin/joint_states", names, self._on_twin, refuse)
-        rospy.Subscriber("physical/feedback", Feedback, self._on_feedback, queue_size=50, tcp_nodelay=True)
+        JointSubscriber("physical/feedback", names, self._on_feedback, refuse, queue_size=FEEDBACK_KEPT, kind=Feedback)
         JointSubscriber("next/joint_states", names, self._on_next, refuse, executor, SETPOINTS_KEPT)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
         rospy.Subscriber("execution", Execution, self._on_execution, queue_size=5)
@@ -133,19 +133,13 @@ class PcaMonitorNode:
         with self._lock:
             self._gate.on_twin(stamp, q)
 
-    def _on_feedback(self, message: Feedback) -> None:
-        try:
-            q = joint_values(message, self._robot.joint_names)
-        except PayloadError as error:
-            self._diagnostics.refuse(error.reason, str(error))
-            return
-        received = from_time(message.header.stamp)
+    def _on_feedback(self, received: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
         now = time.monotonic_ns()
         # what waited in a queue is not fresh because it is read now. Both stamps of the way here are moments apart: a clock that is
         # set makes a single pose look old, never the ones before it
         self._heard = max(self._heard, now - max(now_ns() - received, 0))
         with self._lock:
-            self._gate.on_physical(q, from_time(message.command_stamp), self._heard, received)
+            self._gate.on_physical(q, command_stamp, self._heard, received)
             self._note_changes()
         if self._changes:
             self._publish(now)

@@ -24,8 +24,6 @@ from construction_twin.ros.params import read_parameters, robot_from_parameters
 from construction_twin.ros.publisher import Publisher
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
 
-#: Period of the ghost's poses [s].
-PERIOD = 0.02
 #: How long a preview waits for the plan that was made just before [s].
 PLAN_TIMEOUT = 1.0
 #: The twin's pose counts as known this long after its last message [s].
@@ -38,16 +36,18 @@ LINE_WIDTH, POINT_SIZE, TEXT_SIZE = 0.012, 0.06, 0.06
 
 
 class Settings(pydantic.BaseModel):
-    """No private parameters."""
+    """Private parameters, given in launch/twin.launch: poses of the ghost per second."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    frame_rate: float = pydantic.Field(ge=1, le=250)
 
 
 class PreviewNode:
     """ROS around a Preview."""
 
     def __init__(self):
-        read_parameters(Settings)
+        settings = read_parameters(Settings)
         self._robot = robot_from_parameters()
         self._chain = Chain(self._robot)
         self._preview = Preview()
@@ -62,7 +62,7 @@ class PreviewNode:
         rospy.Subscriber("execution", Execution, self._on_execution, queue_size=10)
         rospy.Subscriber("plan", Plan, self._on_plan, queue_size=2)
         rospy.Service("preview_plan", PreviewPlan, self._on_preview)
-        self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
+        self._timer = rospy.Timer(rospy.Duration(1 / settings.frame_rate), self._on_timer)
 
     # -- subscriptions
 

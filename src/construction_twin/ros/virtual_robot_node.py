@@ -16,7 +16,7 @@ from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, 
 from construction_twin.ros.node import run_node
 from construction_twin.ros.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.twin import TwinClock, VirtualRobot
-from construction_twin.units import CYCLE_NS
+from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: Between two looks at the arm's stream while the twin needs nothing from it [s].
 PAUSE = 0.02
@@ -41,6 +41,7 @@ class VirtualRobotNode:
         self._limits = MotionLimits.of(robot)
         self._session: str | None = None
         self._leads = False
+        self._restarted = threading.Event()
         # the twin needs the arm's poses: it has none of its own, or follows
         self._needs_arm = threading.Event()
         self._needs_arm.set()
@@ -55,9 +56,14 @@ class VirtualRobotNode:
     def run(self) -> None:
         """Publish the held pose while no commands come, until shutdown."""
         for stamp, _ in cycles():
+            self._restarted.clear()
             with self._lock:
                 if self._robot.pose is not None and self._clock.on_cycle(stamp):
                     self._twin.publish(stamp, self._robot.pose)
+                idle = self._clock.idle(stamp)
+            if idle > CYCLE_NS:
+                # commands come, and their poses are published with them
+                self._restarted.wait(idle / NANOSECONDS)
 
     def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
@@ -93,6 +99,7 @@ class VirtualRobotNode:
                 if self._session is not None and not leads:
                     self._robot.restart()
                     self._clock.restart()
+                    self._restarted.set()
                     self._needs_arm.set()
                 self._session = message.session
             if leads is self._leads:

@@ -22,12 +22,14 @@ from construction_twin.rsi.channels import (
 )
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, parse_sensor
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, AxisUnit, RsiLayout
+from construction_twin.rsi.shape import TelegramShape
 from construction_twin.rsi.telegram import (
     MAX_TELEGRAM,
     RobotTelegram,
     SensorTelegram,
     find_children,
     is_number,
+    is_number_in_bytes,
     read_count,
     read_document,
     read_ipoc,
@@ -63,6 +65,14 @@ class RobotDecoder:
         #: Per axis: which of the blocks, and the attribute in it.
         self._slots = [(int(out and not all(external)), axis) for out, axis in zip(external, axes)]
         self._wanted = frozenset((*self._measured_blocks, *self._setpoint_blocks, "Delay", "IPOC"))
+        positions = [
+            (blocks[block], axis)
+            for blocks in (self._measured_blocks, self._setpoint_blocks)
+            for block, axis in self._slots
+        ]
+        self._in_shape = (*positions, ("Delay", "D"))
+        self._shape: TelegramShape | None = None
+        self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
 
     def parse(self, data: bytes) -> RobotTelegram:
         """Read a controller packet.
@@ -84,14 +94,39 @@ class RobotDecoder:
         TelegramError
             With the reason (see `telegram`) when anything read is not as the protocol says.
         """
+        known = self._shape and self._of_shape(data)
+        if known:
+            return known
         found = find_children(read_document(data, "Rob"), self._wanted)
         delay = found.get("Delay")
-        return RobotTelegram(
+        telegram = RobotTelegram(
             read_ipoc(found),
             self._positions(found, self._measured_blocks),
             self._positions(found, self._setpoint_blocks),
             None if delay is None else read_count(delay.get("D"), "Delay D", "number"),
         )
+        self._shape = TelegramShape.of(data, self._in_shape)
+        if self._shape and self._of_shape(data) != telegram:
+            # the same words stand elsewhere too, e.g. in an element of an element
+            self._shape = None
+        return telegram
+
+    def _of_shape(self, data: bytes) -> RobotTelegram | None:
+        """Read a telegram that looks like the last one; None when it does not, or when it is to be refused."""
+        found = self._shape.read(data)
+        if found is None:
+            return None
+        ipoc, (*texts, delay) = found
+        if not delay.isdigit() or len(delay) > 19 or not all(map(is_number_in_bytes, texts)):
+            return None
+        count = len(self._scale)
+        if texts[count:] != self._setpoint[0]:
+            # it is the same for as long as the controller is only corrected
+            self._setpoint = texts[count:], self._si(texts[count:])
+        return RobotTelegram(ipoc, self._si(texts[:count]), self._setpoint[1], int(delay))
+
+    def _si(self, texts: list) -> tuple[float, ...]:
+        return tuple([float(text) * factor - zero for text, (factor, zero) in zip(texts, self._scale)])
 
     def _positions(self, found: dict, blocks: tuple[str, ...]) -> tuple[float, ...] | None:
         elements = [found.get(block) for block in blocks]
@@ -105,7 +140,7 @@ class RobotDecoder:
             if text is None or not is_number(text):
                 for block, axis in self._slots:
                     read_number(elements[block], axis)
-        return tuple([float(text) * factor - zero for text, (factor, zero) in zip(texts, self._scale)])
+        return self._si(texts)
 
 
 def _blocks(robot: str, external: str, is_external: list[bool]) -> tuple[str, ...]:

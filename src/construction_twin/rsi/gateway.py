@@ -27,10 +27,8 @@ from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import (
     Broker,
     make_client,
-    received_pairs,
     subscriptions,
     unique_id,
-    user_properties,
 )
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import VERBS, Topics, parse_control, read_command_properties
@@ -97,7 +95,8 @@ class GatewayService:
         self._connection = ConnectionReport(broker, log.error)
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
-        client.on_message = self._on_message
+        client.on_stream(self._topics.command, self._on_command)
+        client.message_callback_add(self._topics.control, self._on_control)
         client.connect_async(broker.host, broker.port, broker.keepalive)
         self._mqtt = PolledClient(client, self._selector, self._connection.failed)
         self._state_properties = broker.protocol == "5"
@@ -202,29 +201,22 @@ class GatewayService:
     def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         self._connection.lost(reason_code)
 
-    def _on_message(self, client, userdata, message: paho.MQTTMessage) -> None:
-        if message.topic == self._topics.command:
-            self._on_command(message)
-        elif message.topic == self._topics.control:
-            self._on_control(message)
-
-    def _on_command(self, message: paho.MQTTMessage) -> None:
-        if message.retain:
+    def _on_command(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
+        if retained:
             self._refuse_retained("command")
             return
-        pairs = received_pairs(message)
         try:
             properties = read_command_properties(pairs) if pairs else None
         except PayloadError as error:
             properties = error
-        self.gateway.on_command(message.payload, properties, time.monotonic_ns())
+        self.gateway.on_command(payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
         self.gateway.refusals.message(
             "retained", f"a message on {name} with the retain flag: nobody knows how old it is"
         )
 
-    def _on_control(self, message: paho.MQTTMessage) -> None:
+    def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:
             self._refuse_retained("control")
             return
@@ -257,8 +249,8 @@ class GatewayService:
         if message is None:
             return
         payload, properties = message
-        beside = user_properties(properties.pairs()) if self._state_properties else None
-        self._mqtt.client.publish(self._topics.state, payload, properties=beside)
+        beside = properties.pairs() if self._state_properties else None
+        self._mqtt.client.send_stream(self._topics.state, payload, beside)
 
     def _publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
         self._status.sent(time.monotonic())

@@ -140,8 +140,8 @@ def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
     chain = Chain(robot)
 
     def forward(angles: tuple[float, ...]):
-        pose = chain.forward(joint_angles(robot, angles))
-        return pose.position, rotation_to_abc(pose.rotation)
+        frame = chain.frame(joint_angles(robot, angles))
+        return (frame[0, 3], frame[1, 3], frame[2, 3]), rotation_to_abc(frame)
 
     return forward
 

@@ -19,6 +19,7 @@ MAX_TELEGRAM = 8192
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
 is_number = re.compile(r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?").fullmatch
+is_number_in_bytes = re.compile(rb"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?").fullmatch
 _COUNT = re.compile(r"[0-9]{1,20}").fullmatch
 _UINT64_MAX = 2**64 - 1
 
