@@ -143,7 +143,7 @@ def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(bridge, clo
     bridge._codec = cell_codec = following().codec
     stamps = []
     bridge._physical = SimpleNamespace(publish=lambda stamp, q: stamps.append(stamp))
-    bridge._feedback = SimpleNamespace(publish=lambda message: None)
+    bridge._feedback = SimpleNamespace(publish=lambda *content: None)
     bridge._names, bridge._properties = ["a", "b"], False
     payload = cell_codec.encode((0.1, -1.0))
     for k in range(100):
@@ -152,7 +152,7 @@ def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(bridge, clo
             clocks.wall += 60 * NANOSECONDS
         if k == 30:
             assert not bridge._supervisor._at_rest(clocks.steady)
-        bridge._on_state(None, None, SimpleNamespace(payload=payload, retain=False, properties=None))
+        bridge._on_state(payload, [], False)
     assert bridge._supervisor._at_rest(clocks.steady)
     # what goes out on ROS carries ROS time
     assert stamps[-1] == clocks.wall

@@ -1,8 +1,8 @@
 """A paho client for 250 messages a second each way, without what a joint string does not need.
 
-Standard library and paho-mqtt only. What it saves per message: paho builds a table of all MQTT 5 properties for each message it sends
-or receives (25 and 50 us), reads a packet in three pieces, keeps a record with a lock of each that it sends, and hands what
-another thread publishes to its own thread.
+Standard library and paho-mqtt only. What it saves per message: paho builds a table of all MQTT 5 properties for each
+message it sends or receives (25 and 50 us), reads a packet in three pieces, keeps a record with a lock of each that it
+sends, and hands what another thread publishes to its own thread.
 """
 
 from __future__ import annotations

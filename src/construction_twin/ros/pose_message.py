@@ -32,8 +32,8 @@ class PoseMessage:
     Attributes
     ----------
     received : type
-        Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; only where that is None are the fields
-        of `kind` filled in.
+        Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; only where that is
+        None are the fields of `kind` filled in.
     """
 
     def __init__(self, kind: type, names: tuple[str, ...]):

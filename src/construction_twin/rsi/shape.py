@@ -1,7 +1,8 @@
 """The shape of a telegram: all of it but its numbers.
 
-A controller sends the same text every 4 ms with other numbers in it. Where one of these was read as XML, the next one of the same shape
-needs no parser: between equal texts, values without markup stand for the same attributes. Standard library only.
+A controller sends the same text every 4 ms with other numbers in it. Where one of these was read as XML, the next one
+of the same shape needs no parser: between equal texts, values without markup stand for the same attributes. Standard
+library only.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ class TelegramShape:
         Returns
         -------
         shape : TelegramShape or None
-            None where the text does not show at once what its values stand for: a wanted one is missing or there twice, IPOC is not the
-            last element, or something else stands in quotation marks.
+            None where the text does not show at once what its values stand for: a wanted one is missing or there
+            twice, IPOC is not the last element, or something else stands in quotation marks.
         """
         *texts, last = data.split(b'"')[0::2]
         end = _END(last)
