@@ -176,12 +176,13 @@ class TwoRobotsTest(unittest.TestCase):
     def test_1_both_move_at_once(self):
         arms = self.one, self.two
         twins = [LatestPose(f"/{arm.name}/twin/joint_states", arm.robot.joint_names) for arm in arms]
+        for twin in twins:
+            self.addCleanup(twin.close)
         plans = [arm.plan_well(AWAY[arm.name]) for arm in arms]
         for arm, plan in zip(arms, plans):
             answer = arm.approve(plan)
             self.assertTrue(answer.success, answer.message)
         for arm, plan, twin in zip(arms, plans, twins):
-            self.addCleanup(twin.close)
             arm.finish(plan)
             arm.wait_until_ready()
             np.testing.assert_array_less(np.abs(np.subtract(twin.pose(0.5, 5.0), radians(AWAY[arm.name]))), BOUND)
@@ -214,7 +215,7 @@ class TwoRobotsTest(unittest.TestCase):
     def need_arms(self) -> None:
         if not self.one.has_arm:
             self.skipTest(
-                "without physical arms: two whole robots at 250 Hz need some 2.5 cores; on a machine that has them: "
+                "without physical arms: two whole robots at 250 Hz fill two cores; on a machine with more: "
                 "TWO_ROBOTS_ARM=mock rostest construction_twin two_robots.test"
             )
 

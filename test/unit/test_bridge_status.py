@@ -144,7 +144,7 @@ def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(bridge, clo
     stamps = []
     bridge._physical = SimpleNamespace(publish=lambda stamp, q: stamps.append(stamp))
     bridge._feedback = SimpleNamespace(publish=lambda *content: None)
-    bridge._names, bridge._properties = ["a", "b"], False
+    bridge._properties = False
     payload = cell_codec.encode((0.1, -1.0))
     for k in range(100):
         clocks.run(0.004)

@@ -23,7 +23,8 @@ class Clocks:
         monkeypatch.setattr(module, "now_ns", lambda: self.wall)
         monkeypatch.setattr(module, "time", clock)
         monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
-        self.grid = module.cycles()
+        self.cycles = module.Cycles()
+        self.grid = iter(self.cycles)
 
     def pass_time(self, ns: int) -> None:
         """Let both run."""
@@ -63,3 +64,22 @@ def test_what_is_late_by_less_is_sent_one_after_the_other(clocks):
     clocks.pass_time(module.CATCH_UP)
     began = clocks.steady
     assert clocks.take(20) == [before + k * CYCLE_NS for k in range(1, 21)] and clocks.steady == began
+
+
+def test_cycles_that_nobody_wanted_are_left_out_and_are_no_stall(clocks):
+    before = clocks.take(5)[-1]
+    clocks.pass_time(NANOSECONDS)
+    clocks.wall += 10 * NANOSECONDS
+    clocks.cycles.skip()
+    assert next(clocks.grid) == (before + NANOSECONDS + CYCLE_NS, 0)
+    # never twice the same
+    clocks.cycles.skip()
+    assert clocks.take(2) == [before + NANOSECONDS + k * CYCLE_NS for k in (2, 3)]
+
+
+def test_its_time_is_its_own(clocks):
+    began = clocks.cycles.now()
+    assert began == clocks.wall
+    clocks.wall += 10 * NANOSECONDS
+    clocks.pass_time(NANOSECONDS)
+    assert clocks.cycles.now() == began + NANOSECONDS

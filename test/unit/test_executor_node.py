@@ -32,7 +32,7 @@ class World:
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
         patch(module.time, "monotonic_ns", lambda: self.steady)
-        patch(module, "cycles", self.grid)
+        patch(module, "Cycles", self.grid)
         patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
         patch(rospy.Time, "now", lambda: to_time(self.wall))
         patch(rospy, "resolve_name", lambda name: name)

@@ -286,6 +286,81 @@ def test_a_connection_that_is_lost_while_it_sends_is_noticed(direct, topics):
     assert lost.wait(10.0)
 
 
+class Socket:
+    """Takes a first packet in part, and says in which threads it was used."""
+
+    def __init__(self, client: paho.Client, meanwhile=lambda: None, part: int = 10):
+        self.wire, self.threads = bytearray(), []
+        self._meanwhile, self._part = meanwhile, part
+        client._sock = self
+
+    def send(self, data: bytes) -> int:
+        self.threads.append(threading.get_ident())
+        if self._part and not self.wire:
+            self.wire += data[: self._part]
+            self._meanwhile()
+            return self._part
+        self.wire += data
+        return len(data)
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def test_a_packet_that_was_begun_is_ended_before_another_thread_s():
+    client = make_client(Broker(), "direct", "status", direct=True)
+    other = threading.Thread(target=lambda: client.publish("B", b"bbbb"))
+
+    def publish() -> None:
+        other.start()
+        wait_until(client.want_write, what="the other thread's packet in the queue")
+
+    sock = Socket(client, publish)
+    client.send_stream("A", b"a" * 30)
+    other.join(10.0)
+    first, second = packet("A", [], b"a" * 30), packet("B", [], b"bbbb")
+    assert bytes(sock.wire) == with_header(first) + with_header(second)
+    client._sock = None
+
+
+def test_what_paho_s_thread_serves_is_used_by_no_other():
+    """So it is with TLS: Python has no lock for a TLS socket that one thread reads and another writes."""
+    client = FastClient(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+    started, ended = threading.Event(), threading.Event()
+    client.loop_forever = lambda **_: started.set() or ended.wait(10.0)
+    client.loop_start()
+    sock = Socket(client, part=0)
+    try:
+        assert started.wait(10.0)
+        client.send_stream("t", b"x")
+        assert not sock.threads and client.want_write()
+        client.loop_write()
+        assert bytes(sock.wire) == with_header(packet("t", [], b"x"))
+    finally:
+        ended.set()
+        client._sock = None
+
+
+def test_a_callback_that_sends_on_a_lost_connection_returns():
+    client = FastClient(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+    ours, broker = socket.socketpair()
+    lost = []
+    client.on_disconnect = lambda *_: lost.append(True)
+    client.on_message = lambda *_: client.send_stream("t", b"x")
+    with ours, broker:
+        client._sock = ours
+        broker.sendall(with_header(packet("other", [], b"x")))
+        broker.shutdown(socket.SHUT_RD)
+        reader = threading.Thread(target=client.loop_read, daemon=True)
+        reader.start()
+        reader.join(10.0)
+        assert not reader.is_alive() and not lost and client.want_write()
+        # found by the loop, then
+        client.loop_write()
+        assert lost
+        client._sock = None
+
+
 def test_a_broker_that_does_not_read_gets_everything_later():
     client = FastClient(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
     ours, broker = socket.socketpair()

@@ -116,6 +116,18 @@ def test_a_frame_is_no_reason_to_refuse_a_pose():
     assert read.content is None and read.header.frame_id == "base_link" and read.position == (1.0, 2.0, 3.0)
 
 
+@pytest.mark.parametrize("kind", [JointState, Feedback])
+def test_who_looks_at_a_field_finds_it(kind):
+    """Such as rospy's statistics, or a plain subscriber of the same process, which is given the same objects."""
+    message = PoseMessage(kind, NAMES)
+    data = on_wire(message.sent(10**18, (1.0, 2.0, 3.0), 5, 7))
+    read, known = from_wire(data, message.received), from_wire(data, kind)
+    assert read.header.stamp == known.header.stamp == to_time(10**18)
+    assert all(getattr(read, field) == getattr(known, field) for field in kind.__slots__)
+    assert repr(read) == repr(known) and read.content[:2] == (10**18, (1.0, 2.0, 3.0))
+    assert not hasattr(read, "colour") and not hasattr(message.received(), "position")
+
+
 class Topic:
     """A subscription whose messages come from the test; what it hands on and what it refuses."""
 
@@ -134,9 +146,9 @@ class Topic:
         self.refused.append(reason)
         self.sentence = sentence
 
-    def hear(self, message, caller: str = "/executor") -> None:
+    def hear(self, message, caller: str = "/executor", kind: type | None = None) -> None:
         """Take a message as rospy hands it on."""
-        read = from_wire(on_wire(message), self.kind)
+        read = from_wire(on_wire(message), kind or self.kind)
         read._connection_header = {"callerid": caller}
         self.receive(read)
 
@@ -146,7 +158,9 @@ class TestSubscriber:
         topic = Topic(monkeypatch)
         topic.hear(PoseMessage(JointState, NAMES).sent(5, (1.0, 2.0, 3.0)))
         topic.hear(joint_state(6, (1.0, 2.0, 3.0)))
-        assert topic.poses == [(5, (1.0, 2.0, 3.0)), (6, (1.0, 2.0, 3.0))] and topic.refused == []
+        # of the class of another subscriber of the process, which was there first
+        topic.hear(joint_state(7, (1.0, 2.0, 3.0)), kind=JointState)
+        assert topic.poses == [(stamp, (1.0, 2.0, 3.0)) for stamp in (5, 6, 7)] and topic.refused == []
 
     def test_puts_other_orders_right(self, monkeypatch):
         topic = Topic(monkeypatch)

@@ -123,6 +123,8 @@ STRANGE = {
     "after IPOC": f'<Rob Type="KUKA">{BLOCKS}<IPOC>4</IPOC><Delay D="0"/></Rob>',
     "IPOC in an element": f'<Rob Type="KUKA">{BLOCKS}<Delay D="0"/><IPOC>4</IPOC><Tech C="1"><IPOC>8</IPOC></Tech></Rob>',
     "apostrophes": f"<Rob Type='KUKA'>{BLOCKS}<Delay D=\"0\"/><IPOC>4</IPOC></Rob>",
+    "a block in apostrophes": f"<Rob><AIPos A1='1.5'{POSITIONS[9:]}/><ASPos{POSITIONS}/><Tech><AIPos A1=\"1.5\"/></Tech>"
+    '<Delay D="0"/><IPOC>4</IPOC></Rob>',
     "IPOC only": "<Rob><IPOC>4</IPOC></Rob>",
     "without delay": f'<Rob Type="KUKA">{BLOCKS}<IPOC>4</IPOC></Rob>',
     "line ends": f'<Rob Type="KUKA">\n{BLOCKS}\n<Delay D="0"/>\n<IPOC>4</IPOC></Rob>\n',
@@ -140,6 +142,21 @@ def test_words_that_do_not_count_are_never_read(text):
         text.replace(".5", ".25").replace('"0"', '"3"'),
     ):
         assert outcome(decoder, other.encode()) == outcome(RobotDecoder(AXES), other.encode())
+
+
+@pytest.mark.parametrize("change", ["<Tech>%d</Tech>", '<Tech T%d="0"/>', "<Tech t='%d'/>"])
+def test_where_no_shape_fits_it_is_seldom_looked_for(monkeypatch, change):
+    looked = []
+    of = TelegramShape.of
+    monkeypatch.setattr(codec.TelegramShape, "of", lambda *content: looked.append(content) or of(*content))
+    decoder, plain = RobotDecoder(AXES), telegram()
+    for number in range(2 * codec.LOOK_AGAIN):
+        decoder.parse(plain.replace(b"<IPOC>", (change % number).encode() + b"<IPOC>"))
+    assert len(looked) == 2
+    # and a shape that fits is found again
+    for _ in range(codec.LOOK_AGAIN + 2):
+        assert decoder.parse(plain) == RobotDecoder(AXES).parse(plain)
+    assert decoder._shape.read(plain)
 
 
 @given(

@@ -1,4 +1,4 @@
-"""A paho client set up the way this package needs it: MQTT 5 or 3.1.1, TLS, TCP_NODELAY, a last will, user properties.
+"""A paho client set up the way this package needs it: MQTT 5 or 3.1.1, TLS, TCP_NODELAY, a last will.
 
 Standard library and paho-mqtt only. Without TCP_NODELAY, traffic in both directions on one connection waits for the peer's
 delayed acknowledgement, up to 40 ms.
@@ -98,7 +98,7 @@ def make_client(
     will : str, optional
         Empty: the topic's retained message is taken away.
     direct : bool, optional
-        Send from the thread that publishes, where the socket allows it; for a client served by `loop_start`.
+        Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
 
     Returns
     -------

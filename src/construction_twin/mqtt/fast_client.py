@@ -154,9 +154,10 @@ class FastClient(paho.Client):
         )
 
     def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
-        """Publish with QoS 0, from the caller's thread; what the socket does not take at once paho sends when it does.
+        """Publish with QoS 0, from the caller's thread unless paho has one of its own for the connection.
 
-        While there is no connection the message is dropped, as by `publish`.
+        What the socket does not take at once paho sends when it does. While there is no connection the message is dropped,
+        as by `publish`.
 
         Parameters
         ----------
@@ -165,33 +166,33 @@ class FastClient(paho.Client):
         pairs : list of (str, str), optional
             User properties; MQTT 3.1.1 has none.
         """
-        sock = self._sock
-        if sock is None:
-            return
         packet = self._publish_packet(topic.encode(), payload, pairs)
         with self._writing:
-            sent = 0
-            if not self._out_packet:
-                try:
-                    sent = sock.send(packet)
-                except OSError:
-                    # full, or lost: paho finds the same below, and looks after it
-                    pass
+            sock = self._sock
+            if sock is None:
+                return
+            if self._thread is not None or self._out_packet:
+                # with `loop_start` of paho only its thread sends: two threads must not use one TLS socket
+                self._packet_queue(paho.PUBLISH, packet, 0, 0, paho.MQTTMessageInfo(0))
+                return
+            try:
+                sent = sock.send(packet)
+            except OSError:
+                # full, or lost: paho finds the same below, and looks after it
+                sent = 0
             if sent == len(packet):
                 with self._msgtime_mutex:
                     self._last_msg_out = time.monotonic()
                 return
-            self._out_packet.append(
-                {
-                    "command": paho.PUBLISH,
-                    "mid": 0,
-                    "qos": 0,
-                    "pos": sent,
-                    "to_process": len(packet) - sent,
-                    "packet": packet,
-                    "info": paho.MQTTMessageInfo(0),
-                }
-            )
+            self._send_rest(packet, sent)
+
+    def _send_rest(self, packet: bytes, sent: int) -> None:
+        record = {"command": paho.PUBLISH, "mid": 0, "qos": 0, "packet": packet, "info": paho.MQTTMessageInfo(0)}
+        # before what other threads have queued since: a packet that was begun is sent to its end first
+        self._out_packet.appendleft({**record, "pos": sent, "to_process": len(packet) - sent})
+        # a callback must not find the connection lost while paho calls it; the loop goes on then
+        if self._in_callback_mutex.acquire(False):
+            self._in_callback_mutex.release()
             self.loop_write()
 
     def loop_write(self) -> MQTTErrorCode:
@@ -210,13 +211,14 @@ class FastClient(paho.Client):
         """Take the next packet in one piece where it is a joint string; otherwise nothing was taken, and paho reads it."""
         sock = self._sock
         # bytes of TLS can not be looked at in advance
-        if self._in_packet["command"] or type(sock) is not socket.socket:
+        in_tcp = type(sock) is socket.socket and self._protocol == MQTTProtocolVersion.MQTTv5
+        if self._in_packet["command"] or not in_tcp:
             return super()._packet_read()
         try:
             ahead = sock.recv(_AHEAD, socket.MSG_PEEK)
         except OSError:
             return super()._packet_read()
-        span = whole_publish(ahead) if self._protocol == MQTTProtocolVersion.MQTTv5 else None
+        span = whole_publish(ahead)
         plain = read_plain(ahead[span[0] : span[1]]) if span else None
         if plain is None:
             return super()._packet_read()

@@ -15,29 +15,40 @@ from construction_twin.units import CYCLE_NS
 CATCH_UP = 80_000_000
 
 
-def cycles() -> Iterator[tuple[int, int]]:
-    """Yield once per cycle until ROS shuts down.
+class Cycles:
+    """A grid that starts on ROS time and advances with the monotonic clock: a wall clock that is set does not disturb it."""
 
-    The grid starts on ROS time and advances with the monotonic clock, so a correction of the wall clock does not disturb it.
+    def __init__(self):
+        self._stamp = now_ns() // CYCLE_NS * CYCLE_NS
+        self._offset = now_ns() - time.monotonic_ns()
 
-    Yields
-    ------
-    stamp : int
-        The cycle's nominal stamp [ns], a multiple of 4 ms.
-    stalled : int
-        0, or for how long the grid was interrupted because this process was not run for more than `CATCH_UP` [ns].
-    """
-    stamp = now_ns() // CYCLE_NS * CYCLE_NS
-    offset = now_ns() - time.monotonic_ns()
-    while not rospy.is_shutdown():
-        stamp += CYCLE_NS
-        remaining = stamp - (time.monotonic_ns() + offset)
-        stalled = 0
-        if remaining > 0:
-            time.sleep(remaining / 1e9)
-        elif -remaining > CATCH_UP:
-            stalled = -remaining
-            # never back: on a clock that was set back meanwhile the grid would stand still until the clock has caught up
-            offset = max(offset, now_ns() - time.monotonic_ns())
-            stamp = max(stamp, (time.monotonic_ns() + offset) // CYCLE_NS * CYCLE_NS)
-        yield stamp, stalled
+    def now(self) -> int:
+        """Return the grid's time [ns]."""
+        return time.monotonic_ns() + self._offset
+
+    def skip(self) -> None:
+        """Leave out the cycles that have passed: nobody wanted them."""
+        self._stamp = max(self._stamp, self.now() // CYCLE_NS * CYCLE_NS)
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """Wait for one cycle after the other until ROS shuts down.
+
+        Yields
+        ------
+        stamp : int
+            The cycle's nominal stamp [ns], a multiple of 4 ms.
+        stalled : int
+            0, or for how long the grid was interrupted because this process was not run for more than `CATCH_UP` [ns].
+        """
+        while not rospy.is_shutdown():
+            self._stamp += CYCLE_NS
+            remaining = self._stamp - self.now()
+            stalled = 0
+            if remaining > 0:
+                time.sleep(remaining / 1e9)
+            elif -remaining > CATCH_UP:
+                stalled = -remaining
+                # never back: on a clock that was set back meanwhile the grid would stand still until the clock has caught up
+                self._offset = max(self._offset, now_ns() - time.monotonic_ns())
+                self.skip()
+            yield self._stamp, stalled

@@ -25,7 +25,7 @@ from construction_twin.plan import Plan as PlanContent
 from construction_twin.review import EXECUTOR, Verdict
 from construction_twin.review_log import ReviewLog
 from construction_twin.ros.convert import plan_from_msg
-from construction_twin.ros.cycle import cycles
+from construction_twin.ros.cycle import Cycles
 from construction_twin.ros.deferred_log import DeferredLog
 from construction_twin.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
@@ -114,7 +114,7 @@ class ExecutorNode:
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
-        for stamp, stalled in cycles():
+        for stamp, stalled in Cycles():
             with self._lock:
                 now = time.monotonic_ns()
                 if now - self._sync_at > SYNC_TIMEOUT:

@@ -145,7 +145,8 @@ class JointSubscriber:
             self._refused("publisher", f"message from {caller}; only {self._publisher} may publish {topic}")
             return
         try:
-            content = message.content or self._read(message)
+            # of another subscriber of this process, which was first, it has the class
+            content = getattr(message, "content", None) or self._read(message)
             if not all(map(math.isfinite, content[1])):
                 raise _not_finite(content[1])
         except PayloadError as error:

@@ -32,8 +32,8 @@ class PoseMessage:
     Attributes
     ----------
     received : type
-        Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; only where that is
-        None are the fields of `kind` filled in.
+        Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; the fields of `kind`
+        are filled in where that is None, or when somebody looks at one.
     """
 
     def __init__(self, kind: type, names: tuple[str, ...]):
@@ -94,14 +94,26 @@ def _between(names: tuple[str, ...]) -> bytes:
 def _received_class(kind: type, read) -> type:
     class Received(kind):
         def __init__(self):
-            self.content = None
+            self.content = self._data = None
 
         def deserialize(self, data):
+            self._data = data
             self.content = read(data)
             if self.content is None:
-                super().__init__()
-                super().deserialize(data)
+                self._fill()
             return self
+
+        def _fill(self):
+            super().__init__()
+            super().deserialize(self._data)
+
+        def __getattr__(self, name):
+            # a field, and nobody has filled it in: rospy's statistics ask for the header, and another subscriber of this
+            # process is given the same object
+            if name not in kind.__slots__ or self._data is None:
+                raise AttributeError(name)
+            self._fill()
+            return getattr(self, name)
 
     return Received
 

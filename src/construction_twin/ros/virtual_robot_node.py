@@ -10,7 +10,7 @@ import rospy
 
 from construction_twin.limits import MotionLimits
 from construction_twin.msg import Link
-from construction_twin.ros.cycle import cycles
+from construction_twin.ros.cycle import Cycles
 from construction_twin.ros.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.node import run_node
@@ -37,6 +37,7 @@ class VirtualRobotNode:
         robot = robot_from_parameters()
         self._robot = VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear)
         self._lock = threading.Lock()
+        self._cycles = Cycles()
         self._clock = TwinClock()
         self._limits = MotionLimits.of(robot)
         self._session: str | None = None
@@ -55,7 +56,7 @@ class VirtualRobotNode:
 
     def run(self) -> None:
         """Publish the held pose while no commands come, until shutdown."""
-        for stamp, _ in cycles():
+        for stamp, _ in self._cycles:
             self._restarted.clear()
             with self._lock:
                 if self._robot.pose is not None and self._clock.on_cycle(stamp):
@@ -64,11 +65,12 @@ class VirtualRobotNode:
             if idle > CYCLE_NS:
                 # commands come, and their poses are published with them
                 self._restarted.wait(idle / NANOSECONDS)
+                self._cycles.skip()
 
     def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
             if self._robot.execute(stamp, q):
-                if self._clock.on_command(stamp, now_ns()):
+                if self._clock.on_command(stamp, self._cycles.now()):
                     self._twin.publish(stamp, q)
                 return
         self._diagnostics.refuse(
@@ -78,7 +80,7 @@ class VirtualRobotNode:
     def _on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
             if self._robot.mirrors:
-                if self._robot.follow(stamp, q) and self._clock.on_command(stamp, now_ns()):
+                if self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.now()):
                     self._twin.publish(stamp, self._robot.pose)
             elif self._robot.take_over(q):
                 rospy.loginfo("took over the physical arm's pose")

@@ -22,7 +22,7 @@ from construction_twin.rsi.channels import (
 )
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, parse_sensor
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, AxisUnit, RsiLayout
-from construction_twin.rsi.shape import TelegramShape
+from construction_twin.rsi.shape import TelegramShape, is_count
 from construction_twin.rsi.telegram import (
     MAX_TELEGRAM,
     RobotTelegram,
@@ -43,6 +43,9 @@ __all__ = [
 
 #: Decimals of a degree or mm in a correction, as every known driver sends them (rsi.md section 3).
 CORRECTION_DECIMALS = 6
+#: Telegrams between two looks for a shape. One whose text changes from telegram to telegram has none, and looking costs as
+#: much as reading it.
+LOOK_AGAIN = 250
 
 
 class RobotDecoder:
@@ -72,6 +75,7 @@ class RobotDecoder:
         ]
         self._in_shape = (*positions, ("Delay", "D"))
         self._shape: TelegramShape | None = None
+        self._look_in = 0
         self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
 
     def parse(self, data: bytes) -> RobotTelegram:
@@ -105,11 +109,18 @@ class RobotDecoder:
             self._positions(found, self._setpoint_blocks),
             None if delay is None else read_count(delay.get("D"), "Delay D", "number"),
         )
+        if self._look_in:
+            self._look_in -= 1
+        else:
+            self._learn(data, telegram)
+        return telegram
+
+    def _learn(self, data: bytes, telegram: RobotTelegram) -> None:
+        self._look_in = LOOK_AGAIN
         self._shape = TelegramShape.of(data, self._in_shape)
         if self._shape and self._of_shape(data) != telegram:
             # the same words stand elsewhere too, e.g. in an element of an element
             self._shape = None
-        return telegram
 
     def _of_shape(self, data: bytes) -> RobotTelegram | None:
         """Read a telegram that looks like the last one; None when it does not, or when it is to be refused."""
@@ -117,7 +128,7 @@ class RobotDecoder:
         if found is None:
             return None
         ipoc, (*texts, delay) = found
-        if not delay.isdigit() or len(delay) > 19 or not all(map(is_number_in_bytes, texts)):
+        if not is_count(delay) or not all(map(is_number_in_bytes, texts)):
             return None
         count = len(self._scale)
         if texts[count:] != self._setpoint[0]:

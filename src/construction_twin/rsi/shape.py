@@ -14,7 +14,8 @@ from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: What values may consist of, all of them together, so that they cannot change what is around them.
 _is_plain = re.compile(rb"[-+.0-9A-Za-z]*").fullmatch
-_is_count = re.compile(rb"[0-9]{1,19}").fullmatch
+#: Whole numbers that need no look at their size.
+is_count = re.compile(rb"[0-9]{1,19}").fullmatch
 _TAG = re.compile(rb"<([A-Za-z]\w*)")
 _ATTRIBUTE = re.compile(rb"\s([A-Za-z]\w*)=$").search
 #: The end of a telegram, behind the last attribute.
@@ -53,8 +54,10 @@ class TelegramShape:
         -------
         shape : TelegramShape or None
             None where the text does not show at once what its values stand for: a wanted one is missing or there
-            twice, IPOC is not the last element, or something else stands in quotation marks.
+            twice, IPOC is not the last element, or something else stands in quotation marks or apostrophes.
         """
+        if b"'" in data:
+            return None
         *texts, last = data.split(b'"')[0::2]
         end = _END(last)
         keys, tag = [], ""
@@ -79,6 +82,6 @@ class TelegramShape:
         if not (last.startswith(self._before) and last.endswith(self._behind)):
             return None
         ipoc = last[len(self._before) : len(last) - len(self._behind)]
-        if not _is_count(ipoc):
+        if not is_count(ipoc):
             return None
         return int(ipoc), [values[place] for place in self._places]

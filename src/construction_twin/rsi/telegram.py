@@ -18,8 +18,9 @@ from construction_twin.errors import TelegramError
 MAX_TELEGRAM = 8192
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
-is_number = re.compile(r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?").fullmatch
-is_number_in_bytes = re.compile(rb"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?").fullmatch
+_NUMBER = r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?"
+is_number = re.compile(_NUMBER).fullmatch
+is_number_in_bytes = re.compile(_NUMBER.encode()).fullmatch
 _COUNT = re.compile(r"[0-9]{1,20}").fullmatch
 _UINT64_MAX = 2**64 - 1
 
