@@ -148,11 +148,14 @@ def watch(core: int, priority: int, period: int) -> None:
         except PermissionError:
             print("machine probe: SCHED_FIFO not permitted", file=sys.stderr)
     late: list[tuple[int, int]] = []
+    looked, worked = time.monotonic_ns(), time.process_time_ns()
     while True:
-        due = time.monotonic_ns() + period
         asked, _, _ = select.select([sys.stdin], [], [], period / 1e9)
-        # also a pause in which somebody asked
-        if (now := time.monotonic_ns()) - due > PAUSE:
+        now, work = time.monotonic_ns(), time.process_time_ns()
+        # also a pause in which somebody asked, or between two looks; what an answer takes is none
+        due = looked + period + work - worked
+        looked, worked = now, work
+        if now - due > PAUSE:
             late.append((due, now))
         if asked:
             if not sys.stdin.readline():
