@@ -151,22 +151,24 @@ def watch(core: int, priority: int, period: int) -> None:
         except PermissionError:
             print("machine probe: SCHED_FIFO not permitted", file=sys.stderr)
     late: list[tuple[int, int]] = []
-    looked, worked = time.monotonic_ns(), time.process_time_ns()
+    looked, answering = time.monotonic_ns(), 0
     while True:
         asked, _, _ = select.select([sys.stdin], [], [], period / 1e9)
-        now, work = time.monotonic_ns(), time.process_time_ns()
-        # also a pause in which somebody asked, or between two looks; what an answer takes is none
-        due = looked + period + work - worked
-        looked, worked = now, work
+        now = time.monotonic_ns()
+        # also a pause in which somebody asked, or between two looks; the work of an answer is none
+        due = looked + answering + period
+        looked, answering = now, 0
         if now - due > SLIVER:
             late.append((due, now))
         if asked:
+            began = time.process_time_ns()
             if not sys.stdin.readline():
                 return
             lengths = [(end - begin) / 1e6 for begin, end in late if end - begin > PAUSE]
             seen = {"pauses": len(lengths), "longest_ms": round(max(lengths, default=0.0), 1), "stood_ms": sum(lengths)}
             print(json.dumps(seen | {"intervals": late, "above": above}), flush=True)
             late.clear()
+            answering = time.process_time_ns() - began
 
 
 if __name__ == "__main__":
