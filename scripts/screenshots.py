@@ -201,7 +201,7 @@ SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     "one": (("bringup.launch",), "kr120", shoot_one),
     "marker": (("bringup.launch", "tool_marker:=true"), "kr120", shoot_marker),
     "track": (("bringup.launch", "track:=true"), "kr120", shoot_track),
-    # without arms: two whole robots and rviz are more than two cores carry
+    # without arms: two whole robots want two cores for themselves, and rviz takes one
     "two_robots": (("two_robots.launch", "arm:=none"), "", shoot_two),
 }
 

@@ -263,6 +263,11 @@ class DirectClient(FastClient):
         super().__init__(*arguments, **options)
         self._server: threading.Thread | None = None
 
+    def _loop_rc_handle(self, rc: MQTTErrorCode) -> MQTTErrorCode:
+        # a lost connection is looked after by the thread that serves it, which finds it, too: who sends would call `on_disconnect`
+        # with paho's locks in another order, and after the next connection is there
+        return super()._loop_rc_handle(rc) if threading.current_thread() is self._server else rc
+
     def loop_start(self) -> MQTTErrorCode:
         """Connect, and serve the connection until `disconnect`; with paho's own `loop_start` only its thread would send."""
         options = {"timeout": _LOOP_TIMEOUT, "retry_first_connection": True}

@@ -26,6 +26,11 @@ class Cycles:
         """Return the grid's time [ns]."""
         return time.monotonic_ns() + self._offset
 
+    def reach(self, stamp: int) -> int:
+        """Never lag behind a stamp that somebody else's grid has reached [ns], on a clock that was set since; return `now`."""
+        self._offset = max(self._offset, stamp - time.monotonic_ns())
+        return self.now()
+
     def skip(self) -> None:
         """Leave out the cycles that have passed: nobody wanted them."""
         self._stamp = max(self._stamp, self.now() // CYCLE_NS * CYCLE_NS)

@@ -104,8 +104,10 @@ def _received_class(kind: type, read) -> type:
             return self
 
         def _fill(self):
-            super().__init__()
-            super().deserialize(self._data)
+            # a field is there only once it is right: another thread may look as well
+            filled = kind().deserialize(self._data)
+            for field in kind.__slots__:
+                setattr(self, field, getattr(filled, field))
 
         def __getattr__(self, name):
             # a field, and nobody has filled it in: rospy's statistics ask for the header, and another subscriber of this

@@ -70,7 +70,7 @@ class VirtualRobotNode:
     def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
             if self._robot.execute(stamp, q):
-                if self._clock.on_command(stamp, self._cycles.now()):
+                if self._clock.on_command(stamp, self._cycles.reach(stamp)):
                     self._twin.publish(stamp, q)
                 return
         self._diagnostics.refuse(
@@ -80,7 +80,7 @@ class VirtualRobotNode:
     def _on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
             if self._robot.mirrors:
-                if self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.now()):
+                if self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp)):
                     self._twin.publish(stamp, self._robot.pose)
             elif self._robot.take_over(q):
                 rospy.loginfo("took over the physical arm's pose")
