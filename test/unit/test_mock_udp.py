@@ -117,6 +117,17 @@ def test_a_one_second_has_250_packets_on_an_absolute_grid(robot, pc):
     assert counters["foreign"] == counters["send_errors"] == 0
 
 
+def test_says_when_a_packet_left_not_when_somebody_asks(robot, pc):
+    left = {}
+    with running(robot, pc.address, observe=lambda mock: left.update({mock.controller.ipoc: mock.left})):
+        wait_for(lambda: len(pc.received) >= 50)
+    received = {packet.ipoc: at for at, packet, _ in pc.received}
+    known = sorted(received.keys() & left.keys())
+    assert len(known) >= 49
+    # nobody can have reacted before
+    assert all(left[ipoc] < received[ipoc] for ipoc in known)
+
+
 def test_packets_can_be_doubled_dropped_and_delayed_on_purpose(robot, pc):
     with running(robot, pc.address) as mock:
         wait_for(lambda: len(pc.received) >= 20)

@@ -6,6 +6,7 @@ import gc
 import json
 import sys
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import asdict
 from queue import SimpleQueue
@@ -81,10 +82,11 @@ class MockRsiNode:
         due = self._cycle % _STATUS_CYCLES == 0 or state != self._reported
         self._cycle += 1
         self._reported = state
-        now = now_ns()
-        self._outbox.put((now, self._controller.true, self._snapshot(now) if due else None))
+        # whoever reacts to the packet may be quicker than this thread
+        stamp = now_ns() - (time.monotonic_ns() - mock.left)
+        self._outbox.put((stamp, self._controller.true, self._snapshot(stamp) if due else None))
 
-    def _snapshot(self, now: int) -> dict:
+    def _snapshot(self, stamp: int) -> dict:
         controller, linear = self._controller, self._robot.linear
         return {
             "state": "running" if controller.running else "stopped",
@@ -99,7 +101,7 @@ class MockRsiNode:
             "correction_lower_deg": to_wire(controller.correction_lower, linear),
             "correction_upper_deg": to_wire(controller.correction_upper, linear),
             "correction_monitor_deg": to_wire(controller.correction_monitor, linear),
-            "stamp": now,
+            "stamp": stamp,
             "faults": self._mock.faults.active,
             "stop_ramp": self._ramp(),
             "counters": self._mock.counters,

@@ -64,6 +64,8 @@ class MockRsi:
         Datagrams that did not come from the gateway.
     send_errors : int
         Packets the system refused to send.
+    left : int
+        When the last packet left, on the monotonic clock [ns]: what the cycle did to the arm cannot be seen before.
 
     Raises
     ------
@@ -82,7 +84,7 @@ class MockRsi:
     ):
         self.controller = controller
         self.faults = FaultBoard(controller, fault_seed)
-        self.overruns = self.skipped = self.foreign = self.send_errors = 0
+        self.overruns = self.skipped = self.foreign = self.send_errors = self.left = 0
         self._gateway = _resolve(*gateway)
         self._restart_after = round(restart_after * NANOSECONDS)
         self._observe = observe
@@ -122,6 +124,7 @@ class MockRsi:
                 self._follow_session(due)
                 self.faults.tick()
                 packet = self.controller.begin_cycle()
+                self.left = time.monotonic_ns()
                 if packet is not None:
                     self._send(packet)
                 sent = time.monotonic_ns()
