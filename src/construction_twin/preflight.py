@@ -10,6 +10,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from construction_twin.addresses import is_loopback
+
 _BOOLEAN = "true or false"
 #: Arguments with a few allowed values.
 CHOICES = {
@@ -47,6 +49,10 @@ def problem(given: Mapping[str, str], is_file: Callable[[str], bool]) -> str:
             return f"{name}:={value or chr(39) * 2}: expected {expected}"
     if given.get("broker") == "true" and "broker_config" in given and not is_file(given["broker_config"]):
         return f"broker_config:={given['broker_config']}: expected the path of a file; or use another broker with broker:=false"
+    listen = given.get("rsi_listen", "127.0.0.1")
+    served_here = given.get("arm") != "none" and given.get("gateway", "true").lower() in ("true", "1")
+    if served_here and not given.get("rsi_controller") and not is_loopback(listen):
+        return f"rsi_controller:='': expected the controller's address, because rsi_listen:={listen} is reached from a network"
     return ""
 
 

@@ -33,6 +33,8 @@ BETWEEN = {ONE: (-60.0, -50.0, 50.0, 0.0, 90.0, 0.0), TWO: (60.0, -50.0, 50.0, 0
 BEYOND = (100.0, -50.0, 50.0, 0.0, 90.0, 0.0)
 #: Bound of the average error without lag, and of the final error, at 3 decimals [rad], as of the main experiment.
 BOUND = 1e-5
+#: Of the average in a run with late replies.
+DISTURBED = 2.0e-4
 DURATION = 3.0
 #: What the evaluation reads of each robot.
 RECORDED = ("twin/joint_states", "physical/joint_states", "physical/feedback", "plan", "execution", "link")
@@ -246,13 +248,15 @@ class TwoRobotsTest(unittest.TestCase):
         self.assertGreater(sent, 700)
         aligned = align_lag_removed(run, window, 2 * CYCLE_NS)
         # none on a machine that is idle besides; since this gateway began
-        late = {pair.key: pair.value for pair in arm.newest[Link].gateway_counters}.get("late_replies", "0")
+        late = int({pair.key: pair.value for pair in arm.newest[Link].gateway_counters}.get("late_replies", 0))
         print(
             f"{arm.name}: average {aligned.average}, maximum {aligned.maximum} rad; {late} late replies since the begin",
             flush=True,
         )
-        # the median cycle: on a busy machine a missed reply adds a step of the arm, which the average and the fitted lag contain
-        np.testing.assert_array_less(np.median(np.abs(aligned.errors), axis=0), BOUND)
+        # a late reply lets the arm stand for a cycle (HOLDON), and with it the average, though not the median; as in the main experiment
+        typical = np.median(np.abs(aligned.errors), axis=0) if late else aligned.average
+        np.testing.assert_array_less(typical, BOUND)
+        np.testing.assert_array_less(aligned.average, DISTURBED)
         final = np.abs(run.physical.positions[-1] - radians(AWAY[arm.name]))
         np.testing.assert_array_less(final, BOUND)
 

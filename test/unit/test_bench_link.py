@@ -108,13 +108,14 @@ def test_rounds_are_pooled_not_averaged(modules):
     [
         ([(1, 1.0, 0), (2, 1.9, 0)], None),
         ([(1, 1.0, 0), (2, 1.9, 0), (4, 2.1, 0), (8, 30.0, 9)], 4),
-        ([(1, 1.0, 0), (2, 1.0, 3)], 2),
+        ([(1, 1.0, 5), (2, 1.0, 10), (4, 1.0, 30)], 4),
         ([(1, 1.0, 0), (2, None, None)], 2),
     ],
 )
-def test_knee_is_where_latency_doubles_or_a_reply_is_late(modules, rows, expected):
+def test_knee_is_where_latency_doubles_or_replies_are_late(modules, rows, expected):
     rows = [dict(zip(("robots", "p99_ms", "late"), row)) for row in rows]
-    assert modules("link").knee(rows) == expected
+    # 5000 cycles per robot
+    assert modules("link").knee(rows, 20.0) == expected
 
 
 def test_command_to_rsi_uses_the_reply_that_carried_the_target(modules):

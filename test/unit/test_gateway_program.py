@@ -147,6 +147,14 @@ def test_the_controller_may_be_given_by_name_or_not_at_all(broker, topics, confi
         assert arm.replies == [(0.0, 0.0)]
 
 
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "krc4.local"])
+def test_on_a_network_it_does_not_start_without_knowing_its_controller(config_file, host):
+    run = [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", str(config_file), "--listen", f"{host}:0"]
+    result = subprocess.run(run, capture_output=True, text=True, timeout=60.0, check=False)
+    assert result.returncode == 2 and "Traceback" not in result.stderr
+    assert "--controller" in result.stderr and host in result.stderr
+
+
 def test_telegrams_from_another_address_are_told_once(broker, topics, config_file):
     with (
         client_of(broker, topics) as client,

@@ -171,6 +171,15 @@ def test_a_stalled_joint_s_error_may_grow_until_the_gate_closes_and_no_further()
     assert failed(verdict_of(stall_expectation(), bad)) == [GROWTH]
 
 
+@pytest.mark.parametrize("joint, further, fails", [(0, 0.0, []), (0, 0.01, ["way after silence"]), (2, 0.01, [])])
+def test_no_sound_joint_goes_further_than_the_gateway_stated(joint, further, fails):
+    stated, moved = [1.0] * 6, [1.0] * 6
+    moved[joint] += further
+    run = dataclasses.replace(stalled_run(), stops=(("silence", tuple(stated), tuple(moved)),))
+    # A3 is the joint that stalls
+    assert failed(verdict_of(stall_expectation(), run)) == fails
+
+
 @pytest.mark.parametrize("stated, fails", [(3.0, []), (0.5, ["stated stop distance"])])
 def test_an_emergency_stop_ends_within_what_the_controller_stated(stated, fails):
     arm, count = profile(), np.minimum(np.arange(COUNT - FAULT), 40)

@@ -129,6 +129,7 @@ FINE = {
         ({"robot_config": ""}, "robot_config:='': expected the absolute path"),
         ({"scene": "/nope"}, "scene:=/nope: expected the absolute path"),
         ({"broker_config": "/nope"}, "broker_config:=/nope: expected"),
+        ({"rsi_listen": "192.168.1.10", "rsi_controller": ""}, "rsi_controller:='': expected the controller's address"),
         ({"servo": "perfect"}, "servo:=perfect: expected ideal or realistic"),
     ],
 )
@@ -138,6 +139,9 @@ def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
 
 def test_arguments_that_can_work_pass():
     assert preflight.problem(FINE, "/a".__eq__) == ""
+    network = {"rsi_listen": "192.168.1.10", "rsi_controller": ""}
+    for fine in ({"rsi_controller": "krc4"}, {"rsi_listen": "127.0.0.2"}, {"gateway": "false"}, {"arm": "none"}):
+        assert preflight.problem(FINE | network | fine, "/a".__eq__) == ""
     assert preflight.problem(FINE | {"broker": "false", "broker_config": "/nope"}, "/a".__eq__) == ""
 
 

@@ -6,7 +6,6 @@ delayed acknowledgement, up to 40 ms.
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import secrets
 import socket
@@ -17,6 +16,7 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from construction_twin.addresses import is_loopback
 from construction_twin.errors import ConfigurationError
 from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.fast_client import DirectClient, FastClient
@@ -54,7 +54,7 @@ class Broker:
     def __post_init__(self):
         if self.protocol not in _PROTOCOLS:
             raise ConfigurationError("protocol", self.protocol, "one of " + ", ".join(sorted(_PROTOCOLS)))
-        if self.account is not None and not self.encrypted and not _is_loopback(self.host):
+        if self.account is not None and not self.encrypted and not is_loopback(self.host):
             raise ConfigurationError(
                 f"{self.account.name}: ca_file",
                 "",
@@ -65,13 +65,6 @@ class Broker:
     def encrypted(self) -> bool:
         """True when the connection is TLS."""
         return self.account is not None and bool(self.account.ca_file)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def unique_id(robot: str, role: str) -> str:

@@ -79,6 +79,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
         missed=int(missed[-1] - missed[0]),
         missed_at=told[np.diff(missed, prepend=missed[0]) > 0],
         failure=notes["failure"],
+        stops=tuple(dict.fromkeys(_stops(messages.get("link", [])))),
         stated=next((tuple(report["stop_ramp"]["distance_deg"]) for report in reports if report["stop_ramp"]), ()),
     )
 
@@ -114,6 +115,14 @@ def _faults(reports: list[dict]) -> Iterator[Change]:
             session = report["session"]
             yield Change(report["stamp"], "session", str(session), report["reason"])
         before = now
+
+
+def _stops(messages: list) -> Iterator[tuple[str, tuple, tuple]]:
+    for message in messages:
+        told = {pair.key: pair.value for pair in message.gateway_counters}
+        if told.get("stop_took_s"):
+            ways = (tuple(map(float, told[f"stop_{name}_deg"].split())) for name in ("distance", "moved"))
+            yield told["stop_cause"], *ways
 
 
 def _transitions(messages: list) -> Iterator[Change]:

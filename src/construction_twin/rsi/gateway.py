@@ -18,6 +18,7 @@ import time
 
 from paho.mqtt import client as paho
 
+from construction_twin.addresses import is_loopback
 from construction_twin.errors import (
     ConfigurationError,
     ConstructionTwinError,
@@ -293,7 +294,8 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--controller",
         metavar="HOST",
-        help="read telegrams from this address only; a name is looked up once, at the start; empty: from any",
+        help="read telegrams from this address only; a name is looked up once, at the start; without one --listen must be"
+        " a loopback address",
     )
     parser.add_argument("--broker", default="127.0.0.1:1883", metavar="HOST:PORT", help="MQTT broker [%(default)s]")
     parser.add_argument(
@@ -332,6 +334,9 @@ def _run(arguments: argparse.Namespace) -> int:
         address = _listen_address(arguments.listen, config)
         told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
         controller = address_of(arguments.controller, "--controller") if arguments.controller else None
+        if controller is None and not is_loopback(address[0]):
+            expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"
+            raise ConfigurationError("--controller", "", expected)
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)

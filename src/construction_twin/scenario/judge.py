@@ -101,6 +101,7 @@ def judge(scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: Mot
     checks += _corrections(trace, limits, decimals, measured)
     checks += _arm(scenario, run, limits, decimals, measured)
     checks += _stop(scenario, run, limits, measured)
+    checks += _gateway_stops(scenario, run, limits)
     return Verdict(scenario.name, scenario.title, tuple(checks), measured)
 
 
@@ -324,6 +325,17 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
     others = [float(share[columns].max()) for share in limit_shares(run.arm, breaks, limits, decimals, missed)]
     found = f"velocity {others[0]:.3f}, acceleration {others[1]:.3f} of the limits beside {run.missed} missed replies"
     return [Check("sound joints inside the limits", "at most 1", found, max(others) <= 1.0 + ROUNDING)]
+
+
+def _gateway_stops(scenario: Scenario, run: Run, limits: MotionLimits) -> list[Check]:
+    """No sound joint goes further than the gateway stated when it began to brake."""
+    sound = [index for index, name in enumerate(limits.names) if name not in scenario.faulted]
+    checks = []
+    for cause, stated, moved in run.stops:
+        further = max((moved[index] - stated[index] for index in sound), default=0.0)
+        expected = f"no joint further than the gateway stated, {max(stated):.4f} deg for the one that moves most"
+        checks.append(Check(f"way after {cause}", expected, f"{further:+.4f} deg", further <= STATED_DEG))
+    return checks
 
 
 def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) -> list[Check]:

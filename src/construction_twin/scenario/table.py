@@ -24,6 +24,8 @@ _HEAD = (
     "worst error [deg]",
     "worst velocity",
     "worst acceleration",
+    "missed replies",
+    "arm, worst acceleration",
     "stop distance [deg]",
     "passed",
 )
@@ -90,6 +92,10 @@ def _row(name: str, runs: list[dict]) -> Iterable[str]:
     yield f"{worst['worst_error_deg']:.3f} ({worst['worst_joint']})"
     for share in ("velocity_share", "acceleration_share"):
         yield f"{max(m[share] for m in measured):.3f}"
+    yield _span([m["missed_replies"] for m in measured], 0)
+    # None: no joint is sound
+    shares = [m["arm_acceleration_share"] for m in measured if m["arm_acceleration_share"] is not None]
+    yield f"{max(shares):.3f}" if shares else "–"
     yield _span([m["stop_distance_deg"] for m in measured], 3)
     yield f"{sum(run['passed'] for run in runs)} of {len(runs)}"
 

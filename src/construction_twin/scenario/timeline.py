@@ -74,6 +74,9 @@ class Run:
         When it said so [ns].
     failure : str
         Why the run was not carried out to its end; empty when it was.
+    stops : tuple of (str, tuple, tuple)
+        Of each stop that the gateway reported to its end: cause, the way of each joint that it stated when it began, and the
+        way that the arm went [deg], [mm] where linear.
     stated : tuple of float
         Way of each axis to rest, as the controller stated it when an emergency stop began [deg]; empty without one.
     """
@@ -86,6 +89,7 @@ class Run:
     missed: int
     missed_at: np.ndarray
     failure: str = ""
+    stops: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = ()
     stated: tuple[float, ...] = ()
 
     @property
