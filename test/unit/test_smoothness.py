@@ -75,3 +75,23 @@ def test_smoothing_takes_the_ripple_of_three_decimals_out(smoothness):
     for cycles, left in ((2, 0.34), (3, 0.17), (4, 0.10)):
         assert rows[3, cycles] == pytest.approx(rows[3, 0] * left, rel=0.1)
     assert rows[6, 0] < rows[4, 0] / 50 < rows[3, 0] / 400
+
+
+@pytest.mark.parametrize(
+    "name", ["ideal", "delay_20_10", "stall_50ms_1s", "stall_200ms_5s", "cut_1s", "loss_1", "loss_5"]
+)
+def test_without_properties_it_stays_inside_the_limits_on_arrival_times(smoothness, name):
+    """Delay and stalls below `silence` are played as they were meant; what is lost or comes later stops the arm."""
+    robot = smoothness.read_robot()
+    motion = smoothness.planned_motion(robot)
+    played = smoothness.play(motion, smoothness.make_config(robot, properties=False), smoothness.PROFILES[name])
+    moved = played.positions[round((smoothness.WARM_UP - 1.0) / 0.004) :]
+    velocity, acceleration = np.diff(moved, axis=0) / 0.004, np.diff(moved, 2, axis=0) / 0.004**2
+    assert (np.abs(velocity).max(axis=0) <= np.array(robot.velocity) * 1.001).all()
+    # with the rounding of 6 decimals
+    assert (np.abs(acceleration).max(axis=0) <= np.array(robot.acceleration) * 1.02).all()
+    stops = {reason for reason in played.status["counters"] if reason.startswith("stops_")}
+    lossless, short = not name.startswith("loss"), name in ("ideal", "delay_20_10", "stall_50ms_1s")
+    assert stops == (set() if short else {"stops_silence"} if lossless else {"stops_refused"})
+    if short:
+        assert smoothness.ratios(played, motion, robot)["acc_ratio"] <= smoothness.TARGET
