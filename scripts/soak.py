@@ -3,7 +3,7 @@
 Gateway, mock controller, bridge, broker and a commander on ROS that moves the arm all the time. Every minute a line: resident memory per
 process, late replies, lost commands and states, the distance from a command to its RSI packet beyond the playout's delay, and how often
 and for how long the machine itself ran nobody (benchmarks/machine.py), how many replies were held up, and how many of these no
-pause explains, also a short one.
+pause explains, also one of 0.25 ms.
 `python scripts/soak.py --minutes 5` is a shorter run. The exit code is 0 when the verdict is good.
 """
 
@@ -174,7 +174,7 @@ def verdict(minutes: list[Minute]) -> list[str]:
         ours = "nobody knows how many" if None in by_us else sum(by_us)
         machine = (
             f"the machine ran nobody on a core {pauses} times for more than 1 ms, at most {longest:.1f} ms; "
-            f"of {held} replies held up {ours} beside no pause, however short"
+            f"of {held} replies held up {ours} beside no pause of 0.25 ms"
         )
         wrong.append(f"{late} cycles late, skipped or irregular ({machine})")
     if lost:

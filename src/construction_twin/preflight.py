@@ -29,7 +29,7 @@ NUMBERS = {
     "frame_rate": (1, 250),
 }
 #: Files that must be there, and those that may be left out.
-FILES = ("robot_xacro", "robot_config", "joint_state_publisher_config", "self_collision", "ethernet_xml")
+FILES = ("robot_xacro", "robot_config", "self_collision", "ethernet_xml")
 OPTIONAL_FILES = ("scene", "bridge_account", "gateway_account")
 
 

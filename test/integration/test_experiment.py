@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import rostest
-from twin_client import case
+from twin_client import BOUND, DISTURBED, case
 
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.ros.bag import read_recording
@@ -19,10 +19,6 @@ from construction_twin.units import CYCLE_NS
 
 FILES = ("experiment.bag", "table1.csv", "figure8.png", "figure9.png", "timing.png", "summary.json")
 AXES = tuple(f"joint_a{number}" for number in range(1, 7))
-#: Largest error that rounding to 3 decimals of a degree leaves, with a margin [rad].
-BOUND = 1.0e-5
-#: And with replies that a busy machine made late, every twentieth of them a whole cycle at the task's speed [rad].
-DISTURBED = 2.0e-4
 #: Longest that the experiment may take [s].
 TIME_LIMIT = 120
 

@@ -2,6 +2,7 @@
 """Two arms at once: both inside the bounds, one's fault leaves the other alone, and neither gets into the other's way."""
 
 import json
+import os
 import sys
 import tempfile
 import unittest
@@ -16,7 +17,7 @@ from construction_twin.msg import Conflict, Execution, Link, Plan, Sync
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from twin_client import case, wait
+from twin_client import BOUND, DISTURBED, case, wait
 
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.evaluation.recording import Recording
@@ -27,16 +28,14 @@ from construction_twin.ros.recorder import Recorder
 from construction_twin.units import CYCLE_NS, radians
 
 ONE, TWO = "kr120_1", "kr120_2"
+#: Whether there are physical arms behind the twins; two_robots.test asks the same.
+ARMS = os.environ.get("TWO_ROBOTS_ARM", "none") != "none"
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 #: Turned away from the other arm; stretched out into the space between them. A1 turns clockwise.
 AWAY = {ONE: (60.0, -75.0, 70.0, 20.0, 75.0, 30.0), TWO: (-60.0, -75.0, 70.0, 20.0, 75.0, 30.0)}
 BETWEEN = {ONE: (-60.0, -50.0, 50.0, 0.0, 90.0, 0.0), TWO: (60.0, -50.0, 50.0, 0.0, 90.0, 0.0)}
 #: Behind where the other arm is then.
 BEYOND = (100.0, -50.0, 50.0, 0.0, 90.0, 0.0)
-#: Bound of the average error without lag, and of the final error, at 3 decimals [rad], as of the main experiment.
-BOUND = 1e-5
-#: Of the average in a run with late replies.
-DISTURBED = 2.0e-4
 DURATION = 3.0
 #: What the evaluation reads of each robot.
 RECORDED = ("twin/joint_states", "physical/joint_states", "physical/feedback", "plan", "execution", "link")
@@ -163,11 +162,18 @@ class Arm:
         assert answer.success, f"{service} of {self.name}: {answer.message}"
 
 
+def with_arms(part):
+    """Leave out a part that needs physical arms where there are none; rosunit would count one that is skipped as passed."""
+    return part if ARMS else None
+
+
 class TwoRobotsTest(unittest.TestCase):
     """One story in the order of its parts; each begins and ends with both arms at home."""
 
     @classmethod
     def setUpClass(cls):
+        if not ARMS:
+            print("left out what needs arms: TWO_ROBOTS_ARM=mock rostest construction_twin two_robots.test", flush=True)
         rospy.init_node("test_two_robots")
         cls.one, cls.two = Arm(ONE), Arm(TWO)
 
@@ -217,8 +223,8 @@ class TwoRobotsTest(unittest.TestCase):
         for arm in arms:
             arm.go(HOME)
 
+    @with_arms
     def test_1_both_move_at_once_inside_the_bounds(self):
-        self.need_arms()
         arms = self.one, self.two
         topics = [f"/{arm.name}/{topic}" for arm in arms for topic in RECORDED]
         with tempfile.TemporaryDirectory() as folder:
@@ -240,13 +246,6 @@ class TwoRobotsTest(unittest.TestCase):
         for arm in arms:
             arm.go(HOME)
 
-    def need_arms(self) -> None:
-        if not self.one.has_arm:
-            self.skipTest(
-                "without physical arms: two whole robots at 250 Hz want two cores for themselves: "
-                "TWO_ROBOTS_ARM=mock rostest construction_twin two_robots.test"
-            )
-
     def assert_errors(self, run: Recording, arm: Arm) -> None:
         window = task_window(run)
         self.assertTrue(window.from_plan)
@@ -267,8 +266,8 @@ class TwoRobotsTest(unittest.TestCase):
         final = np.abs(run.physical.positions[-1] - radians(AWAY[arm.name]))
         np.testing.assert_array_less(final, BOUND)
 
+    @with_arms
     def test_2_a_fault_in_one_leaves_the_other_alone(self):
-        self.need_arms()
         held = self.one.start(AWAY[ONE])
         running = self.two.start(AWAY[TWO])
         self.one.stall(True)

@@ -34,6 +34,9 @@ LEFT = (30.0, -75.0, 70.0, 20.0, 70.0, -40.0)
 RIGHT = (-30.0, -80.0, 80.0, -20.0, 75.0, 30.0)
 #: A motion that ended at a pose has come this close to it on every joint [rad], [m]; rounding to 3 decimals alone is 8.73e-6.
 FINAL_ERROR = 1e-5
+#: Bound of the average error without lag at 3 decimals; and with replies that a busy machine made late, every twentieth of them a whole
+#: cycle at the task's speed [rad].
+BOUND, DISTURBED = 1.0e-5, 2.0e-4
 
 
 class Stream:

@@ -109,11 +109,6 @@ class Playout:
         return max(0, self._now + self._put_off - self._newest)
 
     @property
-    def put_off(self) -> int:
-        """How far a speed limit has made playout time trail [ns]."""
-        return self._put_off
-
-    @property
     def backlog(self) -> int:
         """How much motion, in the sender's time, a speed limit has put off [ns]; rest that is still to come does not count."""
         commands = self._commands
