@@ -28,7 +28,7 @@ bench: setup
 	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'
 
 properties: setup
-	@bash -c 'source .ws/env.bash && HYPOTHESIS_PROFILE=random exec python -m pytest -q -p no:cacheprovider $$(grep -l "^from hypothesis" test/unit/test_*.py) $(ARGS)'
+	@bash -c 'source .ws/env.bash && HYPOTHESIS_PROFILE=random exec python -m pytest -q -p no:cacheprovider $$(grep -rl "^from hypothesis" test/unit --include="test_*.py") $(ARGS)'
 
 fuzz: setup
 	@bash -c 'source .ws/env.bash && python scripts/fuzz.py $(ARGS)'
@@ -40,7 +40,7 @@ soak: setup
 	@bash -c 'source .ws/env.bash && python scripts/soak.py $(ARGS)'
 
 screenshots: setup
-	@bash -c 'source .ws/env.bash && exec python scripts/screenshots.py "$$@"' screenshots $(ARGS)
+	@bash -c 'source .ws/env.bash && exec python tools/screenshots.py "$$@"' screenshots $(ARGS)
 
 clean:
 	rm -rf .ws

@@ -1,21 +1,5 @@
 from catkin_pkg.python_setup import generate_distutils_setup
-from setuptools import setup
+from setuptools import find_packages, setup
 
-setup(
-    **generate_distutils_setup(
-        packages=[
-            "construction_twin",
-            "construction_twin.cli",
-            "construction_twin.evaluation",
-            "construction_twin.kinematics",
-            "construction_twin.model",
-            "construction_twin.mqtt",
-            "construction_twin.planning",
-            "construction_twin.ros",
-            "construction_twin.rsi",
-            "construction_twin.scenario",
-            "construction_twin.scene",
-        ],
-        package_dir={"": "src"},
-    )
-)
+# catkin reads this file with the repository as its working folder
+setup(**generate_distutils_setup(packages=find_packages("src"), package_dir={"": "src"}))

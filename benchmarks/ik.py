@@ -25,12 +25,12 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.inverse import IkSettings, InverseKinematics, inverse_kinematics
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.solution import refine, residual
-from construction_twin.motion_errors import KinematicsError
-from construction_twin.robot import RobotModel, read_robot_files
+from construction_twin.robot.description import RobotModel, read_robot_files
 
 ROOT = Path(__file__).resolve().parent.parent
 ROBOTS = {

@@ -21,8 +21,8 @@ import link_reply
 import smoothness
 from link_world import REALTIME, ROOT, end_in_order, environment, spread_ms
 
-from construction_twin.realtime import release_realtime, request_realtime
-from construction_twin.units import CYCLE
+from construction_twin.core.realtime import release_realtime, request_realtime
+from construction_twin.core.units import CYCLE
 
 ROUTES = ("ros_to_mqtt", "mqtt_to_ros", "round_trip", "duplex")
 SUBJECTS = ("ours", "floor")

@@ -15,13 +15,13 @@ from link_mqtt import MqttEnd, publish_packet, read_publish
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, free_port
 from machine import Replies
 
-from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.core.histogram import percentile
+from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, read_state_properties
-from construction_twin.robot import read_robot_files
-from construction_twin.rsi.config import GatewayConfig
-from construction_twin.rsi.export import gateway_config
-from construction_twin.rsi.histogram import percentile
-from construction_twin.units import CYCLE, CYCLE_NS
+from construction_twin.robot.description import read_robot_files
+from construction_twin.ros.shared.gateway_export import gateway_config
 
 
 def gateway_settings() -> dict:
@@ -71,10 +71,10 @@ class Cell:
             prefix,
         ]
         self.gateway = world.start(
-            f"{name}-gateway", [*package, "construction_twin.rsi.gateway", *options, "--realtime", priority]
+            f"{name}-gateway", [*package, "construction_twin.gateway", *options, "--realtime", priority]
         )
         options = ["--gateway", listen, "--restart-after", 1.0, "--realtime", priority]
-        self.mock = world.start(f"{name}-mock", [*package, "construction_twin.rsi.mock", *options])
+        self.mock = world.start(f"{name}-mock", [*package, "construction_twin.mock", *options])
 
     @property
     def pids(self) -> tuple[int, int]:

@@ -26,12 +26,12 @@ from link_mqtt import MqttEnd, read_publish
 from link_routes import bridge_parameters
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end_in_order, spread_ms, wait_for
 
+from construction_twin.core.realtime import release_realtime, request_realtime
+from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.mqtt.messages import read_command_properties, read_state_properties
-from construction_twin.realtime import release_realtime, request_realtime
-from construction_twin.robot import read_robot_files
-from construction_twin.ros.joint_stream import QUEUE, JointPublisher
-from construction_twin.rsi.export import gateway_config
-from construction_twin.units import CYCLE, CYCLE_NS
+from construction_twin.robot.description import read_robot_files
+from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher
 
 PREFIX = "fleet"
 #: Between the first command and the measurement [s].

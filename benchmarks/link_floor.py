@@ -14,8 +14,8 @@ from construction_twin.msg import Feedback
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from construction_twin.realtime import request_realtime
-from construction_twin.ros.joint_stream import QUEUE
+from construction_twin.core.realtime import request_realtime
+from construction_twin.ros.transport.joint_stream import QUEUE
 
 
 class Forwarded(Feedback):

@@ -15,7 +15,7 @@ from io import BytesIO
 from construction_twin.msg import Feedback
 from link_mqtt import MqttEnd, publish_packet, read_publish
 
-from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import StateProperties, Topics, read_command_properties
 
 _PERIOD_OF_STATUS = 1.0

@@ -25,11 +25,11 @@ from link_cell import gateway_settings
 from link_peer import Heard, Task, serve
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end_in_order, wait_for
 
+from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.mqtt.messages import Topics
-from construction_twin.realtime import release_realtime, request_realtime
-from construction_twin.robot import expand_xacro, read_robot_files
-from construction_twin.ros.joint_stream import QUEUE, JointPublisher, from_time
-from construction_twin.rsi.export import gateway_config
+from construction_twin.robot.description import expand_xacro, read_robot_files
+from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, from_time
 
 #: Of the routes [Hz].
 RATE = 250.0

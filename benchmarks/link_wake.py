@@ -17,7 +17,7 @@ from pathlib import Path
 
 from link_world import REALTIME, end_in_order
 
-from construction_twin.realtime import request_realtime
+from construction_twin.core.realtime import request_realtime
 
 #: Receptions of a round trip: bridge, broker, peer, broker, bridge, ROS.
 HOPS = 6

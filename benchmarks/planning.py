@@ -24,16 +24,16 @@ import numpy as np
 import planning_problems
 import yaml
 
+from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.motion_errors import NoPathError
-from construction_twin.plan import Plan
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.timing import minimum_duration
-from construction_twin.robot import read_robot_files
+from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.plan import Plan
+from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import load_scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.scene.world import CollisionWorld
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Time in which a problem has to be solved, and for the long run that shows that it can be [s].

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.motion_errors import NoPathError
-from construction_twin.planning.edges import EdgeCheck, levers
+from construction_twin.planning.motion_validator import EdgeCheck, levers
 from construction_twin.planning.planner import Planner, PlanRequest
-from construction_twin.scene.world import CollisionWorld
+from construction_twin.scene.collision_world import CollisionWorld
 
 FOLDER = Path(__file__).parent / "problems"
 SCENES = ("free", "window", "cluttered")

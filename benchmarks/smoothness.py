@@ -1,6 +1,6 @@
 """How smooth the gateway's corrections are: RMS acceleration and jerk over those of the planned trajectory.
 
-Run it: ``python benchmarks/smoothness.py``. The gateway of `construction_twin.rsi.session` on a simulated clock, with simulated
+Run it: ``python benchmarks/smoothness.py``. The gateway of `construction_twin.gateway.gateway` on a simulated clock, with simulated
 arrivals of commands, beside a naive gateway that forwards the newest command it has. Nothing here depends on the machine's speed.
 
 A profile is a link: when does a command that was sent at t arrive? MQTT runs over TCP, so a command never overtakes another. The
@@ -21,15 +21,15 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.gateway import Gateway, State
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
 from construction_twin.planning.timing import time_path
-from construction_twin.robot import RobotModel, read_robot_files
-from construction_twin.rsi.config import GatewayConfig
-from construction_twin.rsi.export import gateway_config
-from construction_twin.rsi.session import Gateway, State
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.ros.shared.gateway_export import gateway_config
 from construction_twin.rsi.telegram import RobotTelegram
-from construction_twin.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Time at rest before the motion: two of the long stalls [s].

@@ -7,8 +7,8 @@ import socket
 import sys
 from collections.abc import Mapping
 
-from construction_twin.mqtt.broker import DEFAULT_PORT
-from construction_twin.ports import port_is_free
+from construction_twin.broker.start import DEFAULT_PORT
+from construction_twin.core.ports import port_is_free
 
 
 def launch_arguments(arguments: list[str]) -> dict[str, str]:

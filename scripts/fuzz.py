@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "test" / "fuzz"), str(ROOT / "test" / "unit")]
+sys.path[:0] = [str(ROOT / "test" / "fuzz"), str(ROOT / "test" / "support")]
 
-from conftest import BrokerProcess, wait_until  # noqa: E402
 from fuzz_codecs import mqtt_codecs, rsi_codecs  # noqa: E402
 from fuzz_gateway import Arm, Cycling, GatewayProcess, Mqtt, Refused, demand, flood_mqtt, flood_rsi  # noqa: E402
+from processes import BrokerProcess, wait_until  # noqa: E402
 
 #: The process may have grown by this much after the first tenth [bytes]: allocator noise, not what was sent.
 GROWTH = 4 << 20

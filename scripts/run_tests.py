@@ -88,7 +88,7 @@ def said(file: Path) -> list[str]:
 def run_unit(probe: MachineProbe) -> tuple[int, int]:
     """Run pytest over test/unit: first in two halves beside each other, then alone what runs the 250 Hz path in real processes."""
     alone, rest = [], []
-    for file in sorted((ROOT / "test" / "unit").glob("test_*.py")):
+    for file in sorted((ROOT / "test" / "unit").rglob("test_*.py")):
         (alone if file.stem.startswith(ALONE) else rest).append(file)
     halves = {"even": rest[::2], "odd": rest[1::2]}
     runs = [(name, start_pytest(name, half)) for name, half in halves.items()]

@@ -27,7 +27,7 @@ from link_world import REALTIME, World, end_in_order, environment, resident_mb, 
 from machine import MachineProbe, Replies  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from construction_twin.realtime import release_realtime  # noqa: E402
+from construction_twin.core.realtime import release_realtime  # noqa: E402
 
 #: Growth of a process's memory and drift of the distance up to here are noise [MB], [ms].
 MAX_GROWTH, MAX_DRIFT = 2.0, 4.0

@@ -68,7 +68,7 @@ build_inputs() {
   (
     cd "$root"
     cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv
-    printf '%s\n' "$root" msg/*.msg srv/*.srv nodes/* test/integration/*.test
+    printf '%s\n' "$root" msg/*.msg srv/*.srv nodes/* examples/*/* test/integration/*.test
     declare -f build_workspace
   ) | sha256sum
 }

@@ -11,17 +11,17 @@ from collections.abc import Callable
 from mqtt_mutations import Message, Target, message, mutate
 from rsi_mutations import mutate as mutate_telegram
 
-from construction_twin.errors import PayloadError, TelegramError
-from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.core.errors import PayloadError, TelegramError
+from construction_twin.link.remote_review import parse_review
+from construction_twin.link.status_values import status_values
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     parse_control,
     parse_status,
     read_command_properties,
     read_state_properties,
 )
-from construction_twin.mqtt.review import parse_review
-from construction_twin.mqtt.status_values import status_values
-from construction_twin.rsi.codec import RobotDecoder, SensorDecoder
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorDecoder
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 STATUS = {

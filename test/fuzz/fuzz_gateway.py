@@ -28,14 +28,14 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from rsi_mutations import mutate as mutate_telegram
 
+from construction_twin.core.units import CYCLE, radians
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.servo import IdealServo
 from construction_twin.mqtt.client import subscriptions
-from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value
-from construction_twin.rsi.codec import parse_sensor
-from construction_twin.rsi.config import GatewayConfig
-from construction_twin.rsi.mock_controller import MockConfig, MockController
-from construction_twin.rsi.servo import IdealServo
-from construction_twin.units import CYCLE, radians
+from construction_twin.rsi.gateway_codec import parse_sensor
 
 HOME = radians((0.0, -90.0, 90.0, 0.0, 90.0, 0.0))
 FAR = radians((30.0, -60.0, 110.0, 40.0, 60.0, -50.0))
@@ -77,7 +77,7 @@ class GatewayProcess:
         (folder / "fuzz.json").write_text(CONFIG.to_json())
         self.log = folder / "gateway.log"
         listen, broker = f"127.0.0.1:{self.address[1]}", f"127.0.0.1:{broker_port}"
-        command = [sys.executable, "-m", "construction_twin.rsi.gateway", "--config", str(folder / "fuzz.json")]
+        command = [sys.executable, "-m", "construction_twin.gateway", "--config", str(folder / "fuzz.json")]
         with self.log.open("w") as log:
             self._process = subprocess.Popen([*command, "--listen", listen, "--broker", broker], stderr=log)
 

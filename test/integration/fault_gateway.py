@@ -16,8 +16,8 @@ from construction_twin.msg import Link
 from interruption import Interruption
 from twin_client import Stream, wait
 
-from construction_twin.rsi.trace import read_trace
-from construction_twin.units import CYCLE
+from construction_twin.core.units import CYCLE
+from construction_twin.gateway.trace import read_trace
 
 
 class FaultGatewayTest(Interruption):
@@ -63,7 +63,7 @@ def gateway_pid(trace: str) -> int:
                 words = file.read().decode(errors="replace").split("\0")
         except OSError:
             continue  # it has ended meanwhile
-        if "construction_twin.rsi.gateway" in words and trace in words:
+        if "construction_twin.gateway" in words and trace in words:
             return int(name)
     return 0
 

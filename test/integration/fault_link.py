@@ -13,10 +13,10 @@ from construction_twin.msg import Link
 from interruption import Interruption
 from twin_client import HOME, TwinClient, node_pid, wait
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from conftest import BrokerProcess  # noqa: E402
 from impairment import Network, Profile  # noqa: E402
+from processes import BrokerProcess  # noqa: E402
 
 NODES = ("mqtt_bridge", "pca_monitor", "executor", "virtual_robot", "mock_rsi")
 LOST = (Link.DISCONNECTED, Link.GATEWAY_OFFLINE)

@@ -9,7 +9,7 @@ import rospy
 from construction_twin.msg import Link, Sync
 from twin_client import FINAL_ERROR, HOME, LEFT, RobotTest, Stream, TwinClient, node_pid, wait
 
-from construction_twin.units import radians
+from construction_twin.core.units import radians
 
 
 class Interruption(RobotTest):

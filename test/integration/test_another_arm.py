@@ -12,8 +12,8 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from sensor_msgs.msg import JointState
 from twin_client import RobotTest, Stream, TwinClient
 
-from construction_twin.frames import rotation_to_quaternion
 from construction_twin.kinematics.chain import Chain
+from construction_twin.robot.frames import rotation_to_quaternion
 
 #: In the robot's order, pan to wrist_3 [deg].
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

@@ -11,7 +11,7 @@ from construction_twin.msg import Feedback, Sync
 from sensor_msgs.msg import JointState
 from twin_client import HOME, RobotTest, Stream, TwinClient, case, wait
 
-from construction_twin.units import NANOSECONDS, radians
+from construction_twin.core.units import NANOSECONDS, radians
 
 STREAMS = (
     "next/joint_states",

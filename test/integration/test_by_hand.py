@@ -12,10 +12,10 @@ from construction_twin.msg import Review
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
 from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerInit, MarkerArray
 
-from construction_twin.frames import rotation_to_abc
+from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.ros.operator_client import pose_to_msg
-from construction_twin.units import radians
+from construction_twin.robot.frames import rotation_to_abc
+from construction_twin.ros.shared.operator_client import pose_to_msg
 
 #: Cycles over which an arm that must not move is watched.
 WATCH = 200

@@ -15,12 +15,12 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient
 
-from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.core.units import radians
+from construction_twin.gateway.command_stream import REMEMBERED
 from construction_twin.mqtt.fast_client import UserProperties
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics
-from construction_twin.rsi.codec import RobotEncoder
-from construction_twin.rsi.command_stream import REMEMBERED
-from construction_twin.units import radians
+from construction_twin.rsi.gateway_codec import RobotEncoder
 
 FAR = JointStringCodec(6).encode(radians(RIGHT))
 #: A joint string of the right length, to spoil one byte or field of.

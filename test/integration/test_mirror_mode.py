@@ -11,7 +11,7 @@ from construction_twin.msg import Link, Sync
 from std_srvs.srv import SetBool
 from twin_client import LEFT, Stream, TwinClient
 
-from construction_twin.units import radians
+from construction_twin.core.units import radians
 
 #: Where the arm goes by itself [deg].
 JOGGED = (10.0, -85.0, 85.0, 5.0, 85.0, -10.0)

@@ -11,7 +11,7 @@ from construction_twin.msg import Link
 from std_srvs.srv import SetBool
 from twin_client import Stream, TwinClient
 
-from construction_twin.units import radians
+from construction_twin.core.units import radians
 
 #: Where the arm is jogged to [deg].
 JOGGED = (-12.0, -80.0, 85.0, 10.0, 80.0, 15.0)

@@ -25,9 +25,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.frames import rotation_to_quaternion
+from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain
-from construction_twin.units import radians
+from construction_twin.robot.frames import rotation_to_quaternion
 
 #: A wall between RIGHT and LEFT: too long to pass in front of, too high to pass without lifting the arm [m].
 WALL = {"centre": (1.8, 0.0, 0.85), "size": (1.2, 0.1, 1.7)}

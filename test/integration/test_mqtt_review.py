@@ -18,10 +18,10 @@ from tablet import Tablet
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from twin_client import wait
 
+from construction_twin.broker.make_site import main as make_site
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.site import main as make_site
 
 PORT = 18846
 TOPICS = Topics("twin", "kr120")

@@ -9,7 +9,7 @@ import rostest
 from sensor_msgs.msg import JointState
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
 
-from construction_twin.units import radians
+from construction_twin.core.units import radians
 
 #: Cycles over which an arm that must not move is watched.
 WATCH = 300

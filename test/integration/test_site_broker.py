@@ -18,11 +18,11 @@ from construction_twin.msg import Execution
 from tablet import Tablet
 from twin_client import LEFT, RIGHT, Stream, TwinClient, wait
 
+from construction_twin.broker.make_site import main as make_site
+from construction_twin.core.units import radians
 from construction_twin.mqtt.client import Broker, make_client, unique_id
-from construction_twin.mqtt.codec import JointStringCodec
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Control, Topics
-from construction_twin.mqtt.site import main as make_site
-from construction_twin.units import radians
 
 PORT = 18860
 TOPICS = Topics("twin", "kr120")

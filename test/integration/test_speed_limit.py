@@ -14,8 +14,8 @@ from sensor_msgs.msg import Range
 from std_msgs.msg import Header
 from twin_client import HOME, LEFT, Stream, TwinClient, node_pid, wait
 
-from construction_twin.ros.convert import plan_from_msg
-from construction_twin.units import CYCLE
+from construction_twin.core.units import CYCLE
+from construction_twin.ros.messages.convert import plan_from_msg
 
 #: Rounding to 3 decimals of a degree, of target and answer [rad].
 ROUNDING = np.deg2rad(1e-3)

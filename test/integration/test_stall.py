@@ -12,7 +12,7 @@ import rostest
 from construction_twin.msg import Sync, Transition
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
-from construction_twin.units import radians
+from construction_twin.core.units import radians
 
 JOINT = "joint_a3"
 #: Cycles over which a held pose is watched.

@@ -15,13 +15,13 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from mqtt_listener import MqttListener
 from twin_client import RobotTest, Stream, TwinClient, case
 
+from construction_twin.core.units import CYCLE_NS
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.evaluation.report import write_report
-from construction_twin.frames import rotation_to_quaternion
 from construction_twin.kinematics.chain import Chain
-from construction_twin.ros.bag import read_recording
-from construction_twin.ros.recorder import Recorder
-from construction_twin.units import CYCLE_NS
+from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.commands.recorder import Recorder
 
 #: In the robot's order: the track [mm], then A1 to A6 [deg]; no two alike.
 HOME = (0.0, 0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

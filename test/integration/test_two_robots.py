@@ -19,13 +19,13 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from twin_client import BOUND, DISTURBED, case, wait
 
+from construction_twin.core.units import CYCLE_NS, radians
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.evaluation.recording import Recording
-from construction_twin.ros.bag import read_recording
-from construction_twin.ros.latest_pose import LatestPose
-from construction_twin.ros.params import robot_from_parameters
-from construction_twin.ros.recorder import Recorder
-from construction_twin.units import CYCLE_NS, radians
+from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.commands.recorder import Recorder
+from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.transport.latest_pose import LatestPose
 
 ONE, TWO = "kr120_1", "kr120_2"
 #: Whether there are physical arms behind the twins; two_robots.test asks the same.

@@ -10,12 +10,12 @@ from pathlib import Path
 import rospy
 import rostest
 from construction_twin.msg import Sync
+from screenshot import VirtualDisplay, bare_view, extent, share
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.screenshot import VirtualDisplay, bare_view, extent, share
-from construction_twin.sync_picture import COLOURS, visual_shapes
-from construction_twin.sync_table import SyncState
+from construction_twin.monitor.states import SyncState
+from construction_twin.views.sync_picture import COLOURS, visual_shapes
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINT = "joint_a3"

@@ -22,11 +22,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
-from construction_twin.ros.gateway_config import config_from_parameters
-from construction_twin.ros.params import robot_from_parameters
-from construction_twin.rsi.trace import read_trace
-from construction_twin.rsi.trace_limits import trace_excesses
-from construction_twin.units import CYCLE, format_allowance, from_wire
+from construction_twin.core.units import CYCLE, format_allowance, from_wire
+from construction_twin.gateway.trace import read_trace
+from construction_twin.ros.shared.gateway_config import config_from_parameters
+from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.scenario.trace_check import trace_excesses
 
 #: The home pose and two more, far enough for a motion of seconds, on the wire's grid [deg].
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

@@ -11,7 +11,7 @@
     the sum of squared differences over all joints and samples.
 
 The twin is known at its own stamps and interpolated in between by a cubic, with the playout's arithmetic
-(`construction_twin.rsi.interpolation`): what the gateway plays between two commands is then exactly what is compared.
+(`construction_twin.core.interpolation`): what the gateway plays between two commands is then exactly what is compared.
 Differences of stamps are taken in int64, so that float64 keeps them to far below a nanosecond.
 """
 
@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from construction_twin.errors import EvaluationError
+from construction_twin.core.errors import EvaluationError
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import Recording, Stream
-from construction_twin.units import CYCLE_NS, NANOSECONDS
 
 #: Largest lag looked for [ns]: far beyond any healthy servo, still short against a task.
 MAX_LAG_NS = NANOSECONDS // 2
@@ -144,7 +144,7 @@ class TwinPath:
         return q0 + (a * (q0 - q_before) + b * (q1 - q0) + c * (q_after - q1))
 
     def _weights(self, segment: np.ndarray, times: np.ndarray, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return `construction_twin.rsi.interpolation.weights` for every time, each with shape (m, 1)."""
+        """Return `construction_twin.core.interpolation.weights` for every time, each with shape (m, 1)."""
         period = self._times[segment + 1] - self._times[segment]
         earlier, later = self._earlier[segment], self._later[segment]
         share = (times - self._times[segment]) / period

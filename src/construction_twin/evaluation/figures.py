@@ -11,14 +11,14 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import round_trips
 from construction_twin.evaluation.paper import axis_name
 from construction_twin.evaluation.recording import Stream
 from construction_twin.evaluation.summary import Evaluation, link_span, reply_counts
 from construction_twin.evaluation.tables import percentiles
 from construction_twin.kinematics.chain import Chain
-from construction_twin.robot import RobotModel
-from construction_twin.units import NANOSECONDS
+from construction_twin.robot.description import RobotModel
 
 DPI = 150
 PINK = "#ff3fa4"

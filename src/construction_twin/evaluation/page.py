@@ -10,10 +10,10 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.paper import NOTE
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.tables import ALIGNMENTS, summary_lines, table_rows
-from construction_twin.units import NANOSECONDS
 
 #: Most rows of a table of what happened; a bag of a restless link may hold thousands.
 MOST_CHANGES = 500

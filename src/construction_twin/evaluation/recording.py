@@ -1,7 +1,7 @@
 """A recorded run as plain arrays: what an evaluation needs, whatever file it came from.
 
 Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`. No ROS here:
-`construction_twin.ros.bag` reads a rosbag into these, a simulation may fill them directly.
+`construction_twin.ros.commands.bag` reads a rosbag into these, a simulation may fill them directly.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from construction_twin.errors import EvaluationError
-from construction_twin.units import NANOSECONDS
+from construction_twin.core.errors import EvaluationError
+from construction_twin.core.units import NANOSECONDS
 
 
 @dataclass(frozen=True)

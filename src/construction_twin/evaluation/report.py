@@ -15,7 +15,7 @@ from construction_twin.evaluation.page import page
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.evaluation.tables import table_csv
-from construction_twin.robot import RobotModel
+from construction_twin.robot.description import RobotModel
 
 #: The page that holds everything.
 PAGE = "report.html"

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.histogram import percentile
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation import alignment, paper
 from construction_twin.evaluation.alignment import Alignment, Window
 from construction_twin.evaluation.recording import LinkSnapshot, Recording, Stream
 from construction_twin.evaluation.tables import PERCENTILES, error_table, percentiles
-from construction_twin.rsi.histogram import percentile
-from construction_twin.units import NANOSECONDS
 
 _MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg", "correction_monitor_deg")
 

@@ -14,7 +14,7 @@ import numpy as np
 import PyKDL
 from urdf_parser_py.urdf import Joint
 
-from construction_twin.robot import RobotModel, chain_joints, parse_urdf
+from construction_twin.robot.description import RobotModel, chain_joints, parse_urdf
 
 
 @dataclass(frozen=True, eq=False)

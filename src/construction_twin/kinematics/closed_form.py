@@ -12,6 +12,13 @@ from itertools import product
 
 import numpy as np
 
+from construction_twin.core.motion_errors import (
+    BranchError,
+    NoSolutionError,
+    OrientationError,
+    PositionRangeError,
+    UnreachableError,
+)
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
 from construction_twin.kinematics.singular_wrist import SingularWrist
@@ -25,13 +32,6 @@ from construction_twin.kinematics.solution import (
     distinct,
     refine,
     residual,
-)
-from construction_twin.motion_errors import (
-    BranchError,
-    NoSolutionError,
-    OrientationError,
-    PositionRangeError,
-    UnreachableError,
 )
 
 #: The package's branch slots: 4 * (wrist turned over) + 2 * (shoulder back) + (elbow angle negative). Facing back, a

@@ -14,6 +14,13 @@ from itertools import product
 import numpy as np
 import PyKDL
 
+from construction_twin.core.motion_errors import (
+    BranchError,
+    NoSolutionError,
+    OrientationError,
+    PositionRangeError,
+    UnreachableError,
+)
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.solution import (
     TURN,
@@ -24,13 +31,6 @@ from construction_twin.kinematics.solution import (
     check_pose,
     pose_error,
     residual,
-)
-from construction_twin.motion_errors import (
-    BranchError,
-    NoSolutionError,
-    OrientationError,
-    PositionRangeError,
-    UnreachableError,
 )
 
 #: The solver ends at this error; far below the tolerance, so that what it calls solved also passes the check.

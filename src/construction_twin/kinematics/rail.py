@@ -16,10 +16,12 @@ from itertools import product
 
 import numpy as np
 
+from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
+from construction_twin.kinematics.rail_singularities import find_swings
 from construction_twin.kinematics.solution import (
     TURN,
     Configuration,
@@ -29,9 +31,7 @@ from construction_twin.kinematics.solution import (
     distinct,
     residual,
 )
-from construction_twin.kinematics.swings import find_swings
-from construction_twin.motion_errors import BranchError, KinematicsError, UnreachableError
-from construction_twin.robot import chain_joints, parse_urdf
+from construction_twin.robot.description import chain_joints, parse_urdf
 
 #: Places along the axis.
 _PLACES = 301

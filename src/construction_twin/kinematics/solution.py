@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.motion_errors import BranchError, KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.motion_errors import BranchError, KinematicsError
 
 #: One turn [rad].
 TURN = 2.0 * math.pi

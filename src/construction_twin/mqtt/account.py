@@ -16,7 +16,7 @@ import stat
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from construction_twin.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError
 
 #: An account file, and a password file, are short; anything longer is something else [bytes].
 _MAX_BYTES = 65536

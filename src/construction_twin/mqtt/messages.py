@@ -9,8 +9,8 @@ import json
 import re
 from dataclasses import asdict, dataclass
 
-from construction_twin.errors import ConfigurationError, PayloadError
-from construction_twin.units import NANOSECONDS
+from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.units import NANOSECONDS
 
 _NUMBER = re.compile(r"[0-9]{1,19}")
 #: A ROS time, into which every stamp is turned, ends here [ns].

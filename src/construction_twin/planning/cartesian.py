@@ -15,19 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from construction_twin.core.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
+from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.solution import InverseKinematics
-from construction_twin.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
-from construction_twin.planning.bounds import PlanBounds
-from construction_twin.planning.branch import Branch
+from construction_twin.planning.batch_kinematics import angles_between
 from construction_twin.planning.curves import JointCurve
-from construction_twin.planning.limit_shares import cycle_times
-from construction_twin.planning.report import World
-from construction_twin.planning.rows import angles_between
+from construction_twin.planning.ik_branch import Branch
+from construction_twin.planning.limit_usage import cycle_times
+from construction_twin.planning.recheck import World
+from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import WAYPOINT_SPACING, TimedCurve, time_curve
 from construction_twin.planning.tool_path import Piece, ToolPath, ToolWaypoint
-from construction_twin.trajectory import Trajectory
-from construction_twin.units import CYCLE
+from construction_twin.robot.trajectory import Trajectory
 
 #: Largest deviation of a 4 ms sample from the commanded path.
 DEVIATION_M = 1e-4

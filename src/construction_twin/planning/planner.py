@@ -13,18 +13,18 @@ from typing import Annotated
 import numpy as np
 import pydantic
 
+from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
-from construction_twin.motion_errors import CollisionError, NoPathError, PlanningError
-from construction_twin.plan import Plan, PlanReport
-from construction_twin.planning.bounds import PlanBounds, check_request
-from construction_twin.planning.edges import CornerRounding, EdgeCheck, levers
-from construction_twin.planning.report import report
+from construction_twin.planning.motion_validator import CornerRounding, EdgeCheck, levers
+from construction_twin.planning.recheck import report
+from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.search import find_path, planner_kinds
 from construction_twin.planning.timing import time_path, with_midpoints
-from construction_twin.robot import RobotModel
-from construction_twin.scene.world import CollisionWorld
-from construction_twin.trajectory import Trajectory
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan, PlanReport
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.scene.collision_world import CollisionWorld
 
 #: How often a path is timed, each time with corners half as wide, before another one is looked for.
 TIMINGS_TRIED = 3

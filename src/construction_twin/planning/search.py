@@ -18,9 +18,9 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from construction_twin.errors import ConfigurationError
-from construction_twin.motion_errors import NoPathError
-from construction_twin.planning.edges import EdgeCheck
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.motion_errors import NoPathError
+from construction_twin.planning.motion_validator import EdgeCheck
 
 #: Distance of the points between which a path is pulled tight [rad]: shorter costs more checks and gains little.
 ROPE_STEP = 1.0

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.motion_errors import DurationError, JointRangeError, PlanningError
-from construction_twin.planning.bounds import PlanBounds, check_path, check_request
+from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError
+from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
-from construction_twin.planning.limit_shares import check_range, limit_use, shares_over_time
-from construction_twin.planning.progress import (
+from construction_twin.planning.limit_usage import check_range, limit_use, shares_over_time
+from construction_twin.planning.request_limits import PlanBounds, check_path, check_request
+from construction_twin.planning.time_scaling import (
     JERK_SHARE,
     CurveProgress,
     MotionLimits,
@@ -25,9 +26,8 @@ from construction_twin.planning.progress import (
     RestToRest,
     straight_progress,
 )
-from construction_twin.robot import RobotModel
-from construction_twin.trajectory import Trajectory, whole_nanoseconds
-from construction_twin.units import CYCLE
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 
 __all__ = ["LIMIT_SHARE", "TimedCurve", "limit_use", "minimum_duration", "time_curve", "time_path", "with_midpoints"]
 

@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from construction_twin.core.motion_errors import PlanningError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.motion_errors import PlanningError
-from construction_twin.planning.sections import ArcLine, Blend, Section, StraightLine, Turn
+from construction_twin.planning.path_segments import ArcLine, Blend, Section, StraightLine, Turn
 
 #: What a turn on the spot counts as along the path [m/rad].
 TURN_LENGTH = 0.1

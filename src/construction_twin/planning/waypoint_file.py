@@ -16,9 +16,9 @@ import re
 
 import numpy as np
 
-from construction_twin.motion_errors import WaypointsError
+from construction_twin.core.motion_errors import WaypointsError
 from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
-from construction_twin.robot import RobotModel
+from construction_twin.robot.description import RobotModel
 
 _FACTORS = {"deg": math.pi / 180.0, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 _COLUMN = re.compile(r"^(?P<joint>.+?)_(?P<unit>deg|rad|mm|m)(?P<rate>_s)?$")

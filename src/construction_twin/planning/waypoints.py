@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from construction_twin.motion_errors import TrajectoryError, WaypointsError
-from construction_twin.planning.bounds import PlanBounds
-from construction_twin.planning.limit_shares import cycle_times, measured_shares, range_excess
+from construction_twin.core.motion_errors import TrajectoryError, WaypointsError
+from construction_twin.planning.limit_usage import cycle_times, measured_shares, range_excess
+from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
-from construction_twin.robot import RobotModel
-from construction_twin.trajectory import Trajectory
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.trajectory import Trajectory
 
 #: How far the first waypoint may be from where the arm is; it is then taken to be there.
 START_TOLERANCE_RAD = math.radians(0.05)

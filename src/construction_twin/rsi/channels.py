@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from construction_twin.errors import ConfigurationError, TelegramError
+from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit, default_element
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}").fullmatch

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
-from construction_twin.errors import ConfigurationError, TelegramError
+from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.channels import (
     attribute_template,
     axis_units,

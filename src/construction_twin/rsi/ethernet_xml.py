@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from xml.etree import ElementTree
 
-from construction_twin.errors import EthernetXmlError
+from construction_twin.core.errors import EthernetXmlError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
 
 #: A file of this kind is a few kB [bytes].

@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
-from construction_twin.errors import TelegramError
+from construction_twin.core.errors import TelegramError
 
 #: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (rsi.md section 2) and stays below 2 kB; what is
 #: longer than this is none, and taking it apart would only keep the loop that answers.

@@ -7,7 +7,7 @@ import struct
 import sys
 import time
 
-from construction_twin.errors import ConfigurationError, TransportError
+from construction_twin.core.errors import ConfigurationError, TransportError
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: Linux: ask the kernel for each datagram's time of arrival, so that the reply time includes waiting for the processor.

@@ -12,15 +12,15 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS, radians
 from construction_twin.evaluation.alignment import TwinPath, Window, align_by_command, align_lag_removed
-from construction_twin.limits import MotionLimits
-from construction_twin.rsi.mock_faults import KINDS
-from construction_twin.rsi.trace import TraceEntry
-from construction_twin.rsi.trace_limits import trace_excesses
+from construction_twin.gateway.trace import TraceEntry
+from construction_twin.mock.faults import KINDS
+from construction_twin.scenario.definition import Scenario
 from construction_twin.scenario.motion import ROUNDING, distance_after, limit_shares, trace_arrays
-from construction_twin.scenario.scenario import Scenario
 from construction_twin.scenario.timeline import Change, Run, SyncMoment
-from construction_twin.units import CYCLE_NS, NANOSECONDS, radians
+from construction_twin.scenario.trace_check import trace_excesses
 
 #: The arm holds somewhere else than at the goal when a joint is at least this far from it [deg].
 ELSEWHERE_DEG = 1.0

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from construction_twin.limits import MotionLimits
-from construction_twin.rsi.trace import TraceEntry
-from construction_twin.units import CYCLE
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.units import CYCLE
+from construction_twin.gateway.trace import TraceEntry
 
 #: Of a share of a limit: room for the last bits of differences of floating point numbers.
 ROUNDING = 1e-6

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from construction_twin.errors import ScenarioError
+from construction_twin.core.errors import ScenarioError
 from construction_twin.scenario.judge import Verdict
 
 #: Lines between which a document holds the table.

@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from scipy.spatial.transform import Rotation
 
-from construction_twin.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import relative
 

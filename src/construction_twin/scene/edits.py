@@ -13,8 +13,8 @@ from typing import Annotated
 
 import pydantic
 
-from construction_twin.files import read_file, write_whole
-from construction_twin.motion_errors import SceneError
+from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Largest file [bytes]: tens of thousands of objects.

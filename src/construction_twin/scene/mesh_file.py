@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 
-from construction_twin.motion_errors import SceneError
+from construction_twin.core.motion_errors import SceneError
 
 #: Most triangles: far beyond what a collision shape needs, and still checked and built within seconds.
 MOST_TRIANGLES = 100_000

@@ -19,10 +19,10 @@ import numpy as np
 import pinocchio
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.robot import RobotModel
-from construction_twin.scene.bodies import Body, RobotBodies
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.collision_bodies import Body, RobotBodies
+from construction_twin.scene.distance_bounds import body_levers
 from construction_twin.scene.objects import SceneObject
-from construction_twin.scene.sweep import body_levers
 
 #: Added to every copy's padding [m]: between two rows of a path sampled every 4 ms a joint may go back and forth by 2e-5 rad.
 ROUNDING = 1e-3

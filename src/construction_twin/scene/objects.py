@@ -20,10 +20,10 @@ import pydantic
 import yaml
 from scipy.spatial.transform import Rotation
 
-from construction_twin.files import read_file
-from construction_twin.frames import quaternion_to_rotation, rotation_to_quaternion
+from construction_twin.core.files import read_file
+from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.motion_errors import SceneError
+from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 
 #: Numbers in `SceneObject.size` for each shape, and what they are.
 SIZES = {"box": (3, "x y z"), "cylinder": (2, "radius length"), "sphere": (1, "radius"), "mesh": (3, "scale x y z")}

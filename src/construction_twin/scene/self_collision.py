@@ -22,9 +22,9 @@ import pinocchio
 import pydantic
 import yaml
 
-from construction_twin.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.robot import RobotModel, read_robot_files
-from construction_twin.scene.bodies import RobotBodies, shape_contents
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
 
 #: Poses that `main` samples by default, and the seed of their random numbers.
 SAMPLES, SEED = 20000, 0

@@ -1,0 +1,174 @@
+"""A site's certificate authority: certificates for the broker and its clients, by the `openssl` program. Standard library only.
+
+Keys are elliptic (P-256), without a passphrase, readable by their owner only. A key that exists is never replaced here; a
+certificate is signed anew for the key that is there.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import secrets
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from construction_twin.core.errors import ConfigurationError, SiteError
+
+#: Lifetime of a CA [days].
+CA_DAYS = 3650
+_CA = """[req]
+distinguished_name = name
+x509_extensions = extensions
+prompt = no
+[name]
+CN = {name}
+[extensions]
+basicConstraints = critical,CA:true,pathlen:0
+keyUsage = critical,keyCertSign,cRLSign
+subjectKeyIdentifier = hash
+"""
+_REQUEST = """[req]
+distinguished_name = name
+prompt = no
+[name]
+CN = {name}
+"""
+_EXTENSIONS = """basicConstraints = critical,CA:false
+keyUsage = critical,digitalSignature
+extendedKeyUsage = {usage}
+subjectKeyIdentifier = hash
+authorityKeyIdentifier = keyid
+"""
+
+
+class Authority:
+    """A CA in a folder of its own, `ca.key` and `ca.crt`; made when it is not there.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Common name of a new CA.
+
+    Raises
+    ------
+    SiteError
+        When openssl is not installed or fails, or only one half of the CA is there.
+    """
+
+    def __init__(self, folder: Path, name: str):
+        self.certificate = folder / "ca.crt"
+        self._key = folder / "ca.key"
+        if self._key.exists() != self.certificate.exists():
+            raise SiteError(
+                f"{folder} holds only one of ca.key and ca.crt; put the other one back, or make a new site in another folder"
+            )
+        if self._key.exists():
+            return
+        make_folder(folder)
+        make_key(self._key)
+        with tempfile.TemporaryDirectory() as scratch:
+            config = _written(scratch, "ca.cnf", _CA.format(name=name))
+            new = Path(scratch, "ca.crt")
+            days = ["-days", str(CA_DAYS), "-set_serial", _serial()]
+            openssl("req", "-x509", "-new", "-key", self._key, "-config", config, *days, "-out", new)
+            write_private(self.certificate, new.read_text())
+
+    def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
+        """Sign a certificate for the key in `key`, which is made when it is not there.
+
+        Parameters
+        ----------
+        name : str
+            Common name.
+        key, certificate : Path
+        days : int
+            Lifetime [days].
+        hosts : iterable of str, optional
+            With them it is a server's, for these names and addresses; otherwise a client's.
+        """
+        if not key.exists():
+            make_key(key)
+        hosts = tuple(hosts)
+        extensions = _EXTENSIONS.format(usage="serverAuth" if hosts else "clientAuth")
+        if hosts:
+            extensions += f"subjectAltName = {','.join(map(_alternative_name, hosts))}\n"
+        with tempfile.TemporaryDirectory() as scratch:
+            config = _written(scratch, "request.cnf", _REQUEST.format(name=name))
+            extensions_file = _written(scratch, "extensions.cnf", extensions)
+            request, new = Path(scratch, "request.csr"), Path(scratch, "new.crt")
+            openssl("req", "-new", "-key", key, "-config", config, "-out", request)
+            signer = ["-CA", self.certificate, "-CAkey", self._key, "-set_serial", _serial()]
+            lifetime = ["-days", str(days), "-extfile", extensions_file]
+            openssl("x509", "-req", "-in", request, *signer, *lifetime, "-out", new)
+            write_private(certificate, new.read_text())
+
+
+def expiry(certificate: Path) -> datetime:
+    """Return when a certificate expires (UTC)."""
+    text = openssl("x509", "-in", certificate, "-noout", "-enddate").strip()
+    return datetime.strptime(text, "notAfter=%b %d %H:%M:%S %Y GMT").replace(tzinfo=UTC)
+
+
+def make_key(path: Path) -> None:
+    """Write a new private key; nobody but the owner may read it."""
+    write_private(path, openssl("genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256"))
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder that nobody but the owner may look into."""
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file in one step, readable by its owner only."""
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def run_tool(program: str, *arguments: object) -> str:
+    """Run a program; return what it printed. SiteError when it is not installed or fails."""
+    found = shutil.which(program)
+    if found is None:
+        raise SiteError(f"{program} is not installed; on Debian: apt-get install {_PACKAGES[program]}")
+    done = subprocess.run([found, *map(str, arguments)], capture_output=True, text=True, umask=0o077, check=False)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise SiteError(f"{program} {arguments[0]} failed with {done.returncode}: {last}")
+    return done.stdout
+
+
+_PACKAGES = {"openssl": "openssl", "mosquitto_passwd": "mosquitto"}
+
+
+def openssl(*arguments: object) -> str:
+    """Run openssl; return what it printed."""
+    return run_tool("openssl", *arguments)
+
+
+def _serial() -> str:
+    return f"0x{secrets.randbits(126) | 1 << 126:x}"
+
+
+def _alternative_name(host: str) -> str:
+    try:
+        return f"IP:{ipaddress.ip_address(host)}"
+    except ValueError:
+        if set(host) <= set("0123456789.") or ":" in host:
+            raise ConfigurationError("--host", host, "a host name, or an address like 192.168.1.10") from None
+        return f"DNS:{host}"
+
+
+def _written(folder: str, name: str, text: str) -> Path:
+    path = Path(folder, name)
+    path.write_text(text, encoding="utf-8")
+    return path

@@ -1,0 +1,262 @@
+"""make_site: one command that makes a broker's certificates, accounts and access rules for a site. Needs no ROS.
+
+What exists is kept: a second run adds robots, people and names, and replaces nothing that it is not asked to replace.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import re
+import secrets
+import tempfile
+from collections.abc import Callable, Iterable
+from datetime import UTC
+from pathlib import Path
+
+from construction_twin.broker.access import Site, SiteAccount, access_rules, broker_configuration, merged
+from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, SiteError
+
+_TEMPLATES = Path(__file__).resolve().parents[3] / "config/mosquitto"
+_SERVER = "construction_twin broker"
+#: Lifetime of certificates [days]: what most software accepts at most.
+DAYS = 825
+
+
+class SiteFolder:
+    """The files of a site: `ca/`, `broker/` for the broker, `accounts/<name>/` for whoever has that account, `site.json`.
+
+    Parameters
+    ----------
+    folder : Path
+    templates : Path
+        Folder of mosquitto's templates.
+    new_password : callable
+        Returns a password that nobody can guess.
+    """
+
+    def __init__(self, folder: Path, templates: Path = _TEMPLATES, new_password: Callable[[], str] | None = None):
+        self._folder = folder
+        self._templates = templates
+        self._new_password = new_password or (lambda: secrets.token_urlsafe(24))
+        self._broker = folder / "broker"
+        self._settings = folder / "site.json"
+
+    def load(self) -> dict:
+        """Return the settings of the last run, empty before the first one; SiteError when they cannot be read."""
+        if not self._settings.exists():
+            return {}
+        try:
+            document = json.loads(self._settings.read_text(encoding="utf-8"))
+            return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
+        except (OSError, ValueError, AttributeError) as error:
+            raise SiteError(f"{self._settings} cannot be read: {error}; restore it from a backup") from error
+
+    def make(self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = ()) -> list[str]:
+        """Make what is missing; return sentences on what was done.
+
+        Parameters
+        ----------
+        site : Site
+        days : int, optional
+            Lifetime of new certificates.
+        renew : bool, optional
+            Sign all certificates anew, for the same keys.
+        replace : iterable of str, optional
+            Accounts that get a new password and a new key.
+
+        Raises
+        ------
+        ConstructionTwinError
+            When a program is missing or a name does not fit.
+        """
+        replace = set(replace)
+        unknown = replace - {account.name for account in site.accounts()}
+        if unknown:
+            known = ", ".join(account.name for account in site.accounts())
+            raise ConfigurationError("--replace", sorted(unknown), f"accounts of this site: {known}")
+        before = self.load()
+        rules, configuration = access_rules(site, self._template), broker_configuration(site, self._template)
+        for folder in (self._folder, self._broker, self._folder / "accounts"):
+            make_folder(folder)
+        said = (
+            []
+            if (self._folder / "ca").exists()
+            else [f"made a CA in {self._folder / 'ca'}; keep ca.key off the network"]
+        )
+        authority = Authority(self._folder / "ca", "construction_twin site")
+        if renew or before.get("hosts") != site.hosts or not (self._broker / "server.crt").exists():
+            authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
+            said.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
+        said += self._make_passwords(site, authority, replace)
+        if not before.get("people"):
+            kept = [SiteAccount(robot, "tablet").name for robot in site.shared]
+            said += [
+                f"kept {name}, which is nobody's by name; --replace shuts out whoever has its password" for name in kept
+            ]
+        if site.certificates:
+            said += self._make_certificates(site, authority, days, renew, replace)
+        ca = authority.certificate.read_text(encoding="utf-8")
+        write_private(self._broker / "ca.crt", ca)
+        write_private(self._broker / "access.acl", rules)
+        write_private(self._broker / "mosquitto.conf", configuration)
+        write_private(self._settings, json.dumps(dataclasses.asdict(site), indent=1) + "\n")
+        return said
+
+    def expiries(self) -> list[str]:
+        """Return a line per certificate with the day of its end, and a warning when the CA's comes first."""
+        found = [self._folder / "ca/ca.crt", self._broker / "server.crt"]
+        found += sorted((self._folder / "accounts").glob("*/client.crt"))
+        ends = [expiry(path).astimezone(UTC) for path in found]
+        lines = [f"{path.relative_to(self._folder)} expires {end:%Y-%m-%d}" for path, end in zip(found, ends)]
+        if max(ends) > ends[0]:
+            lines.append(
+                f"warning: the CA ends on {ends[0]:%Y-%m-%d}, and with it every certificate, whatever stands in it; "
+                "before that make a new site in another folder (docs/broker.md)"
+            )
+        return lines
+
+    def _template(self, name: str) -> str:
+        try:
+            return (self._templates / name).read_text(encoding="utf-8")
+        except OSError as error:
+            raise SiteError(f"{self._templates / name}: {error.strerror}; give the folder with --templates") from error
+
+    def _account_folder(self, account: SiteAccount) -> Path:
+        return self._folder / "accounts" / account.name
+
+    def _make_passwords(self, site: Site, authority: Authority, replace: set[str]) -> list[str]:
+        """Give every account that has none a password; accounts that were taken out of `site.json` lose theirs."""
+        path = self._broker / "passwords"
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        hashed = {line.partition(":")[0]: line for line in lines}
+        new = {
+            account: self._new_password()
+            for account in site.accounts()
+            if account.name in replace or account.name not in hashed
+        }
+        hashed |= _hash_passwords({account.name: password for account, password in new.items()})
+        for account, password in new.items():
+            folder = self._account_folder(account)
+            make_folder(folder)
+            write_private(folder / "password", password + "\n")
+            write_private(folder / "ca.crt", authority.certificate.read_text(encoding="utf-8"))
+            document = {"user": account.name, "password_file": "password", "ca_file": "ca.crt"}
+            write_private(folder / "account.json", json.dumps(document) + "\n")
+        names = [account.name for account in site.accounts()]
+        write_private(path, "".join(f"{hashed[name]}\n" for name in names))
+        gone = [f"took the password of {name} away: it is not in site.json" for name in hashed if name not in names]
+        return [f"made a password for {account.name}" for account in new] + gone
+
+    def _make_certificates(
+        self, site: Site, authority: Authority, days: int, renew: bool, replace: set[str]
+    ) -> list[str]:
+        said = []
+        for account in site.accounts():
+            folder = self._account_folder(account)
+            certificate, key = folder / "client.crt", folder / "client.key"
+            if account.name in replace and certificate.exists():
+                said.append(
+                    f"the old certificate of {account.name} opens the broker until {expiry(certificate):%Y-%m-%d}"
+                )
+                key.unlink(missing_ok=True)
+                certificate.unlink()
+            # a folder that was handed out and deleted here is not made again
+            if renew and not folder.exists():
+                said.append(f"not renewed: {account.name}, whose folder is not here; --replace makes it a new one")
+            if not folder.exists() or (certificate.exists() and not (renew and key.exists())):
+                continue
+            authority.issue(account.name, key, certificate, days)
+            document = {"cert_file": "client.crt", "key_file": "client.key", "ca_file": "ca.crt"}
+            write_private(folder / "certificate.json", json.dumps(document) + "\n")
+            said.append(f"signed a certificate for {account.name}")
+        return said
+
+
+def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
+    """Return the lines of mosquitto's password file; no password stands on a command line, where every user could read it."""
+    if not passwords:
+        return {}
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch, "passwords")
+        write_private(path, "".join(f"{name}:{password}\n" for name, password in passwords.items()))
+        run_tool("mosquitto_passwd", "-U", path)
+        lines = path.read_text(encoding="utf-8").splitlines()
+    hashed = {line.partition(":")[0]: line for line in lines}
+    if set(hashed) != set(passwords) or not all(re.fullmatch(r"[^:]+:\$\d\$.+", line) for line in lines):
+        raise SiteError("mosquitto_passwd did not hash the passwords; is it the one of mosquitto 2?")
+    return hashed
+
+
+def _arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="make_site",
+        description="Make a CA, the broker's certificate, accounts and access rules for a site. A second run adds what is new and "
+        "keeps the rest.",
+    )
+    add = parser.add_argument
+    add("folder", type=Path, help="folder of the site; keep it private")
+    add(
+        "--host",
+        action="append",
+        default=[],
+        help="name or address of the broker, as clients write it; may be repeated",
+    )
+    add("--robot", action="append", default=[], help="a robot; may be repeated")
+    add("--tablet", action="append", default=[], metavar="PERSON", help="a tablet account per person; may be repeated")
+    add("--plc", action="store_true", help="also an account for a PLC that commands in place of the bridge")
+    add("--certificates", action="store_true", help="also client certificates, on the port above --port")
+    add("--port", type=int, help="TLS port [8883]")
+    add("--listen", metavar="ADDRESS", help="the broker's own address on which it listens [all of them]")
+    add("--prefix", help="first level of the MQTT topics [twin]")
+    add("--broker-folder", help="where the broker will find DIR/broker, e.g. /etc/mosquitto/site [DIR/broker]")
+    add("--days", type=int, default=DAYS, help="lifetime of new certificates [%(default)s]")
+    add("--renew", action="store_true", help="sign all certificates anew, for the same keys")
+    add("--replace", action="append", default=[], metavar="ACCOUNT", help="give this account a new password and key")
+    add("--templates", type=Path, default=_TEMPLATES, help="folder of the templates for mosquitto [%(default)s]")
+    return parser.parse_args(argv)
+
+
+def _site(arguments: argparse.Namespace, before: dict) -> Site:
+    if not 1 <= arguments.days <= 36500:
+        raise ConfigurationError("--days", arguments.days, "1 to 36500")
+    people = merged(before.get("people", ()), arguments.tablet)
+    # without people every robot has a shared tablet account, which somebody may hold
+    shared = before.get("shared", ()) if before.get("people") else before.get("robots", ())
+    given = {
+        "hosts": merged(before.get("hosts", ()), arguments.host),
+        "robots": merged(before.get("robots", ()), arguments.robot),
+        "people": people,
+        "shared": shared if people else (),
+        "plc": arguments.plc or before.get("plc", False),
+        "certificates": arguments.certificates or before.get("certificates", False),
+        "port": arguments.port or before.get("port", 8883),
+        "listen": arguments.listen or before.get("listen", ""),
+        "prefix": arguments.prefix or before.get("prefix", "twin"),
+        "folder": arguments.broker_folder or before.get("folder") or str(arguments.folder.absolute() / "broker"),
+    }
+    return Site(**given)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Make or extend a site; return the exit code."""
+    arguments = _arguments(argv)
+    folder = SiteFolder(arguments.folder, arguments.templates)
+    try:
+        site = _site(arguments, folder.load())
+        said = folder.make(site, arguments.days, arguments.renew, arguments.replace)
+        said += folder.expiries()
+    except ConstructionTwinError as error:
+        print(f"make_site: {error}")
+        return 1
+    except OSError as error:
+        print(f"make_site: {error.filename}: {error.strerror}")
+        return 1
+    print("\n".join(said))
+    print(f"broker: {arguments.folder / 'broker/mosquitto.conf'} expects its files in {site.folder}")
+    print(f"clients: port {site.port}, accounts in {arguments.folder / 'accounts'}/<name>/account.json")
+    if site.certificates:
+        print(f"clients with a certificate: port {site.port + 1}, .../certificate.json")
+    return 0

@@ -1,0 +1,182 @@
+"""The watch's verdicts on plans of ours: may they start, may they go on? No ROS; times in s, `Claim.since` in ns."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.coordination.conflict import Claim, Conflict, OwnWay, gives_way
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+from construction_twin.scene.neighbour import Neighbour, Obstacle
+from construction_twin.scene.objects import Scene
+
+#: Pairs of copies that a look compares beyond what it must: some 0.01 s.
+BUDGET = 500_000
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict on one plan.
+
+    Attributes
+    ----------
+    blocked : bool
+        It must not start, or not go on.
+    time : float
+        As of `Conflict.msg`: until the conflict, 0 when it is not known, -1 without one [s].
+    sentence : str
+    """
+
+    blocked: bool
+    time: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Others:
+    """The other arm, as one look finds it.
+
+    Attributes
+    ----------
+    obstacles : collection of Obstacle
+        All that it takes up.
+    claim : Claim or None
+        None: it follows no plan, or nobody knows.
+    unknown : str
+        Why nobody knows where it is, so that its whole reach counts; empty: it is known.
+    complete : bool
+        Whether the obstacles hold its path to the end, and not only until beyond our horizon.
+    """
+
+    obstacles: Collection[Obstacle]
+    claim: Claim | None = None
+    unknown: str = ""
+    complete: bool = True
+
+
+class WayJudge:
+    """Keeps what is known of each plan's way from look to look.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Ours; its name settles draws.
+    neighbour : str
+        Name of the other robot.
+    padding : float
+        Distance below which a plan may not start or go on, on top of our scene's padding [m].
+    step : float
+        As of `Neighbour`, for our own arm [m].
+    horizon : float
+        See `braking_horizon` [s].
+
+    Raises
+    ------
+    ConfigurationError
+        If our robot's shapes cannot be read.
+    """
+
+    def __init__(self, robot: RobotModel, neighbour: str, padding: float, step: float, horizon: float):
+        self._robot = robot
+        self._neighbour = neighbour
+        self._padding = padding
+        self._horizon = horizon
+        self._bare = Neighbour(robot.name, robot, Pose(np.zeros(3), np.eye(3)), step)
+        self._arm = self._bare
+        self._scene = ""
+        self._ways: dict[str, OwnWay] = {}
+        self._at = "", 0
+
+    def waiting(self, plan: Plan, scene: Scene | None, others: Others) -> Judgement:
+        """Judge a plan that waits for review: its whole way must have been compared before it may start.
+
+        Parameters
+        ----------
+        plan : Plan
+        scene : Scene or None
+            Ours, with what the arm carries.
+        others : Others
+
+        Raises
+        ------
+        SceneError
+            If what our arm carries cannot be used.
+        """
+        return self._judge(plan, scene, others, Claim(0, self._robot.name), None, 0.0)
+
+    def followed(
+        self, plan: Plan, scene: Scene | None, others: Others, started: int, poses: Iterable[np.ndarray]
+    ) -> Judgement:
+        """Judge the plan that is played, from where our arm is: up to the horizon now, what is farther as the looks go on.
+
+        Parameters
+        ----------
+        plan, scene, others
+            As of `waiting`.
+        started : int
+            Stamp of its first setpoint, 0 before [ns].
+        poses : iterable of array, shape (n,)
+            Of our arm, commanded and measured; empty: not known.
+
+        Raises
+        ------
+        SceneError
+            As of `waiting`.
+        """
+        return self._judge(plan, scene, others, Claim(started, self._robot.name), tuple(poses), self._horizon)
+
+    def forget(self, kept: Collection[str]) -> None:
+        """Forget all plans but some."""
+        self._ways = {plan_id: way for plan_id, way in self._ways.items() if plan_id in kept}
+
+    def _judge(
+        self, plan: Plan, scene: Scene | None, others: Others, own: Claim, poses: tuple | None, horizon: float
+    ) -> Judgement:
+        if scene is None:
+            return Judgement(True, 0.0, "our own scene, with what the arm carries, was not received")
+        way = self._way(plan, scene)
+        row = self._present_row(way, poses) if own.since and poses is not None else 0
+        look = way.look(others.obstacles, self._padding + scene.padding, row, horizon, BUDGET)
+        lost = bool(own.since) and not poses
+        if look.conflict is None:
+            if (look.share < 1.0 or not others.complete) and (poses is None or lost):
+                return Judgement(True, 0.0, self._so_far(look.share, others))
+            return Judgement(False, -1.0, "its way is free")
+        # not knowing how far we have come, nobody knows how far the conflict is
+        conflict = Conflict(0.0, look.conflict.between) if lost else look.conflict
+        blocked = gives_way(conflict, own, others.claim, self._horizon)
+        return Judgement(blocked, conflict.time, self._sentence(conflict, others, blocked))
+
+    def _present_row(self, way: OwnWay, poses: tuple[np.ndarray, ...]) -> int:
+        """Return how far our arm has come on a plan, measured or commanded, whichever is less; never less than before."""
+        known = self._at[1] if self._at[0] == way.plan.id else 0
+        found = [way.row_of(pose, known) for pose in poses]
+        self._at = way.plan.id, min((known if row is None else row for row in found), default=known)
+        return self._at[1]
+
+    def _way(self, plan: Plan, scene: Scene) -> OwnWay:
+        if scene.hash != self._scene:
+            self._arm = self._bare.carrying(scene.objects)
+            self._scene, self._ways = scene.hash, {}
+        if plan.id not in self._ways:
+            self._ways[plan.id] = OwnWay(plan, self._arm)
+        return self._ways[plan.id]
+
+    def _so_far(self, share: float, others: Others) -> str:
+        against = self._neighbour if others.complete else f"the first part of {self._neighbour}'s path"
+        return f"{min(share, 0.99):.0%} of its way has been checked against {against} so far, wait a moment"
+
+    def _sentence(self, conflict: Conflict, others: Others, blocked: bool) -> str:
+        mine, theirs = conflict.between
+        if others.unknown:
+            return f"{mine} would come within the whole reach of {self._neighbour} in {conflict.time:.1f} s, and {others.unknown}"
+        meeting = f"{mine} would come too close to {theirs} in {conflict.time:.1f} s"
+        if not blocked:
+            return f"{meeting}; {self._neighbour} began later and gives way"
+        if others.claim is None:
+            return f"{meeting}, which stands there"
+        return f"{meeting}, which follows an approved plan"

@@ -1,0 +1,152 @@
+"""The last stage before the corrections: a position that follows targets and never leaves the joint limits.
+
+One step per controller cycle. A target that the limits allow is met exactly; any other is chased inside the limits until it
+is met again (`settling`). Whatever comes in, every output lies inside the range, within velocity, and within acceleration
+plus the format's allowance (design, law 3). Standard library only; rad and rad per cycle, m for linear joints.
+"""
+
+from __future__ import annotations
+
+import math
+
+from construction_twin.core.limits import RANGE_SLACK, MotionLimits, braking_distance
+from construction_twin.core.units import CYCLE
+
+
+def braking_step(distance: float, deceleration: float) -> float:
+    """Return the largest step after which braking still ends within `distance`.
+
+    Discrete and exact: a step v followed by v - a, v - 2a, ... adds up to `distance`. Inverse of v + `braking_distance`.
+
+    Parameters
+    ----------
+    distance : float
+        [rad]; zero or less gives zero.
+    deceleration : float
+        Change of the step per cycle [rad], positive.
+
+    Returns
+    -------
+    step : float
+        [rad] per cycle.
+    """
+    if distance <= 0.0:
+        return 0.0
+    cycles = math.floor((math.sqrt(1.0 + 8.0 * distance / deceleration) - 1.0) / 2.0)
+    return (distance + deceleration * cycles * (cycles + 1) / 2.0) / (cycles + 1)
+
+
+class Follower:
+    """Per-joint target following inside the limits.
+
+    Parameters
+    ----------
+    limits : MotionLimits
+    decimals : int
+        Decimals on the wire, for the allowance.
+    q : tuple, shape (n,)
+        Start position, at rest [rad].
+    """
+
+    def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...]):
+        self._lower, self._upper = limits.lower, limits.upper
+        self._speed = tuple(v * CYCLE for v in limits.velocity)
+        self._budget = tuple(a * CYCLE * CYCLE for a in limits.acceleration)
+        self._wide_budget = tuple(
+            (a + allowance) * CYCLE * CYCLE for a, allowance in zip(limits.acceleration, limits.allowances(decimals))
+        )
+        self._rounding = limits.last_digits(decimals)
+        self._chasing_speed = self._speed
+        self._target = list(q)
+        self._step = [0.0] * len(q)
+        self.position: tuple[float, ...] = tuple(q)
+        #: True while a joint has not met its target yet.
+        self.settling = False
+
+    @property
+    def at_rest(self) -> bool:
+        """True when the last step was no step."""
+        return not any(self._step)
+
+    def limit(self, share: float) -> None:
+        """Chase a target at no more than this share of the velocity limits, 0 to 1, or as fast as the target moves itself."""
+        self._chasing_speed = tuple(share * speed for speed in self._speed)
+
+    def follow(self, target: tuple[float, ...]) -> tuple[float, ...]:
+        """Take one step towards `target` [rad] and return the new position [rad]."""
+        position = []
+        settling = False
+        for index, goal in enumerate(target):
+            last = self.position[index]
+            if self._allowed(index, goal, goal - last):
+                self._step[index] = goal - last
+                position.append(goal)
+            else:
+                settling = True
+                goal = min(max(goal, self._lower[index]), self._upper[index])
+                self._step[index] = self._chase(index, last, goal)
+                position.append(last + self._step[index])
+            self._target[index] = goal
+        self.settling = settling
+        self.position = tuple(position)
+        return self.position
+
+    def braking(self) -> tuple[tuple[float, ...], int]:
+        """Return the way of each joint to rest [rad] and how many cycles it takes, if `brake` is called in each from now on.
+
+        Near the end of a joint's range it may be less, never more.
+        """
+        ways = tuple([braking_distance(abs(step), budget) for step, budget in zip(self._step, self._budget)])
+        return ways, max(math.ceil(abs(step) / budget) for step, budget in zip(self._step, self._budget))
+
+    def rest(self) -> None:
+        """Take the arm to be standing at the present position, because it was not told to move on."""
+        self._step = [0.0] * len(self._step)
+        self._target = list(self.position)
+
+    def brake(self) -> tuple[float, ...]:
+        """Take one step of braking within the limits and return the new position [rad]."""
+        for index, step in enumerate(self._step):
+            slower = max(0.0, abs(step) - self._budget[index])
+            self._step[index] = self._keep_room(index, math.copysign(slower, step))
+        self.position = tuple(last + step for last, step in zip(self.position, self._step))
+        self._target = list(self.position)
+        return self.position
+
+    def _allowed(self, index: int, goal: float, step: float) -> bool:
+        lower, upper = self._lower[index], self._upper[index]
+        if not lower - RANGE_SLACK <= goal <= upper + RANGE_SLACK:
+            return False
+        if abs(step) > self._speed[index] + self._rounding[index]:
+            return False
+        # met is met only at the target's own speed as well: who arrives faster shoots past, and with few decimals for ever
+        drift = goal - self._target[index]
+        if max(abs(step - self._step[index]), abs(step - drift)) > self._wide_budget[index] * (1 + 1e-9):
+            return False
+        # rounding can make a step look faster than the motion is; the wide budget takes that out in the first braking cycle
+        speed = abs(step) - self._rounding[index]
+        room = upper - goal if step > 0.0 else goal - lower
+        return speed <= 0.0 or braking_distance(speed, self._budget[index]) <= room + RANGE_SLACK
+
+    def _chase(self, index: int, last: float, goal: float) -> float:
+        budget, speed = self._budget[index], self._speed[index]
+        drift = goal - self._target[index]
+        behind = self._target[index] - last
+        if drift * behind > 0.0:
+            # a target that runs ahead may brake as hard as the joint can: who counts on its present speed shoots past its end
+            ahead = abs(behind) + abs(drift) + braking_distance(abs(drift), budget)
+            wanted = math.copysign(braking_step(ahead, budget), behind)
+        else:
+            wanted = drift + math.copysign(braking_step(abs(behind), budget), behind)
+        previous = self._step[index]
+        # a limit on the chase is no reason to brake harder, or to fall behind a target that moves faster
+        most = min(speed, max(self._chasing_speed[index], abs(drift), abs(previous) - budget))
+        wanted = min(max(wanted, -most), most)
+        return self._keep_room(index, min(max(wanted, previous - budget), previous + budget))
+
+    def _keep_room(self, index: int, step: float) -> float:
+        """Return `step`, slowed as far as the wide budget allows when it would leave no room to brake inside the range."""
+        last, previous, wide = self.position[index], self._step[index], self._wide_budget[index]
+        if step > 0.0:
+            return max(min(step, braking_step(self._upper[index] - last, self._budget[index])), previous - wide)
+        return min(max(step, -braking_step(last - self._lower[index], self._budget[index])), previous + wide)

@@ -1,0 +1,138 @@
+"""Which states of the arm count: in sequence, and no older than they look. Standard library only.
+
+Pure: reception times and stamps are arguments [ns]. The two clocks are never compared, only their difference with its own
+smallest value (design, section 4). What is refused raises PayloadError, whose reason is the counter's name.
+"""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+
+#: A sequence number may be this far ahead: one second of states.
+MAX_JUMP = 250
+#: So many messages in a row must follow one that does not fit before it becomes the new reference.
+CONFIRMATIONS = 3
+#: The quickest travel time is forgotten at this rate, so that clocks that drift apart never make fresh states old.
+MAX_DRIFT = 100e-6
+
+
+class SequenceCheck:
+    """Refuses sequence numbers that are not a little above the last one.
+
+    One number from nowhere changes nothing. A sender that begins anew elsewhere is believed once `CONFIRMATIONS` consecutive
+    numbers have followed without one that continues the old sequence.
+    """
+
+    def __init__(self):
+        self.lost = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Take whatever number comes next: the sender is known to be gone."""
+        self._last = 0
+        self._strange = 0
+        self._followers = 0
+
+    def accept(self, seq: int) -> bool:
+        """Take a number; return whether the sender counts anew from a lower one.
+
+        Raises
+        ------
+        PayloadError
+            ``sequence``, when the number is not used.
+        """
+        last, restarted = self._last, False
+        if not last or 0 < seq - last <= MAX_JUMP:
+            self.lost += seq - last - 1 if last else 0
+        elif not self._is_confirmed(seq):
+            raise PayloadError("sequence", f"seq {seq} after {last}")
+        elif seq < last:
+            restarted = True
+        else:
+            self.lost += seq - last - 1 - CONFIRMATIONS
+        self._last, self._strange = seq, 0
+        return restarted
+
+    def _is_confirmed(self, seq: int) -> bool:
+        self._followers = self._followers + 1 if self._strange and seq == self._strange + 1 else 0
+        self._strange = seq
+        return self._followers >= CONFIRMATIONS
+
+
+class FreshnessCheck:
+    """Refuses messages that travelled much longer than the quickest one.
+
+    Parameters
+    ----------
+    limit : float
+        How much longer [s].
+    """
+
+    def __init__(self, limit: float):
+        self._limit = round(limit * NANOSECONDS)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the quickest one: the sender's clock may be another."""
+        self._quickest: int | None = None
+        self._at = 0
+        self._early = 0
+
+    def accept(self, stamp: int, received: int) -> None:
+        """Take a message by the sender's stamp and the time of reception, each on its own clock [ns].
+
+        Raises
+        ------
+        PayloadError
+            ``stale``, when it is too old; ``early``, when it is so much quicker than all others that only further ones like it
+            are believed: a single wrong stamp must not make all that follow look old.
+        """
+        travelled = received - stamp
+        if self._quickest is None:
+            self._quickest, self._at = travelled, received
+        quickest = self._quickest + round((received - self._at) * MAX_DRIFT)
+        longer = (travelled - quickest) / NANOSECONDS
+        if travelled < quickest - self._limit and self._early < CONFIRMATIONS:
+            self._early += 1
+            raise PayloadError("early", f"state travelled {-longer:.3f} s less than the quickest one")
+        self._early = 0
+        self._quickest, self._at = min(quickest, travelled), received
+        if travelled - quickest > self._limit:
+            raise PayloadError("stale", f"state is {longer:.3f} s older than the freshest one")
+
+
+class StateCheck:
+    """Both checks on the states of one gateway.
+
+    Parameters
+    ----------
+    max_age : float
+        A state may have travelled this much longer than the quickest one of this gateway run [s].
+    """
+
+    def __init__(self, max_age: float):
+        self._sequence = SequenceCheck()
+        self._freshness = FreshnessCheck(max_age)
+
+    @property
+    def lost(self) -> int:
+        """States that the sequence numbers say were sent, but never came."""
+        return self._sequence.lost
+
+    def restart(self) -> None:
+        """Start over: the gateway said that it is gone."""
+        self._sequence.restart()
+        self._freshness.restart()
+
+    def accept(self, seq: int, stamp: int, received: int) -> None:
+        """Take a state by its sequence number, the gateway's stamp and the time of reception [ns].
+
+        Raises
+        ------
+        PayloadError
+            ``sequence``, ``stale`` or ``early``, when it must not be used.
+        """
+        if self._sequence.accept(seq):
+            self._freshness.restart()
+        self._freshness.accept(stamp, received)

@@ -1,0 +1,187 @@
+"""The motion check that the gate and the gateway share: what a stream of setpoints may do from one to the next.
+
+Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, linear joints in m, stamps
+in ns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from construction_twin.core.errors import MotionRefused
+from construction_twin.core.units import CYCLE, NANOSECONDS, format_allowance, last_digit
+
+#: Slack of the range check [rad], [m]: what a conversion of units may add at a range's end.
+RANGE_SLACK = 1e-9
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What each joint may do. Units are those of a joint that turns; where `linear` is True, read m for rad.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Joint names, in the order of every other tuple.
+    lower, upper : tuple of float, shape (n,)
+        Range [rad].
+    velocity, acceleration : tuple of float, shape (n,)
+        [rad/s], [rad/s^2], both positive.
+    linear : tuple of bool, shape (n,), optional
+        Default: every joint turns.
+    """
+
+    names: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    linear: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.linear:
+            object.__setattr__(self, "linear", (False,) * len(self.names))
+
+    @classmethod
+    def of(cls, robot) -> MotionLimits:
+        """Return the limits of a `RobotModel`."""
+        return cls(robot.joint_names, robot.lower, robot.upper, robot.velocity, robot.acceleration, robot.linear)
+
+    def last_digits(self, decimals: int) -> tuple[float, ...]:
+        """Return what the last decimal on the wire is worth, per joint [rad], [m]."""
+        return tuple(last_digit(decimals, slides) for slides in self.linear)
+
+    def allowances(self, decimals: int) -> tuple[float, ...]:
+        """Return the format's allowance per joint [rad/s^2], [m/s^2]."""
+        return tuple(format_allowance(decimals, slides) for slides in self.linear)
+
+    def refused(self, reason: str, index: int, value: float, limit: float, per: str = "") -> MotionRefused:
+        """Return the refusal of joint `index`, in its unit; `per` is appended to it, e.g. ``/s``."""
+        unit = "m" if self.linear[index] else "rad"
+        return MotionRefused(reason, self.names[index], value, limit, unit + per)
+
+    def check_range(self, q: tuple[float, ...]) -> None:
+        """Raise MotionRefused naming the first joint of `q` [rad], [m] that is not a number inside its range."""
+        if len(q) != len(self.names) or not all(map(math.isfinite, q)):
+            raise MotionRefused("values", "", math.nan, math.nan)
+        for index, (value, lower, upper) in enumerate(zip(q, self.lower, self.upper)):
+            if not lower - RANGE_SLACK <= value <= upper + RANGE_SLACK:
+                raise self.refused("range", index, value, upper if value > upper else lower)
+
+
+def outside_tolerance(
+    q: tuple[float, ...], reference: tuple[float, ...], tolerance: float | Sequence[float]
+) -> int | None:
+    """Return the index of the first joint further than `tolerance` [rad], [m] from `reference`, or None.
+
+    `tolerance` is one for all joints, or a sequence with one per joint.
+    """
+    tolerances = (tolerance,) * len(q) if isinstance(tolerance, float) else tolerance
+    for index, (value, expected, allowed) in enumerate(zip(q, reference, tolerances)):
+        if abs(value - expected) > allowed:
+            return index
+    return None
+
+
+def braking_distance(step: float, deceleration: float) -> float:
+    """Return how far braking goes on after a step.
+
+    Discrete and exact: the sum of step - deceleration, step - 2 deceleration, ... as long as they are positive. The textbook's
+    v^2 / 2a is half a step longer and would refuse a motion that ends at the end of its range at full deceleration.
+
+    Parameters
+    ----------
+    step : float
+        [rad] per cycle, not negative.
+    deceleration : float
+        Change of the step per cycle [rad], positive.
+
+    Returns
+    -------
+    distance : float
+        [rad]
+    """
+    cycles = math.floor(step / deceleration)
+    return cycles * step - deceleration * cycles * (cycles + 1) / 2
+
+
+class MotionCheck:
+    """Checks each setpoint of a stream against the one before: range, velocity, acceleration, room to brake.
+
+    A step may be anything between standing still and the previous step, widened by one cycle's acceleration budget: slowing
+    down harder than the limits is the follower's to absorb (design, law 3), speeding up or turning round harder is refused.
+    The budget includes what rounding to the wire's decimals adds.
+
+    Parameters
+    ----------
+    limits : MotionLimits
+    decimals : int
+        Decimals on the wire.
+    """
+
+    def __init__(self, limits: MotionLimits, decimals: int):
+        self.limits = limits
+        self._allowance = limits.allowances(decimals)
+        self._rounding = limits.last_digits(decimals)
+        self._stamp = 0
+        self._period = CYCLE
+        self._position: tuple[float, ...] = ()
+        self._velocity: tuple[float, ...] = ()
+
+    @property
+    def position(self) -> tuple[float, ...]:
+        """The last setpoint accepted [rad]."""
+        return self._position
+
+    def start(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Begin a stream at rest at `q` [rad] with stamp [ns]; the first step is checked against it."""
+        self._stamp = stamp
+        self._period = CYCLE
+        self._position = tuple(q)
+        self._velocity = (0.0,) * len(q)
+
+    def accept(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Check the next setpoint and remember it; on refusal nothing is remembered.
+
+        Parameters
+        ----------
+        stamp : int
+            Nominal time of the setpoint [ns]; must be later than the last one's.
+        q : tuple, shape (n,)
+            Joint angles [rad].
+
+        Raises
+        ------
+        MotionRefused
+            Reason ``values``, ``range``, ``order``, ``velocity``, ``acceleration`` or ``braking_room``.
+        """
+        self.limits.check_range(q)
+        period = (stamp - self._stamp) / NANOSECONDS
+        if period <= 0.0:
+            raise MotionRefused("order", "", period, 0.0, "s")
+        velocity = tuple((value - last) / period for value, last in zip(q, self._position))
+        mean_period = (period + self._period) / 2
+        for index in range(len(q)):
+            self._check_joint(index, q[index], velocity[index], period, mean_period)
+        self._stamp, self._period = stamp, period
+        self._position, self._velocity = tuple(q), velocity
+
+    def _check_joint(self, index: int, value: float, velocity: float, period: float, mean_period: float) -> None:
+        limits = self.limits
+        noise = self._rounding[index] / period
+        if abs(velocity) > limits.velocity[index] + noise:
+            raise limits.refused("velocity", index, velocity, limits.velocity[index], "/s")
+        acceleration = limits.acceleration[index]
+        budget = acceleration * mean_period + self._allowance[index] * CYCLE * CYCLE / period
+        last = self._velocity[index]
+        if not min(0.0, last) - budget <= velocity <= max(0.0, last) + budget:
+            measured = (velocity - last) / mean_period
+            raise limits.refused("acceleration", index, measured, acceleration, "/s^2")
+        speed = abs(velocity) - noise
+        if speed > 0.0:
+            room = limits.upper[index] - value if velocity > 0.0 else value - limits.lower[index]
+            needed = braking_distance(speed * CYCLE, acceleration * CYCLE * CYCLE)
+            if needed > room + RANGE_SLACK:
+                raise limits.refused("braking_room", index, needed, room)

@@ -1,0 +1,339 @@
+"""Exceptions of kinematics, scene and planning: a branch of the tree in `errors`, kept apart because the gateway needs none of it.
+
+Messages say what, where, the value, what was expected and what to do.
+"""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import ConstructionTwinError
+
+
+class KinematicsError(ConstructionTwinError):
+    """A pose has no usable joint solution, or joints have no usable pose."""
+
+
+class UnreachableError(KinematicsError):
+    """The target lies outside of what the arm reaches, whatever its joint ranges.
+
+    Attributes
+    ----------
+    missing : float
+        By how much [m], > 0: how far the target has to move, at least.
+    too_close : bool
+        False: the target is too far away. True: too close to the arm's base to fold the arm to it.
+    """
+
+    def __init__(self, missing: float, too_close: bool = False):
+        self.missing = missing
+        self.too_close = too_close
+        where, to_do = ("too close to the arm", "away from") if too_close else ("out of the arm's reach", "closer to")
+        super().__init__(f"the target is {where} by {missing:.6g} m; move it {to_do} the base")
+
+
+class JointRangeError(KinematicsError):
+    """A joint position lies outside its range.
+
+    Attributes
+    ----------
+    joint : str
+    value, lower, upper : float
+        [rad] ([m] for a linear joint).
+    """
+
+    def __init__(self, joint: str, value: float, lower: float, upper: float):
+        self.joint, self.value, self.lower, self.upper = joint, value, lower, upper
+        super().__init__(f"{joint} is {value:.6f}, outside its range {lower:.6f} to {upper:.6f}")
+
+
+class PoseRangeError(JointRangeError):
+    """The target could be reached, but only with a joint outside its range.
+
+    Attributes
+    ----------
+    joint : str
+        The joint in the way, in the solution that is out of range by least.
+    value, lower, upper : float
+        What it would have to be, and its range [rad] ([m] for a linear joint).
+    """
+
+
+class PositionRangeError(PoseRangeError):
+    """The wrist cannot get where the target needs it within the joint ranges."""
+
+    def __init__(self, joint: str, value: float, lower: float, upper: float):
+        super().__init__(joint, value, lower, upper)
+        self.args = (
+            f"the target's position needs {joint} at {value:.6f}, outside its range {lower:.6f} to {upper:.6f}; "
+            "move the target",
+        )
+
+
+class OrientationError(PoseRangeError):
+    """The target's position can be reached, but not with its orientation within the joint ranges."""
+
+    def __init__(self, joint: str, value: float, lower: float, upper: float):
+        super().__init__(joint, value, lower, upper)
+        self.args = (
+            f"the target's orientation needs {joint} at {value:.6f}, outside its range {lower:.6f} to {upper:.6f}; "
+            "turn the target",
+        )
+
+
+class BranchError(KinematicsError):
+    """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target.
+
+    Attributes
+    ----------
+    asked : str
+        The configuration asked for.
+    available : tuple of str
+        What could have been asked for; empty if the arm has no named configurations.
+    """
+
+    def __init__(self, asked: str, available: tuple[str, ...], reason: str):
+        self.asked = asked
+        self.available = available
+        choice = f"choose one of: {', '.join(available)}" if available else "leave the choice open"
+        super().__init__(f"configuration {asked!r} {reason}; {choice}")
+
+
+class NoSolutionError(KinematicsError):
+    """No joint solution within the ranges was found.
+
+    Attributes
+    ----------
+    seeds : int
+        Number of starting points tried.
+    residual_m, residual_rad : float
+        Position and orientation error of the best attempt.
+    """
+
+    def __init__(self, seeds: int, residual_m: float, residual_rad: float):
+        self.seeds, self.residual_m, self.residual_rad = seeds, residual_m, residual_rad
+        super().__init__(
+            f"no joint solution within the ranges after {seeds} seeds; the best attempt was {residual_m * 1e3:.3f} mm and "
+            f"{residual_rad:.6f} rad away; try another orientation or a longer time budget"
+        )
+
+
+class SceneError(ConstructionTwinError):
+    """The scene, or a change to it, does not make sense; the scene stays as it was.
+
+    Attributes
+    ----------
+    where : str
+        What is wrong: an object's property (``object 'wall' size``), a name, a file.
+    value : object
+        What was found there.
+    expected : str
+        What would have been accepted.
+    """
+
+    def __init__(self, where: str, value: object, expected: str):
+        self.where, self.value, self.expected = where, value, expected
+        super().__init__(f"{where}: found {value!r}, expected {expected}")
+
+
+class PlanningError(ConstructionTwinError):
+    """A motion could not be planned or timed."""
+
+
+class NoPathError(PlanningError):
+    """The planner found no path in its time budget.
+
+    Attributes
+    ----------
+    planner : str
+    budget : float
+        How long was tried [s].
+    """
+
+    def __init__(self, planner: str, budget: float):
+        self.planner = planner
+        self.budget = budget
+        super().__init__(f"{planner} found no path within {budget:.3g} s; allow more time or choose another goal")
+
+
+class CollisionError(PlanningError):
+    """Two bodies that must not touch do.
+
+    Attributes
+    ----------
+    between : tuple of str, length 2
+        Names of the two: a link or a carried object first, then a link or an object of the scene.
+    where : str
+        ``the start``, ``the goal``, ``at 1.204 s``, ...
+    """
+
+    def __init__(self, between: tuple[str, str], where: str):
+        self.between = tuple(between)
+        self.where = where
+        first, second = between
+        super().__init__(
+            f"{first} touches {second} ({where}), or comes closer than the padding; expected no contact, "
+            "choose another pose or change the scene"
+        )
+
+
+class DurationError(PlanningError):
+    """The requested duration is shorter than the limits allow.
+
+    Attributes
+    ----------
+    requested, minimum : float
+        [s]
+    """
+
+    def __init__(self, requested: float, minimum: float):
+        self.requested = requested
+        self.minimum = minimum
+        super().__init__(
+            f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
+        )
+
+
+class PlanSizeError(PlanningError):
+    """A plan would be larger than this planner makes.
+
+    Attributes
+    ----------
+    quantity : str
+        ``duration`` [s], ``waypoints`` or ``length of the tool's path`` [m].
+    value, limit : float
+    """
+
+    def __init__(self, quantity: str, value: float, limit: float, unit: str, to_do: str):
+        self.quantity, self.value, self.limit = quantity, value, limit
+        super().__init__(
+            f"the plan's {quantity} would be {value:.6g}{unit}; this planner takes at most {limit:.6g}{unit}, {to_do}"
+        )
+
+
+class FarWaypointError(PlanningError):
+    """A tool path leads to a place so far beyond the arm that it must be a mistake.
+
+    Attributes
+    ----------
+    waypoint : int
+        Its number, from 0.
+    distance, reach : float
+        From the arm's first turning joint, and how far the arm reaches from there [m].
+    """
+
+    def __init__(self, waypoint: int, what: str, distance: float, reach: float):
+        self.waypoint, self.distance, self.reach = waypoint, distance, reach
+        super().__init__(
+            f"waypoint {waypoint}: {what} is {distance:.6g} m from the arm, which reaches {reach:.3f} m; expected metres "
+            "in the frame of the request"
+        )
+
+
+class NoSceneError(PlanningError):
+    """It is not known what surrounds the arm, so nothing can be planned.
+
+    Attributes
+    ----------
+    source : str
+        Where the scene should come from.
+    """
+
+    def __init__(self, source: str):
+        self.source = source
+        super().__init__(f"no scene was received on {source}; the scene node is not running, start it and ask again")
+
+
+class SceneChangedError(PlanningError):
+    """The scene is another one than the one that was planned in.
+
+    Attributes
+    ----------
+    planned, present : str
+        Hashes of both scenes.
+    """
+
+    def __init__(self, planned: str, present: str):
+        self.planned = planned
+        self.present = present
+        super().__init__(
+            f"the scene changed while planning, from {planned[:8]} to {present[:8]}; the plan was dropped, ask again"
+        )
+
+
+class NeighbourUnknownError(PlanningError):
+    """Nobody tells where the other arm is or what it is about to do; it is never taken to be absent.
+
+    Attributes
+    ----------
+    neighbour : str
+        Name of the other robot.
+    """
+
+    def __init__(self, neighbour: str, problem: str):
+        self.neighbour = neighbour
+        super().__init__(
+            f"where {neighbour} is, or goes, is not known: {problem}; start it, or start this robot without a neighbour"
+        )
+
+
+class LimitError(PlanningError):
+    """A motion breaks a limit of the robot.
+
+    Attributes
+    ----------
+    where, joint, quantity : str
+        Such as ``at 1.204 s``; which joint; ``position``, ``velocity``, ``acceleration`` or ``jerk``.
+    value, limit : float
+        [rad], [rad/s], ... ([m], ... for a linear joint); for a position `limit` is the end of the range that is passed.
+    """
+
+    def __init__(self, where: str, joint: str, quantity: str, value: float, limit: float):
+        self.where, self.joint, self.quantity = where, joint, quantity
+        self.value, self.limit = value, limit
+        super().__init__(f"{where}: {joint} has a {quantity} of {value:.6g}; its limit is {limit:.6g} (SI); plan again")
+
+
+class CartesianPathError(PlanningError):
+    """The tool cannot follow its path to the end.
+
+    Attributes
+    ----------
+    reason : str
+        ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``collision`` or ``deviation``.
+    fraction, distance : float
+        How far it can be followed: share of the path's length, and metres (see `tool_path.TURN_LENGTH` for turns).
+    waypoint : int
+        Number of the waypoint that the tool was going to, from 0.
+    cause : ConstructionTwinError or None
+        The error behind it, with its own data: which joint, which pair, by how much.
+    """
+
+    def __init__(
+        self, reason: str, fraction: float, distance: float, waypoint: int, what: str, cause: Exception | None = None
+    ):
+        self.reason, self.cause = reason, cause
+        self.fraction, self.distance, self.waypoint = fraction, distance, waypoint
+        super().__init__(
+            f"the path ends {distance:.4f} m along, on the way to waypoint {waypoint} (fraction {fraction:.4f}): {what}"
+        )
+
+
+class WaypointsError(PlanningError):
+    """Waypoints from elsewhere cannot be used.
+
+    Attributes
+    ----------
+    row, joint : int or None, str
+        Line of the file, or number of the point in a message (from 0); None and "" when no single one is at fault.
+    value, limit : object
+        What was found, and the limit it breaks [SI]; None where there is none.
+    """
+
+    def __init__(
+        self, message: str, row: int | None = None, joint: str = "", value: object = None, limit: float | None = None
+    ):
+        self.row, self.joint, self.value, self.limit = row, joint, value, limit
+        super().__init__(message)
+
+
+class TrajectoryError(PlanningError):
+    """A list of waypoints is not a trajectory that may be executed."""

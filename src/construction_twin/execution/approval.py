@@ -1,0 +1,116 @@
+"""How a verdict is taken: examined, recorded, and only then carried out. Pure; recording is an argument."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
+from construction_twin.core.errors import RecordError, ReviewError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.executor import Executor
+from construction_twin.review.queue import REFUSED, Ending, Verdict
+
+#: Reviewer of a plan that was approved because of the launch argument.
+AUTO_APPROVE = "auto_approve"
+#: The scene that a plan was made for may be announced this long after the plan [ns].
+SCENE_DELAY = NANOSECONDS
+
+
+class Approval:
+    """The only way to an execution: nothing is carried out that could not be recorded before.
+
+    Recording waits for a disk, so it happens outside of the lock that the executor's loop takes every 4 ms.
+
+    Parameters
+    ----------
+    executor : Executor
+    record : callable
+        Called with each Verdict before it is carried out, and with the Ending of an execution that could then not begin; raises
+        RecordError when it cannot be kept.
+    lock : context manager
+        Held around every use of the executor.
+    """
+
+    def __init__(self, executor: Executor, record: Callable[[Verdict | Ending], None], lock: AbstractContextManager):
+        self._executor = executor
+        self._record = record
+        self._lock = lock
+        # one verdict after the other: the record must not tell another order than what happened
+        self._verdict = threading.RLock()
+        self._seen: tuple[str, int] = ("", 0)
+
+    def review(
+        self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = ""
+    ) -> tuple[Verdict, str]:
+        """Record a verdict and carry it out.
+
+        Returns
+        -------
+        verdict : Verdict
+        sentence : str
+
+        Raises
+        ------
+        ReviewError
+            When it cannot be taken; a refused approval is recorded too.
+        RecordError
+            When it cannot be recorded; then nothing happens.
+        """
+        with self._verdict:
+            try:
+                with self._lock:
+                    verdict = self._executor.examine(plan_id, plan_hash, approve, reviewer, reason)
+            except ReviewError as error:
+                self._refuse(plan_id, plan_hash, approve, reviewer, str(error))
+                raise
+            self._record(verdict)
+            try:
+                with self._lock:
+                    return verdict, self._executor.carry_out(verdict)
+            except ReviewError as error:
+                # something happened while it was written down: the record is corrected
+                if verdict.approved:
+                    self._record(Ending(verdict.plan, "dropped", f"not started: {error}"))
+                else:
+                    self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, f"not rejected: {error}", verdict.plan))
+                raise
+
+    def approve_by_itself(self, now: int) -> tuple[Verdict, str] | None:
+        """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
+
+        Parameters
+        ----------
+        now : int
+            [ns]
+
+        Raises
+        ------
+        RecordError
+            When it cannot be recorded; the plan is withdrawn.
+        """
+        with self._lock:
+            plan = self._executor.desk.plan if self._executor.ready_to_approve() else None
+            scene = self._executor.desk.scene
+        if plan is None:
+            return None
+        if self._seen[0] != plan.id:
+            self._seen = plan.id, now
+        if plan.scene != scene and now - self._seen[1] <= SCENE_DELAY:
+            return None
+        try:
+            return self.review(plan.id, plan.hash, True, AUTO_APPROVE, "the launch argument auto_approve is on")
+        except ReviewError as error:
+            with self._lock:
+                self._executor.withdraw(plan.id, f"{AUTO_APPROVE}: {error}")
+            if isinstance(error, RecordError):
+                raise
+            return None
+
+    def _refuse(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str) -> None:
+        if not approve:
+            return
+        with self._lock:
+            plan = self._executor.desk.plan
+        known = plan if plan is not None and plan.id == plan_id else None
+        self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known))

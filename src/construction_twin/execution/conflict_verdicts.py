@@ -1,0 +1,78 @@
+"""What the executor knows of the watch over the other arm: the newest verdict on each of its plans. Stamps in ns."""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+
+#: A verdict holds this long after the poses that it goes by were read [ns]; the watch repeats it at its `rate`. Five looks:
+#: fewer would stop a sound arm whenever a busy machine leaves a few out. It is part of the braking horizon.
+VERDICT_TIMEOUT = NANOSECONDS // 2
+#: How far a verdict's stamp may lie ahead of our clock [ns]: both nodes run on one machine, whose clock may be corrected
+#: in between.
+AHEAD = NANOSECONDS // 100
+#: Plans that verdicts are kept of: one under review, one being played, and those just before.
+_KEPT = 4
+
+
+class NeighbourWatch:
+    """Keeps verdicts, and forgets those that are too old.
+
+    Parameters
+    ----------
+    name : str, optional
+        Of the other robot; empty: there is none, and nothing is ever against a plan.
+
+    Attributes
+    ----------
+    name : str
+    now : int
+        The present moment, set by its owner in every cycle, on the clock of `on_verdict` [ns].
+    """
+
+    def __init__(self, name: str = ""):
+        self.name = name
+        self.now = 0
+        self._verdicts: dict[str, tuple[int, str]] = {}
+
+    def on_verdict(self, plan_id: str, problem: str, now: int, age: int = 0) -> None:
+        """Take a verdict on one of our plans.
+
+        Parameters
+        ----------
+        plan_id : str
+        problem : str
+            Why it must not start, or not go on; empty: its way is free.
+        now : int
+            [ns]
+        age : int, optional
+            Of the poses that it goes by [ns].
+
+        Raises
+        ------
+        PayloadError
+            If it is older than `VERDICT_TIMEOUT`, or from the future; what was known before then grows old.
+        """
+        if not -AHEAD <= age <= VERDICT_TIMEOUT:
+            raise PayloadError(
+                "conflict_age",
+                f"a verdict on plan {plan_id} is {age / NANOSECONDS:.3f} s old; expected {-AHEAD / NANOSECONDS:g} to "
+                f"{VERDICT_TIMEOUT / NANOSECONDS:g} s, is this machine overloaded, or was its clock set?",
+            )
+        self._verdicts.pop(plan_id, None)
+        self._verdicts[plan_id] = now - max(0, age), problem
+        while len(self._verdicts) > _KEPT:
+            del self._verdicts[next(iter(self._verdicts))]
+
+    def problem(self, plan_id: str) -> str:
+        """Return why a plan must not start, or not go on, as one sentence; empty: nothing is against it."""
+        if not self.name:
+            return ""
+        at, problem = self._verdicts.get(plan_id, (None, ""))
+        hint = "is the node `neighbour` running?"
+        if at is None:
+            return f"its way was not checked against {self.name} yet; {hint}"
+        age = self.now - at
+        if age > VERDICT_TIMEOUT:
+            return f"its way was last checked against {self.name} {age / NANOSECONDS:.1f} s ago; {hint}"
+        return problem

@@ -1,0 +1,241 @@
+"""Progress along a trajectory: played as planned, slowed down, halted and taken up again, always on the same path.
+
+Pure. Time along the trajectory is called elapsed time; its rate against the clock lies between 0 and 1. However the rate
+changes, the second difference of every joint's setpoints stays within its acceleration limit: that is what gate, gateway
+and controller measure. SI.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
+from construction_twin.robot.trajectory import Trajectory
+
+#: Halvings with which a single step on the path is brought into every joint's acceleration limit.
+HALVINGS = 10
+#: Share of the jerk limits that a ramp may use; a plan uses all of it without a ramp.
+JERK_SHARE = 1.5
+#: Share of the acceleration limits that a ramp may use: what rounding can add stays far below the rest.
+ACCELERATION_SHARE = 1.0 - 1e-9
+#: Lengths of a ramp that are tried [cycles], from 32 ms to 3 s.
+RAMP_CYCLES = (8, 10, 12, 15, 19, 24, 30, 37, 46, 58, 72, 90, 112, 140, 175, 220, 275, 340, 425, 530, 660, 750)
+#: Longest smooth ramp up and down [cycles]: who pauses does not want to arrive.
+LONGEST_RAMP, LONGEST_PAUSE = 750, 90
+#: Most by which the rate, and its slope, change from one cycle to the next where no smooth ramp exists.
+LARGEST_CHANGE = 0.05
+LARGEST_BEND = 0.005
+
+
+@dataclass(frozen=True)
+class _RampStep:
+    """One cycle of a ramp: the step [ns], and rate and slope of the rate [1/cycle] at its end."""
+
+    step: float
+    rate: float
+    slope: float
+
+
+class Progress:
+    """Where an execution is on its trajectory, one setpoint per cycle.
+
+    A rate that is reached stays exactly: at rate 1 the setpoints are the trajectory's samples on the 4 ms grid.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        At rest at both ends, and inside the acceleration limits on any grid of 4 ms.
+    acceleration, jerk : sequence of float, length n
+        Limits [rad/s^2], [rad/s^3].
+    """
+
+    def __init__(self, trajectory: Trajectory, acceleration: Sequence[float], jerk: Sequence[float]):
+        self.trajectory = trajectory
+        self._bend_limit = np.array(acceleration) * CYCLE**2
+        self._jerk_limit = np.array(jerk) * CYCLE**3
+        # in nanoseconds, because whole cycles of them are exact
+        self._elapsed = 0.0
+        self._now = _RampStep(0.0, 0.0, 0.0)
+        self._goal = 0.0
+        self._ramp: deque[_RampStep] = deque()
+        start = trajectory.positions[0]
+        #: The last three setpoints, the newest last.
+        self._poses = (start, start, start)
+
+    @property
+    def elapsed(self) -> float:
+        """Time along the trajectory [s]."""
+        return min(self._elapsed / NANOSECONDS, self.trajectory.duration)
+
+    @property
+    def at_rest(self) -> bool:
+        """True when it stands still and nothing is under way that would change that."""
+        return self._now.step == 0.0 and not self._ramp
+
+    @property
+    def finished(self) -> bool:
+        """True when the end of the trajectory is reached."""
+        return self.elapsed >= self.trajectory.duration
+
+    @property
+    def elapsed_ns(self) -> float:
+        """Time along the trajectory [ns], to the last bit: what `rest_at` takes."""
+        return self._elapsed
+
+    @property
+    def rate(self) -> float:
+        """Present rate, 0 to 1."""
+        return self._now.rate
+
+    @property
+    def steady(self) -> bool:
+        """True when the rate is what was asked for last."""
+        return not self._ramp and self._now.rate == self._goal
+
+    def copy(self) -> Progress:
+        """Return an independent copy, to look ahead on."""
+        other = copy(self)
+        other._ramp = self._ramp.copy()
+        return other
+
+    def rest_at(self, elapsed: float) -> None:
+        """Stand still at a time along the trajectory [ns], as somebody else did: the joints rest there from now on."""
+        self._elapsed, self._now, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
+        self._ramp.clear()
+        pose = self._ahead(0.0)
+        self._poses = (pose, pose, pose)
+
+    def begin(self, rate: float) -> tuple[float, ...]:
+        """Return the trajectory's first setpoint [rad]; it goes on at `rate`, without a ramp, as it begins at rest."""
+        self._goal, self._now = rate, _RampStep(rate * CYCLE_NS, rate, 0.0)
+        return tuple(self._poses[2].tolist())
+
+    def advance(self, rate: float) -> tuple[float, ...]:
+        """Go on by one cycle, on a smooth ramp from the present rate to `rate`.
+
+        The ramp is the shortest found on which every joint stays within its acceleration limit and `JERK_SHARE` of its jerk
+        limit; a ramp down from which none leads up again is ended first. Where there is none, or none that comes to rest soon
+        enough, the rate changes as far as the acceleration limits allow, its slope as gently as the jerk limits ask for.
+
+        Parameters
+        ----------
+        rate : float
+            0 to 1.
+
+        Returns
+        -------
+        setpoint : tuple, shape (n,)
+            [rad]
+        """
+        if rate != self._goal:
+            ramp = self._plan_ramp(rate, LONGEST_RAMP if rate >= self._now.rate else LONGEST_PAUSE)
+            if ramp is not None:
+                self._ramp, self._goal = ramp, rate
+            elif not self._ramp or rate < self._now.rate:
+                self._ramp.clear()
+                self._goal = rate
+        if self._ramp:
+            return self._go(self._ramp.popleft())
+        target = self._goal * CYCLE_NS
+        step = target if self._now.step == target else self._step_towards(target)
+        return self._go(_RampStep(step, step / CYCLE_NS, (step - self._now.step) / CYCLE_NS if step != target else 0.0))
+
+    def brake(self) -> tuple[float, ...]:
+        """Go on by as little as the acceleration limits allow, whatever the jerk; return the setpoint [rad]."""
+        self._ramp.clear()
+        self._goal = 0.0
+        step = self._nearest_allowed(0.0)
+        return self._go(_RampStep(step, step / CYCLE_NS, 0.0))
+
+    def _go(self, step: _RampStep) -> tuple[float, ...]:
+        self._elapsed += step.step
+        self._now = step
+        pose = self._ahead(0.0)
+        self._poses = (*self._poses[1:], pose)
+        return tuple(pose.tolist())
+
+    def _ahead(self, step: float) -> np.ndarray:
+        elapsed = (self._elapsed + step) / NANOSECONDS
+        return self.trajectory.sample(min(elapsed, self.trajectory.duration))[0]
+
+    # -- single steps
+
+    def _step_towards(self, target: float) -> float:
+        """Return the next step [ns], as far towards `target` as acceleration limits and a gentle change of the slope allow."""
+        rest, slope = (target - self._now.step) / CYCLE_NS, self._now.slope
+        speed = np.abs(self.trajectory.sample(self.elapsed)[1]) * CYCLE
+        bend = min(LARGEST_BEND, float((self._jerk_limit / np.maximum(speed, 1e-12)).min()))
+        if abs(rest) <= bend:
+            return self._nearest_allowed(target)
+        # the largest change that can still be taken back, by `bend` in each cycle, until the target is reached
+        most = (math.sqrt(bend * bend + 8.0 * bend * abs(rest)) - bend) / 2
+        wanted = math.copysign(min(most, LARGEST_CHANGE), rest)
+        change = min(max(wanted, slope - bend), slope + bend)
+        return self._nearest_allowed(min(max(self._now.step + change * CYCLE_NS, 0.0), float(CYCLE_NS)))
+
+    def _nearest_allowed(self, step: float) -> float:
+        """Return the step [ns] nearest to `step` that the joints can take; an unchanged one they can, as on the path."""
+        if self._allowed(step):
+            return step
+        refused, accepted = step, self._now.step
+        for _ in range(HALVINGS):
+            middle = (refused + accepted) / 2
+            refused, accepted = (refused, middle) if self._allowed(middle) else (middle, accepted)
+        return accepted
+
+    def _allowed(self, step: float) -> bool:
+        """Tell whether every joint may go there in one cycle: the same second difference that gate and gateway measure."""
+        bend = self._ahead(step) - 2.0 * self._poses[2] + self._poses[1]
+        return bool((np.abs(bend) <= self._bend_limit).all())
+
+    # -- ramps
+
+    def _plan_ramp(self, goal: float, longest: int) -> deque[_RampStep] | None:
+        """Return a short ramp from here to `goal` on which every setpoint was checked; None when there is none.
+
+        The shortest is found by halving, as if every length were easier than any shorter one.
+        """
+        best, shorter, longer = None, -1, bisect_right(RAMP_CYCLES, longest)
+        while longer - shorter > 1:
+            middle = (shorter + longer) // 2
+            ramp = self._ramp_of(goal, RAMP_CYCLES[middle])
+            if ramp is None:
+                shorter = middle
+            else:
+                best, longer = ramp, middle
+        return best
+
+    def _ramp_of(self, goal: float, cycles: int) -> deque[_RampStep] | None:
+        """Return the ramp of that many cycles, None when a setpoint on it fails.
+
+        The rate is the cubic that continues rate and slope and ends flat at the goal.
+        """
+        start, lift, slope = self._now.rate, goal - self._now.rate, self._now.slope * cycles
+        rate = Polynomial((start, slope, 3.0 * lift - 2.0 * slope, slope - 2.0 * lift))
+        x = np.arange(cycles + 1) / cycles
+        rates = rate(x)
+        if rates.min() < -1e-12 or rates.max() > 1.0 + 1e-12:
+            return None
+        steps = np.clip(np.diff(rate.integ()(x)) * cycles, 0.0, 1.0) * CYCLE_NS
+        if not self._smooth(np.concatenate((steps, np.full(3, goal * CYCLE_NS)))):
+            return None
+        rates, slopes = np.clip(rates, 0.0, 1.0), rate.deriv()(x) / cycles
+        rates[-1], slopes[-1] = goal, 0.0
+        return deque(map(_RampStep, steps.tolist(), rates[1:].tolist(), slopes[1:].tolist()))
+
+    def _smooth(self, steps: np.ndarray) -> bool:
+        """Tell whether the setpoints that these steps [ns] lead to stay inside the limits, from the last three on."""
+        elapsed = (self._elapsed + np.cumsum(steps)) / NANOSECONDS
+        poses = np.vstack((*self._poses, self.trajectory.sample_many(np.minimum(elapsed, self.trajectory.duration))[0]))
+        bends = np.diff(poses, 2, axis=0)[1:]
+        if (np.abs(bends) > ACCELERATION_SHARE * self._bend_limit).any():
+            return False
+        return bool((np.abs(np.diff(poses, 3, axis=0)) <= JERK_SHARE * self._jerk_limit).all())

@@ -1,0 +1,156 @@
+"""One execution of a plan: which setpoint went out when, where on the path that was, and how it comes to rest.
+
+Pure. Stamps in ns, angles in rad, m for linear joints.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
+from construction_twin.execution.path_progress import Progress
+from construction_twin.execution.stopping import StoppingForecast, way_along
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+
+#: Setpoints that are remembered: 1 s. The monitor is heard within 0.5 s, or it counts as silent.
+HISTORY = 250
+#: Setpoints that a forecast computes in one go: about 1 ms of Python.
+SETPOINTS_AT_ONCE = 4
+
+
+class Playback:
+    """A plan that is played, paused, held and stopped, one setpoint per cycle, always on its path.
+
+    Parameters
+    ----------
+    plan : Plan
+    robot : RobotModel
+
+    Attributes
+    ----------
+    start : int
+        Nominal stamp of the first setpoint [ns]; 0 before it.
+    goal_stamp : int
+        Nominal stamp of the setpoint that reached the end of the trajectory [ns]; 0 before it.
+    """
+
+    def __init__(self, plan: Plan, robot: RobotModel):
+        self.plan = plan
+        self.start = 0
+        self.goal_stamp = 0
+        self._progress = Progress(plan.trajectory, robot.acceleration, robot.jerk)
+        #: Stamp and time along the trajectory of the last setpoints [ns].
+        self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY)
+
+    @property
+    def elapsed(self) -> float:
+        """Time along the trajectory [s]."""
+        return self._progress.elapsed
+
+    @property
+    def rate(self) -> float:
+        """Present share of the planned speed, 0 to 1."""
+        return self._progress.rate if self.start else 0.0
+
+    @property
+    def steady(self) -> bool:
+        """True when the rate is what was asked for."""
+        return self._progress.steady
+
+    @property
+    def at_rest(self) -> bool:
+        """True when it stands still and nothing is under way that would change that."""
+        return self._progress.at_rest
+
+    def advance(self, stamp: int, rate: float) -> tuple[float, ...]:
+        """Return the setpoint [rad] for a cycle; on the way to `rate` it changes smoothly, see `Progress.advance`."""
+        if self.start == 0:
+            self.start = stamp
+            setpoint = self._progress.begin(rate)
+        else:
+            setpoint = self._progress.advance(rate)
+        self._remember(stamp)
+        return setpoint
+
+    def brake(self, stamp: int) -> tuple[float, ...]:
+        """Return the setpoint [rad] for a cycle in which it brakes as hard as the acceleration limits allow."""
+        setpoint = self._progress.brake()
+        self._remember(stamp)
+        return setpoint
+
+    def rest_where(self, stamp: int) -> bool:
+        """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was.
+
+        Returns
+        -------
+        known : bool
+            False, and nothing is changed, when no setpoint of this execution had that stamp or it is too long ago.
+        """
+        for known, elapsed in reversed(self._history):
+            if known == stamp:
+                self._progress.rest_at(elapsed)
+                self.goal_stamp = 0
+                return True
+        return False
+
+    def _remember(self, stamp: int) -> None:
+        self._history.append((stamp, self._progress.elapsed_ns))
+        if self.goal_stamp == 0 and self._progress.finished:
+            self.goal_stamp = stamp
+
+    def braking(self, lag: float) -> Braking:
+        """Return what is needed to look ahead at a stop that begins now; nothing is computed yet.
+
+        Parameters
+        ----------
+        lag : float
+            How long the arm trails the setpoints [s]; 0 when there is none, or it is not known.
+        """
+        cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
+        in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
+        return Braking(self._progress.copy(), in_flight, lag)
+
+
+class Braking:
+    """A stop, looked ahead at: on a copy, so that it needs no lock and holds up no cycle.
+
+    Parameters
+    ----------
+    progress : Progress
+        A copy, which is used up.
+    in_flight : sequence of float
+        Times along the trajectory of the setpoints that the arm has not reached yet [ns], the newest last.
+    lag : float
+        [s]
+    """
+
+    def __init__(self, progress: Progress, in_flight: Sequence[float], lag: float):
+        self._progress = progress
+        self._in_flight = in_flight
+        self._lag = lag
+
+    def forecast(self, pause: Callable[[], None] = lambda: None) -> StoppingForecast:
+        """Brake the copy to rest; return the way it took. The execution itself takes the same, unless it is held before.
+
+        Parameters
+        ----------
+        pause : callable, optional
+            Called every few setpoints: a thread that computes without a break keeps the one with the setpoints waiting.
+        """
+        progress, sample = self._progress, self._progress.trajectory.sample
+        before = []
+        for number, elapsed in enumerate(self._in_flight, start=1):
+            before.append(tuple(sample(elapsed / NANOSECONDS)[0].tolist()))
+            if number % SETPOINTS_AT_ONCE == 0:
+                pause()
+        poses = [before[-1]]
+        while not (progress.at_rest or progress.finished):
+            poses.append(progress.brake())
+            if len(poses) % SETPOINTS_AT_ONCE == 0:
+                pause()
+        arm = way_along(before[:-1] + poses)
+        # a cycle more: the arm may be anywhere between two setpoints
+        return StoppingForecast(way_along(poses), replace(arm, time=arm.time + CYCLE), self._lag)

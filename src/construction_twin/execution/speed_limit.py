@@ -1,0 +1,113 @@
+"""The speed limit: at which share of the planned speed may be moved, as a source on a topic says, or because it says nothing.
+
+Pure; times are arguments, in ns on a clock that nobody sets. Not safety rated: it slows a motion down so that less often a safety
+function must stop it.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+
+
+class LimitState(Enum):
+    """Why the limit is what it is."""
+
+    UNLIMITED = "unlimited"
+    MISSING = "missing"
+    HEARD = "heard"
+    SILENT = "silent"
+
+
+class SpeedLimit:
+    """One source's limit, with a deadline: who falls silent is taken to ask for less, never for more.
+
+    Parameters
+    ----------
+    deadline : float
+        A source that was heard must be heard again within this time [s].
+    silent : float
+        Share of the planned speed while it is not, 0 to 1; or the last limit, where that was lower.
+    required : bool
+        Whether the silent share holds before any source was heard.
+
+    Attributes
+    ----------
+    state : LimitState
+        As of the last `update`.
+    limit : float
+        Share of the planned speed that is allowed, 0 to 1.
+    reason : str
+        One sentence for the operator.
+    """
+
+    def __init__(self, deadline: float, silent: float, required: bool):
+        self._deadline = round(deadline * NANOSECONDS)
+        self._silent = silent
+        self._required = required
+        self._source = ""
+        self._heard_at = 0
+        self._asked = 1.0
+        self._words = ""
+        self.state, self.limit, self.reason = LimitState.UNLIMITED, 1.0, ""
+        self.update(0)
+
+    def on_limit(self, limit: float, reason: str, source: str, now: int) -> None:
+        """Take what a source says; it counts until the deadline.
+
+        Parameters
+        ----------
+        limit : float
+            0 to 1.
+        reason : str
+            The source's sentence.
+        source : str
+            Its name. While one is heard, another one is refused: two that take turns would make the arm surge.
+        now : int
+            Time of reception [ns].
+
+        Raises
+        ------
+        PayloadError
+            ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
+        """
+        # written so that a nan does not pass
+        if not 0.0 <= limit <= 1.0:
+            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a share from 0 to 1")
+        if source != self._source and self._in_time(now):
+            raise PayloadError(
+                "speed_limit_source", f"{source} sent a speed limit while {self._source} does; let only one of them"
+            )
+        self._source, self._heard_at, self._asked = source, now, limit
+        self._words, self.reason = reason.strip() or "no reason given", ""
+        self.update(now)
+
+    def update(self, now: int) -> float:
+        """Return the share of the planned speed that is allowed at `now` [ns]."""
+        if not self._source:
+            state = LimitState.MISSING if self._required else LimitState.UNLIMITED
+            asked = self._silent if self._required else 1.0
+        elif self._in_time(now):
+            state, asked = LimitState.HEARD, self._asked
+        else:
+            state, asked = LimitState.SILENT, min(self._silent, self._asked)
+        # called every cycle: a sentence only when there is something new to say
+        if state is not self.state or asked != self.limit or not self.reason:
+            self.state, self.limit = state, asked
+            self.reason = self._sentence()
+        return self.limit
+
+    def _in_time(self, now: int) -> bool:
+        return bool(self._source) and now - self._heard_at <= self._deadline
+
+    def _sentence(self) -> str:
+        if self.state is LimitState.UNLIMITED:
+            return "no speed limit: no source of `speed_limit` was heard"
+        if self.state is LimitState.HEARD:
+            return f"speed limit {self.limit:g} by {self._source}: {self._words}"
+        if self.state is LimitState.MISSING:
+            return f"speed limit {self.limit:g}: none was heard, and one is required; start a source of `speed_limit`"
+        limit, deadline = f"speed limit {self.limit:g}", self._deadline / NANOSECONDS
+        return f"{limit}: {self._source} is silent for more than {deadline:g} s; check it, or start another source"

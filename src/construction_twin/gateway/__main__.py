@@ -1,0 +1,8 @@
+"""`python -m construction_twin.gateway`: the cell PC's program."""
+
+import sys
+
+from construction_twin.gateway.service import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,116 @@
+"""Which commands are played: those of the armed session, in order, in time, inside the limits. Standard library only; rad, ns."""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import MotionRefused, PayloadError
+from construction_twin.core.limits import MotionCheck, outside_tolerance
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.command_stream import CommandStream
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.player import Player
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import CommandProperties
+
+
+class StreamBroken(Exception):
+    """The stream cannot go on, though nothing is wrong with the command itself.
+
+    Attributes
+    ----------
+    cause : str
+        ``silence`` or ``speed_limit``: what the gateway brakes for.
+    """
+
+    def __init__(self, cause: str, reason: str):
+        super().__init__(reason)
+        self.cause = cause
+
+
+class CommandIntake:
+    """From messages on `command` to what the player plays.
+
+    Parameters
+    ----------
+    config : GatewayConfig
+    codec : JointStringCodec
+    player : Player
+    """
+
+    def __init__(self, config: GatewayConfig, codec: JointStringCodec, player: Player):
+        self._config = config
+        self._limits = config.limits
+        self._player = player
+        self._stream = CommandStream(config, codec)
+        self._check = MotionCheck(self._limits, config.decimals)
+
+    @property
+    def session(self) -> str:
+        """Id of the session that may command; "" for none."""
+        return self._stream.session
+
+    def begin(self, session: str) -> None:
+        """Start over with another session; "" for none."""
+        self._stream.begin(session)
+
+    def read(
+        self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
+    ) -> tuple[int, tuple[float, ...], int]:
+        """Read a command: stamp [ns], axis angles [rad], number of commands lost before it; PayloadError when it is not one."""
+        if isinstance(properties, PayloadError):
+            raise properties
+        if self._config.properties and properties is None:
+            raise PayloadError("properties", "command without session, seq and stamp")
+        return self._stream.read(payload, properties, now)
+
+    def start(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Take the first command of a stream; MotionRefused when it is out of range, or away from the held pose (``start``)."""
+        self._limits.check_range(q)
+        held = self._player.follower.position
+        tolerances = self._config.start_tolerances
+        off = outside_tolerance(q, held, tolerances)
+        if off is not None:
+            raise self._limits.refused("start", off, q[off] - held[off], tolerances[off])
+        self._check.start(stamp, q)
+
+    def go_on(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
+        """Check a command that follows another.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns]
+        q : tuple, shape (n,)
+            [rad]
+        waited : int
+            Time since the last telegram [ns].
+
+        Raises
+        ------
+        MotionRefused
+            ``lead`` or a reason of `MotionCheck`.
+        StreamBroken
+            When too much of the stream is missing, or the sender does not obey the speed limit.
+        """
+        player = self._player
+        # without what a controller that was not heard owes: playout time stands still for so long
+        lead = player.lead(stamp) - waited / NANOSECONDS
+        if lead > self._config.max_age:
+            # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
+            raise MotionRefused("lead", "", lead, self._config.max_age, "s")
+        hole = player.hole(stamp)
+        if hole:
+            # too long to guess what the motion was in between
+            raise StreamBroken("silence", f"{hole:.3f} s of the stream are missing")
+        behind = player.backlog
+        if behind > self._config.speed_limit_backlog:
+            raise StreamBroken(
+                "speed_limit",
+                f"the sender does not obey the speed limit of {player.share:g}: it is {behind:.3f} s ahead of the arm, "
+                f"at most {self._config.speed_limit_backlog:g} s are put off",
+            )
+        self._check.accept(stamp, q)
+
+    def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
+        """Give a command that was checked to the player."""
+        self._stream.last_stamp = stamp
+        self._player.push(stamp, q, waited)

@@ -1,0 +1,250 @@
+"""The gateway's configuration: one JSON file, made from URDF and robot YAML, with a hash that the bridge compares.
+
+The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
+file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
+command line. What the controller's Ethernet XML says about the telegrams is part of it. Standard library only. SI units throughout.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.limits import MotionLimits
+from construction_twin.rsi.ethernet_xml import check_gateway
+from construction_twin.rsi.layout import AxisUnit, RsiLayout
+
+#: Written into the file; another number means another meaning of its keys.
+FORMAT = 2
+
+
+@dataclass(frozen=True)
+class GatewayConfig:
+    """What the gateway must know about the robot and the link.
+
+    Axis order is A1 first; values are those of the controller's axes, which may differ from the URDF's joints in sign and offset.
+
+    Attributes
+    ----------
+    robot : str
+        Name of the robot in MQTT topics.
+    axes : tuple of str
+        RSI axis names, e.g. ``A1``.
+    lower, upper : tuple of float
+        Range [rad]; of `linear` axes [m], and so on.
+    velocity, acceleration : tuple of float
+        [rad/s], [rad/s^2].
+    decimals : int
+        Decimals of a degree, and of a mm for a linear axis, in the joint string.
+    properties : bool
+        Whether commands carry the MQTT 5 properties session, seq and stamp.
+    start_tolerance : float
+        A stream may begin this close to the held pose [rad]: axes that turn.
+    start_tolerance_linear : float
+        The same for linear axes [m].
+    playout_delay : float
+        Distance of the playout to the newest command when a stream begins [s].
+    playout_delay_min, playout_delay_max : float
+        Bounds of that distance, which follows the jitter of the commands [s].
+    smoothing_cycles : int
+        Delay of the smoothing of played targets, in cycles of 4 ms; 0 for none.
+    silence : float
+        The stream may be overdue this long before the gateway brakes and holds [s].
+    max_age : float
+        A command may have travelled this much longer than the quickest one [s].
+    reference : str
+        ``ASPos`` or ``AIPos``: what the corrections are relative to.
+    speed_limit_deadline : float
+        A speed limit's source that is silent for longer counts as silent [s].
+    speed_limit_silent : float
+        Share of the velocity limits that holds then, 0 to 1.
+    speed_limit_grace : float
+        Time in which the sender may obey a lowered limit before the gateway enforces it [s].
+    speed_limit_backlog : float
+        How far the arm may trail a sender that does not obey before the gateway brakes [s].
+    timeout : float
+        Silence of the controller after which its session is over [s].
+    e1_sign : int
+        +1 or -1: whether E1 counts as the controller does.
+    e1_offset : float
+        Controller's E1 where ours is 0 [rad], [m] when it is linear.
+    e1_feedback_scale, e1_correction_scale : float
+        What the controller's unit of E1 is off by: wire value = scale * value in deg or mm.
+    linear : tuple of str
+        Those of `axes` that are linear: m in place of rad, mm on the wire.
+    layout : RsiLayout
+        The controller's telegrams, from its Ethernet XML; not given: `RsiLayout.plain`.
+    """
+
+    robot: str
+    axes: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    decimals: int = 3
+    properties: bool = True
+    start_tolerance: float = math.radians(0.05)
+    start_tolerance_linear: float = 0.0005
+    playout_delay: float = 0.02
+    playout_delay_min: float = 0.02
+    playout_delay_max: float = 0.25
+    smoothing_cycles: int = 0
+    silence: float = 0.1
+    max_age: float = 0.5
+    reference: str = "ASPos"
+    speed_limit_deadline: float = 0.5
+    speed_limit_silent: float = 0.1
+    speed_limit_grace: float = 0.5
+    speed_limit_backlog: float = 2.0
+    timeout: float = 0.4
+    e1_sign: int = 1
+    e1_offset: float = 0.0
+    e1_feedback_scale: float = 1.0
+    e1_correction_scale: float = 1.0
+    linear: tuple[str, ...] = ()
+    layout: RsiLayout | None = None
+
+    def __post_init__(self):
+        count = len(self.axes)
+        if not count or not isinstance(self.axes, tuple) or not all(isinstance(axis, str) for axis in self.axes):
+            raise ConfigurationError("axes", self.axes, "at least one axis name")
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            values = getattr(self, name)
+            if len(values) != count or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
+                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
+        if any(low >= high for low, high in zip(self.lower, self.upper)):
+            raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
+        if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
+            raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
+        if type(self.decimals) is not int or not 1 <= self.decimals <= 6:
+            raise ConfigurationError("decimals", self.decimals, "1 to 6")
+        if not isinstance(self.properties, bool):
+            raise ConfigurationError("properties", self.properties, "true or false")
+        if self.reference not in ("ASPos", "AIPos"):
+            raise ConfigurationError("reference", self.reference, "ASPos or AIPos")
+        if type(self.smoothing_cycles) is not int or self.smoothing_cycles not in (0, *range(2, 11)):
+            raise ConfigurationError("smoothing_cycles", self.smoothing_cycles, "0 (off) or 2 to 10")
+        for name in (
+            "start_tolerance",
+            "start_tolerance_linear",
+            "playout_delay",
+            "playout_delay_min",
+            "playout_delay_max",
+            "silence",
+            "max_age",
+            "speed_limit_deadline",
+            "speed_limit_grace",
+            "speed_limit_backlog",
+            "timeout",
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or not 0 < value < math.inf:
+                raise ConfigurationError(name, value, "a positive number")
+        if not self.playout_delay_min <= self.playout_delay <= self.playout_delay_max:
+            bounds = f"{self.playout_delay_min} (playout_delay_min) to {self.playout_delay_max} (playout_delay_max)"
+            raise ConfigurationError("playout_delay", self.playout_delay, bounds)
+        if self.playout_delay_max >= self.max_age:
+            raise ConfigurationError("playout_delay_max", self.playout_delay_max, f"less than max_age, {self.max_age}")
+        share = self.speed_limit_silent
+        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+            raise ConfigurationError("speed_limit_silent", share, "a share of the velocity limits, 0 to 1")
+        self._check_rsi()
+
+    def _check_rsi(self) -> None:
+        if type(self.e1_sign) is not int or self.e1_sign not in (1, -1):
+            raise ConfigurationError("e1_sign", self.e1_sign, "1 or -1")
+        if not isinstance(self.e1_offset, (int, float)) or not math.isfinite(self.e1_offset):
+            raise ConfigurationError("e1_offset", self.e1_offset, "a finite number [rad] or [m]")
+        for name in ("e1_feedback_scale", "e1_correction_scale"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or not 0 < value < math.inf:
+                raise ConfigurationError(name, value, "a positive number")
+        if not set(self.linear) <= set(self.axes):
+            raise ConfigurationError("linear", self.linear, f"some of the axes {', '.join(self.axes)}")
+        if self.layout is None:
+            object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
+        check_gateway(self.layout, self.axes, "Ethernet XML")
+
+    @property
+    def units(self) -> tuple[AxisUnit, ...]:
+        """How each axis is written in RSI."""
+        e1 = (self.e1_sign, self.e1_offset, self.e1_feedback_scale, self.e1_correction_scale)
+        return tuple(AxisUnit(axis in self.linear, *(e1 if axis == "E1" else ())) for axis in self.axes)
+
+    @property
+    def limits(self) -> MotionLimits:
+        """The axes' limits."""
+        linear = tuple(axis in self.linear for axis in self.axes)
+        return MotionLimits(self.axes, self.lower, self.upper, self.velocity, self.acceleration, linear)
+
+    @property
+    def start_tolerances(self) -> tuple[float, ...]:
+        """How close to the held pose a stream may begin, per axis [rad], [m]."""
+        return tuple(self.start_tolerance_linear if axis in self.linear else self.start_tolerance for axis in self.axes)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over the whole configuration, independent of the file's layout."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+    def to_json(self) -> str:
+        """Return the file's text."""
+        return json.dumps({"format": FORMAT, "hash": self.hash, "motion": asdict(self)}, indent=2) + "\n"
+
+
+def parse_config(text: str, where: str) -> GatewayConfig:
+    """Parse and check a configuration file's text.
+
+    Parameters
+    ----------
+    text : str
+        What `GatewayConfig.to_json` returned.
+    where : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    config : GatewayConfig
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not such a file, or was edited by hand (its hash no longer fits).
+    """
+    try:
+        document = json.loads(text)
+        motion = _with_tuples(document["motion"])
+        known = {field.name for field in fields(GatewayConfig)}
+        if document["format"] != FORMAT:
+            raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
+        if set(motion) != known:
+            difference = sorted(set(motion) ^ known)
+            raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
+        config = GatewayConfig(**motion | {"layout": RsiLayout(**_with_tuples(motion["layout"]))})
+    except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
+    if document.get("hash") != config.hash:
+        expected = f"hash {config.hash}; the file was edited, export it again"
+        raise ConfigurationError(where, document.get("hash"), expected)
+    return config
+
+
+def _with_tuples(document: dict) -> dict:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
+
+
+def load_config(path: str) -> GatewayConfig:
+    """Read a configuration file; ConfigurationError when it is missing or does not fit."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        expected = "a readable file written by export_gateway_config"
+        raise ConfigurationError(path, error.strerror, expected) from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(path, str(error), "a file written by export_gateway_config") from error
+    return parse_config(text, path)

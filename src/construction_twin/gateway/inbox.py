@@ -1,0 +1,98 @@
+"""From the datagrams that wait in the gateway's socket to the one telegram that is answered. Standard library only; ns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from construction_twin.core.errors import TelegramError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.gateway import Gateway
+from construction_twin.gateway.rsi_session import IPOC_NS
+from construction_twin.gateway.states import State
+from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram
+
+#: Datagrams read before anything else gets its turn: a flood must not stop the loop.
+DRAIN_LIMIT = 64
+
+
+class TelegramInbox:
+    """Reads what has come since the last time.
+
+    Parameters
+    ----------
+    gateway : Gateway
+        What is noticed here is counted there.
+    receive : callable
+        Returns a datagram, its time of arrival [ns] and its source, without waiting; raises BlockingIOError when there is none.
+    clock : callable
+        Returns the gateway's monotonic time [ns].
+    controller : str or None, optional
+        Only datagrams from this IPv4 address are read; None reads any.
+    """
+
+    def __init__(
+        self,
+        gateway: Gateway,
+        receive: Callable[[], tuple[bytes, int, tuple]],
+        clock: Callable[[], int],
+        controller: str | None = None,
+    ):
+        self._gateway = gateway
+        self._receive = receive
+        self._clock = clock
+        self._controller = controller
+        self._told = ""
+        self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
+        self._timeout = round(gateway.config.timeout * NANOSECONDS)
+
+    def newest(self) -> tuple[RobotTelegram, tuple, int] | None:
+        """Read until nothing waits; return the newest telegram, its source and its time of arrival [ns].
+
+        An answer to any other would come too late (rsi.md, section 4). Whatever is no telegram is dropped here, so that it cannot
+        take the place of one; nor can a copy of an older one that the network brings last.
+        """
+        newest, counters = None, self._gateway.counters
+        for _ in range(DRAIN_LIMIT):
+            try:
+                data, arrived, source = self._receive()
+            except BlockingIOError:
+                break
+            except OSError as error:
+                # e.g. ICMP "port unreachable" for a reply to a controller that has just gone
+                counters[f"udp_receive_{error.errno}"] += 1
+                break
+            telegram = self._read(data, source)
+            if telegram is None:
+                continue
+            if newest is not None:
+                behind = (newest[0].ipoc - telegram.ipoc) * IPOC_NS
+                if source == newest[1] and 0 <= behind <= self._timeout:
+                    counters["telegrams_repeated"] += 1
+                    continue
+                counters["telegrams_skipped"] += 1
+            newest = telegram, source, arrived
+        return newest
+
+    def _read(self, data: bytes, source: tuple) -> RobotTelegram | None:
+        refusals = self._gateway.refusals
+        if self._controller is not None and source[0] != self._controller:
+            refusals.telegram("address", f"a datagram from {source[0]}; only those from {self._controller} are read")
+            self._tell_of(source[0])
+            return None
+        if not self._gateway.accepts(source, self._clock()):
+            refusals.telegram(
+                "source", f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
+            )
+            return None
+        try:
+            return self._decoder.parse(data)
+        except TelegramError as error:
+            refusals.telegram(error.reason, error)
+            return None
+
+    def _tell_of(self, stranger: str) -> None:
+        """Say, while there is no controller, that somebody else sends: once, whoever else does after that."""
+        gateway = self._gateway
+        if gateway.state is State.NO_CONTROLLER and gateway.reason != self._told:
+            gateway.add_reason(f"datagrams from {stranger} are not read, because --controller is {self._controller}")
+            self._told = gateway.reason

@@ -1,0 +1,88 @@
+"""The gateway's log, written beside its loop and bounded in memory. Standard library only."""
+
+from __future__ import annotations
+
+import logging
+from logging.handlers import QueueHandler, QueueListener
+from queue import SimpleQueue
+
+from construction_twin.core.units import NANOSECONDS
+
+#: Lines that may wait for a terminal or a pipe that takes none.
+WAITING = 1000
+
+
+class BoundedQueueHandler(QueueHandler):
+    """Hands records to a thread; what comes while `WAITING` of them wait is dropped, and counted in the next line.
+
+    A sender of garbage makes a line per message: neither memory nor the loop may pay for a log that nobody reads. The queue is one
+    without a lock that another thread could hold.
+    """
+
+    def __init__(self, records: SimpleQueue):
+        super().__init__(records)
+        self.dropped = 0
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Put a record into the queue, or drop it."""
+        if self.queue.qsize() >= WAITING:
+            self.dropped += 1
+            return
+        if self.dropped:
+            record.msg = f"{record.getMessage()} ({self.dropped} lines before this one were dropped: nobody read them)"
+            record.args, self.dropped = None, 0
+        self.queue.put_nowait(record)
+
+
+def log_beside_the_loop() -> QueueListener:
+    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (design, law 1).
+
+    Returns
+    -------
+    listener : QueueListener
+        Started; stop it at the end.
+    """
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
+    records: SimpleQueue = SimpleQueue()
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[BoundedQueueHandler(records)])
+    listener = QueueListener(records, handler)
+    listener.start()
+    return listener
+
+
+class LineLimiter:
+    """At most one line per reason and period: whoever sends rubbish must not fill the disk, nor hide what else is said.
+
+    Parameters
+    ----------
+    period : int, optional
+        [ns]
+    """
+
+    def __init__(self, period: int = NANOSECONDS):
+        self._period = period
+        # by reason: when a line was written last [ns], and how many were not since
+        self._lines: dict[str, tuple[int, int]] = {}
+
+    def note(self, reason: str, now: int) -> str | None:
+        """Take a line that is to be written at `now` [ns].
+
+        Parameters
+        ----------
+        reason : str
+            Its kind: one of few, never text that came from outside, because every kind is remembered.
+        now : int
+            [ns]
+
+        Returns
+        -------
+        note : str or None
+            What to append to the line, "" or how many like it were left out before; None when it must not be written.
+        """
+        written, left_out = self._lines.get(reason, (now - self._period, 0))
+        if now - written < self._period:
+            self._lines[reason] = written, left_out + 1
+            return None
+        self._lines[reason] = now, 0
+        return f" ({left_out} more like this since the last such line)" if left_out else ""

@@ -1,0 +1,141 @@
+"""From buffered commands to positions: playout, smoothing and follower of one gateway. Standard library only; rad and ns."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from construction_twin.core.follower import Follower
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.playout import Playout, PlayoutBounds
+from construction_twin.gateway.smoothing import Smoother
+from construction_twin.gateway.speed_governor import Governor
+from construction_twin.gateway.stop_report import Braking
+
+
+class Player:
+    """Plays a command stream, and brakes where it has run dry.
+
+    Parameters
+    ----------
+    config : GatewayConfig
+    counters : Counter
+        The gateway's; what happens to the stream is counted there.
+    """
+
+    def __init__(self, config: GatewayConfig, counters: Counter[str]):
+        self._config = config
+        self._counters = counters
+        self._playout = Playout(PlayoutBounds.of(config), Governor(config.limits, config.decimals))
+        self._smoother = Smoother(config.smoothing_cycles) if config.smoothing_cycles else None
+        self._longest_hole = round(config.silence * NANOSECONDS)
+        self._stalled: tuple[str, int, int] | None = None
+        self._smoothing_ms = config.smoothing_cycles * CYCLE_NS / 1e6
+        #: Share of the velocity limits at which the arm may move.
+        self.share = 1.0
+        #: Stands at the position last sent; None without an origin.
+        self.follower: Follower | None = None
+        #: Stamp of the target last played [ns]; 0 for none.
+        self.stamp = 0
+        #: Braking since the stream ran dry; None while it has not.
+        self.braking: Braking | None = None
+
+    @property
+    def overdue(self) -> int:
+        """How long the next command is overdue [ns]; 0 while there is one. A speed limit does not make it later."""
+        return self._playout.overdue
+
+    @property
+    def backlog(self) -> float:
+        """How much motion a speed limit has put off [s], in the sender's time."""
+        return self._playout.backlog / NANOSECONDS
+
+    def limit(self, share: float) -> None:
+        """Play so slowly that every joint keeps to this share of its velocity limit, 0 to 1."""
+        self.share = share
+        self._playout.limit(share)
+        if self.follower is not None:
+            self.follower.limit(share)
+
+    def place(self, position: tuple[float, ...]) -> None:
+        """Stand at `position` [rad], at rest."""
+        self.follower = Follower(self._config.limits, self._config.decimals, position)
+        self.follower.limit(self.share)
+
+    def remove(self) -> None:
+        """Stand nowhere: there is no origin."""
+        self.follower = None
+
+    def clear(self) -> None:
+        """Forget the stream; what was learned about the link stays."""
+        self._playout.clear()
+        self.stamp = 0
+        self.braking = None
+        if self._smoother is not None:
+            self._smoother.clear()
+
+    def lead(self, stamp: int) -> float:
+        """Return how far `stamp` [ns] lies ahead of playout time [s]."""
+        return self._playout.lead(stamp) / NANOSECONDS
+
+    def hole(self, stamp: int) -> float:
+        """Return how much of the stream is missing before `stamp` [ns], if that is too much to bridge; else 0 [s].
+
+        How much that is does not depend on the delay: a playout that has run dry meanwhile knows no more of what is missing.
+        """
+        hole = stamp - self._playout.newest
+        return hole / NANOSECONDS if hole > self._longest_hole else 0.0
+
+    def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
+        """Take a command that passed every check: stamp [ns], pose [rad], time since the last telegram [ns]."""
+        if not self._playout.push(stamp, q, waited):
+            self._counters["commands_late"] += 1
+
+    def play(self, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
+        """Move on by `elapsed` [ns] and return the position to send [rad]; the arm is at `measured` [rad]."""
+        self.stamp, target = self._playout.advance(elapsed)
+        if self._playout.silence:
+            # where the motion would have gone on, nobody has said
+            self._counters["cycles_without_command"] += 1
+            return self._brake(elapsed, measured)
+        self.braking = None
+        if self._smoother is not None:
+            target = self._smoother.smooth(target)
+        position = self.follower.follow(target)
+        if self.follower.settling:
+            self._counters["settling"] += 1
+        return position
+
+    def _brake(self, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
+        follower = self.follower
+        if self.braking is None:
+            self.braking = Braking(follower, measured)
+        if not follower.at_rest:
+            self.braking.elapsed += elapsed
+        return follower.brake()
+
+    def give_up(self, session: str, now: int) -> None:
+        """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
+        self._stalled = session, self._playout.shortfall, now
+
+    def learn_from_stall(self, session: str | None, now: int) -> None:
+        """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
+
+        The next stream begins with a delay that absorbs this, as far as the bounds allow.
+
+        Parameters
+        ----------
+        session : str or None
+            The command's; None when commands carry none.
+        now : int
+            [ns]
+        """
+        if self._stalled is None or session not in (None, self._stalled[0]):
+            return
+        _, shortfall, since = self._stalled
+        self._playout.learn(shortfall + now - since)
+        self._stalled = None
+
+    def report(self) -> dict:
+        """Return what `status` says about the playout."""
+        return self._playout.report() | {"smoothing_ms": self._smoothing_ms}

@@ -1,0 +1,302 @@
+"""Playout: from stamped commands that arrive when they arrive to one target per controller cycle.
+
+Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (design, law 1). It stays a delay
+behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole cycles: a cycle of a
+stream on the 4 ms grid is then played exactly on a command's stamp, except while the delay is being changed. Clock drift shows as a
+delay that grows or shrinks, and is taken out in the same way. Standard library only; stamps in ns, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from construction_twin.core.interpolation import Pose, interpolate
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.gateway.arrivals import Arrivals
+from construction_twin.gateway.slew import CALM, CATCH_UP, URGENT, Slew
+from construction_twin.gateway.speed_governor import Governor
+
+#: Part of the delay that is not for jitter: a command waits up to a cycle for its telegram, and the cubic needs the command after
+#: the one it leads to.
+MARGIN = 3 * CYCLE_NS
+#: The delay may be this much longer than wanted before it is shortened, so that it does not follow every change of the jitter.
+SLACK_CYCLES = 2
+
+
+@dataclass(frozen=True)
+class PlayoutBounds:
+    """Delays of the playout [ns].
+
+    Attributes
+    ----------
+    start : int
+        At the beginning of the first stream, and at least this for 20 s. The delay is always this plus or minus whole cycles.
+    shortest, longest : int
+        Bounds, ``shortest <= start <= longest``.
+    """
+
+    start: int
+    shortest: int
+    longest: int
+
+    @classmethod
+    def of(cls, config) -> PlayoutBounds:
+        """Return the delays of a `GatewayConfig`."""
+        names = ("playout_delay", "playout_delay_min", "playout_delay_max")
+        return cls(*(round(getattr(config, name) * NANOSECONDS) for name in names))
+
+    def delay(self, jitter: int) -> int:
+        """Return the delay that absorbs a jitter, within the bounds; both [ns]."""
+        wanted = max(jitter + MARGIN, self.shortest)
+        cycles = min(-((self.start - wanted) // CYCLE_NS), (self.longest - self.start) // CYCLE_NS)
+        return self.start + cycles * CYCLE_NS
+
+
+class Playout:
+    """Buffer of commands, played a delay behind the newest.
+
+    Parameters
+    ----------
+    bounds : PlayoutBounds
+    governor : Governor, optional
+        Slows playout time while a speed limit asks for it; None: nothing can.
+    """
+
+    def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None):
+        self.bounds = bounds
+        self._governor = governor
+        self._governed = False
+        self._commands: deque[tuple[int, Pose]] = deque()
+        self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
+        self._slew = Slew()
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the stream; the next command starts another. What was learned about the link stays."""
+        self._arrivals.remember()
+        self._arrivals.restart()
+        self._slew.clear()
+        self._pace = CALM
+        self._commands.clear()
+        self._before: tuple[int, Pose] | None = None
+        self._newest = 0
+        self._now = 0
+        self._clock = 0
+        self._resting = 0
+        self._put_off = 0
+        if self._governor is not None:
+            self._governor.restart()
+            self._governed = self._governor.active
+        self.delay = self.bounds.delay(self._arrivals.learned)
+
+    @property
+    def newest(self) -> int:
+        """Stamp of the newest command [ns]; 0 when there is none."""
+        return self._newest
+
+    @property
+    def silence(self) -> int:
+        """How far playout time has run past the newest command [ns]; 0 while commands are ahead of it."""
+        return max(0, self._now - self._newest)
+
+    @property
+    def overdue(self) -> int:
+        """How far playout time would have run past the newest command [ns] if no speed limit had slowed it; not below 0.
+
+        A sender that falls silent is noticed no later because the arm trails it.
+        """
+        return max(0, self._now + self._put_off - self._newest)
+
+    @property
+    def backlog(self) -> int:
+        """How much motion, in the sender's time, a speed limit has put off [ns]; rest that is still to come does not count."""
+        commands = self._commands
+        if not self._put_off or not commands:
+            return 0
+        moving, last = 0, commands[0]
+        for command in commands:
+            if command[1] != last[1]:
+                moving += command[0] - max(last[0], self._now)
+            last = command
+        return min(self._put_off, max(0, moving))
+
+    def limit(self, share: float) -> None:
+        """Allow every joint this share of its velocity limit, 0 to 1; the path stays the same."""
+        self._governor.limit(share)
+        self._governed = self._governor.active
+
+    @property
+    def shortfall(self) -> int:
+        """How late the next command already is against the quickest ones [ns]."""
+        return self._arrivals.high - (self._newest - self._clock)
+
+    def lead(self, stamp: int) -> int:
+        """Return how far `stamp` [ns] lies ahead of playout time [ns], without what a speed limit has put off."""
+        return stamp - self._now - self._put_off
+
+    def push(self, stamp: int, q: Pose, waited: int = 0) -> bool:
+        """Append a command that is newer than all before.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns]
+        q : tuple, shape (n,)
+            [rad]
+        waited : int, optional
+            Time from the last telegram to this arrival [ns]; only the drift's estimate uses it.
+
+        Returns
+        -------
+        in_time : bool
+            False when its moment has passed: it will not be played, only help to interpolate.
+        """
+        commands = self._commands
+        if not commands:
+            self._now = stamp - self.delay
+            self._newest = stamp
+        self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
+        if self._put_off and self._resting > 3 and len(commands) > 3:
+            # of a rest that waits its begin and its end are kept: a limit of 0 may hold for hours
+            self._resting -= 1
+            commands[-2] = commands[-1]
+            commands[-1] = stamp, q
+        else:
+            commands.append((stamp, q))
+        self._arrivals.note_command(self._newest - self._clock, stamp - self._clock - waited)
+        self._newest = stamp
+        return stamp > self._now
+
+    def learn(self, jitter: int) -> None:
+        """Take a jitter [ns] that no command of this stream shows: the next one begins with a delay that absorbs it.
+
+        One beyond the longest delay is no jitter, but a cut: no delay would have helped.
+        """
+        if jitter > self.bounds.longest:
+            return
+        self._arrivals.learn(jitter)
+        if not self._commands:
+            self.delay = self.bounds.delay(self._arrivals.learned)
+
+    def advance(self, elapsed: int) -> tuple[int, Pose]:
+        """Move playout time on and return the target there.
+
+        Before the first command's stamp the target is the first command, past the newest it is the newest.
+
+        Parameters
+        ----------
+        elapsed : int
+            Controller time since the last call, from IPOC [ns].
+
+        Returns
+        -------
+        stamp : int
+            Stamp of the target on the sender's clock [ns], between the oldest and the newest command held.
+        q : tuple, shape (n,)
+            Target [rad].
+        """
+        before = self._now
+        self._now += elapsed
+        self._clock += elapsed
+        if self._arrivals.note_telegram(self._newest - self._clock, self._clock):
+            self._choose_delay()
+        if self._slew.moving:
+            self._move()
+        if self._governed:
+            self._hold_back(before, elapsed)
+        now, commands = self._now, self._commands
+        while len(commands) > 1 and commands[1][0] <= now:
+            self._before = commands.popleft()
+        if self._put_off:
+            self._skip_rest()
+            now = self._now
+        start = commands[0]
+        if now <= start[0] or len(commands) == 1:
+            return start
+        return now, interpolate(now, start, commands[1], self._before, commands[2] if len(commands) > 2 else None)
+
+    def report(self) -> dict:
+        """Return what the playout does, for the status: ms, ppm, and the rate's deviation in percent."""
+        drift = self._arrivals.drift_ppm()
+        return {
+            "delay_ms": self.delay / 1e6,
+            "jitter_ms": self._arrivals.observed / 1e6,
+            "lead_ms": (self._newest - self._now) / 1e6,
+            "to_move_ms": self._slew.remaining / 1e6,
+            "put_off_ms": self._put_off / 1e6,
+            "rate_percent": 100.0 * self._slew.rate,
+            "drift_ppm": None if drift is None else round(drift, 1),
+        }
+
+    @property
+    def _rests(self) -> bool:
+        """True when all that is held, and what came before it, is one pose."""
+        return self._resting > len(self._commands)
+
+    def _choose_delay(self) -> None:
+        """Set out for another delay behind the quickest commands when this one is too short, or much too long."""
+        arrivals, slew = self._arrivals, self._slew
+        # a command waits up to a cycle for the telegram at which it is first seen
+        at_end = arrivals.high + CYCLE_NS + self._clock - self._now - slew.remaining
+        wanted = self.bounds.delay(arrivals.jitter)
+        cycles = round((at_end - wanted) / CYCLE_NS)
+        if cycles < 0 or cycles >= (1 if self._rests else SLACK_CYCLES):
+            if not slew.moving or cycles <= -SLACK_CYCLES:
+                # a move that has begun is not slowed down to another pace: it would shoot past
+                self._pace = URGENT if cycles <= -SLACK_CYCLES else CALM
+            slew.remaining += cycles * CYCLE_NS
+            at_end -= cycles * CYCLE_NS
+        self.delay = at_end
+
+    def _move(self) -> None:
+        if self._rests:
+            # moving the time of what stands still moves nothing
+            self._now += self._slew.remaining
+            self._slew.clear()
+        else:
+            self._now += self._slew.step(self._pace)
+        if self._put_off:
+            self._put_off = max(0, min(self._put_off, self._slew.remaining))
+
+    def _hold_back(self, before: int, elapsed: int) -> None:
+        """Take back what of a cycle's advance the speed limit does not allow; it is made up for as a delay that is too long."""
+        commands = self._commands
+        if before < commands[0][0] or self._rests:
+            self._governor.restart()
+        else:
+            wanted = self._now - before
+            advance = self._governor.advance(commands, wanted, elapsed, lambda step: self._target(before + step))
+            if advance < wanted:
+                self._now = before + advance
+                self._slew.remaining += wanted - advance
+                self._put_off += wanted - advance
+                self._pace = CATCH_UP
+        self._governed = self._governor.active
+
+    def _target(self, stamp: int) -> Pose:
+        """Return the pose at a stamp [ns] not far ahead of playout time, without moving on."""
+        commands, before = self._commands, self._before
+        index = 0
+        while index + 1 < len(commands) and commands[index + 1][0] <= stamp:
+            before = commands[index]
+            index += 1
+        start = commands[index]
+        if stamp <= start[0] or index + 1 == len(commands):
+            return start[1]
+        after = commands[index + 2] if index + 2 < len(commands) else None
+        return interpolate(stamp, start, commands[index + 1], before, after)
+
+    def _skip_rest(self) -> None:
+        """Go through a rest that has been put off at once: moving the time of what stands still moves nothing."""
+        commands = self._commands
+        while self._put_off and len(commands) > 2 and self._before is not None and self._now >= commands[0][0]:
+            if not self._before[1] == commands[0][1] == commands[1][1] == commands[2][1]:
+                return
+            hop = min(self._put_off, commands[1][0] - self._now)
+            self._now += hop
+            self._put_off -= hop
+            self._slew.remaining -= hop
+            if self._now < commands[1][0]:
+                return
+            self._before = commands.popleft()

@@ -1,0 +1,375 @@
+"""rsi_gateway: MQTT <-> KUKA RSI on the cell PC. Runs without ROS: ``python -m construction_twin.gateway --help``.
+
+One thread, one select loop: RSI datagrams first, then MQTT. Standard library and paho-mqtt only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import logging
+import secrets
+import selectors
+import signal
+import socket
+import sys
+import time
+
+from paho.mqtt import client as paho
+
+from construction_twin.core.addresses import is_loopback
+from construction_twin.core.errors import (
+    ConfigurationError,
+    ConstructionTwinError,
+    PayloadError,
+)
+from construction_twin.core.histogram import Histogram
+from construction_twin.core.realtime import lock_memory, request_realtime
+from construction_twin.gateway.config import GatewayConfig, load_config
+from construction_twin.gateway.gateway import Gateway, State
+from construction_twin.gateway.inbox import TelegramInbox
+from construction_twin.gateway.log import LineLimiter, log_beside_the_loop
+from construction_twin.gateway.mode import NOTES, Mode
+from construction_twin.gateway.status import StatusClock
+from construction_twin.gateway.trace import TraceWriter
+from construction_twin.mqtt.account import load_account
+from construction_twin.mqtt.client import (
+    Broker,
+    make_client,
+    subscriptions,
+    unique_id,
+)
+from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.messages import VERBS, Topics, parse_control, read_command_properties
+from construction_twin.mqtt.polled_client import PolledClient
+from construction_twin.rsi.ethernet_xml import controller_sends_to
+from construction_twin.rsi.gateway_codec import SensorEncoder
+from construction_twin.rsi.udp import address_of, bind, receive
+
+log = logging.getLogger("rsi_gateway")
+
+_STATUS_PERIOD = 1.0
+#: The slowest axis comes to rest from full speed in less than 1 s; a controller that went silent is not waited for [s].
+_LONGEST_BRAKING = 3.0
+#: `Stop` is sent for this long: a few telegrams, in case one of them is lost [s].
+_LAST_STOP = 0.1
+
+
+class GatewayService:
+    """Sockets around a Gateway.
+
+    Parameters
+    ----------
+    config : GatewayConfig
+    sock : socket.socket
+        Bound UDP socket, see `bind`.
+    broker : Broker
+    topics : Topics
+    run : str
+        Random id of this run, see `Gateway`.
+    controller : str or None
+        Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
+    commissioning : bool, optional
+        Send every correction as zero.
+    """
+
+    def __init__(
+        self,
+        config: GatewayConfig,
+        sock: socket.socket,
+        broker: Broker,
+        topics: Topics,
+        run: str,
+        controller: str | None = None,
+        commissioning: bool = False,
+    ):
+        self.gateway = Gateway(config, run, commissioning)
+        self.reply_time = Histogram.of_microseconds()
+        self._sock = sock
+        self._inbox = TelegramInbox(self.gateway, lambda: receive(sock), time.monotonic_ns, controller)
+        self._topics = topics
+        self._encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(sock, selectors.EVENT_READ, None)
+        client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status)
+        self._connection = ConnectionReport(broker, log.error)
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_stream(self._topics.command, self._on_command)
+        client.message_callback_add(self._topics.control, self._on_control)
+        client.connect_async(broker.host, broker.port, broker.keepalive)
+        self._mqtt = PolledClient(client, self._selector, self._connection.failed)
+        self._state_properties = broker.protocol == "5"
+        self._status = StatusClock(_STATUS_PERIOD)
+        self._lines = LineLimiter()
+        self._speed_answer: tuple = ()
+        self._said: tuple = (None, "", False)
+        self._running = True
+
+    def run(self) -> None:
+        """Serve until `stop` is called; then bring the arm to rest before answering ends, because HOLDON would stop it dead.
+
+        Where the Ethernet XML declares `Stop`, RSI_MOVECORR is ended too: a controller left alone would report a timeout.
+        """
+        try:
+            while self._running:
+                # what TLS has decrypted already makes no socket readable
+                self._turn(self._selector.select(0.0 if self._mqtt.pending else 0.05))
+            self.gateway.end("the gateway is ending")
+            deadline = time.monotonic() + _LONGEST_BRAKING
+            while self.gateway.state is State.BRAKING and time.monotonic() < deadline:
+                self._turn(self._selector.select(0.05))
+            deadline = time.monotonic() + _LAST_STOP
+            while self.gateway.ends and time.monotonic() < deadline:
+                self._turn(self._selector.select(0.05))
+        finally:
+            self._publish_status(final=True)
+            self._mqtt.close()
+            self._sock.close()
+
+    def stop(self) -> None:
+        """Make `run` brake and return; safe in a signal handler."""
+        self._running = False
+
+    def _turn(self, events) -> None:
+        answered = self._serve_controller()
+        if any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events):
+            self._mqtt.read()
+        now = time.monotonic()
+        self._mqtt.service(now)
+        self.gateway.poll(time.monotonic_ns())
+        if self.gateway.take_change():
+            self._log_change()
+            self._publish_status()
+        elif self._status.is_due(now, answered):
+            self._publish_status()
+
+    def _log_change(self) -> None:
+        gateway = self.gateway
+        before, self._said = self._said, (gateway.state, gateway.reason, gateway.speed.source == "silence")
+        if self._said[:2] != before[:2]:
+            # that somebody else sends is a kind of its own: the line that the controller is gone is often less than a second old
+            stranger = before[0] is gateway.state is State.NO_CONTROLLER
+            level, kind = (logging.WARNING, "not the controller") if stranger else (logging.INFO, gateway.state.value)
+            self._log(level, kind, gateway.reason)
+        if self._said[2] and not before[2]:
+            share = gateway.speed.given
+            self._log(logging.WARNING, "speed limit", f"its source is silent; {share:g} of the limits until it speaks")
+
+    def _log(self, level: int, kind: str, text: str) -> None:
+        note = self._lines.note(kind, time.monotonic_ns())
+        if note is not None:
+            log.log(level, "%s: %s%s", kind, text, note)
+
+    # -- RSI
+
+    def _serve_controller(self) -> bool:
+        """Answer the newest telegram; return whether there was one."""
+        newest = self._inbox.newest()
+        if newest is None:
+            return False
+        telegram, source, arrived = newest
+        correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
+        if correction is not None:
+            stop = True if self.gateway.ends else None
+            self._answer(self._encoder.encode(correction, telegram.ipoc, stop), source)
+            self.reply_time.add((time.time_ns() - arrived) / 1e3)
+        self._publish_state()
+        return True
+
+    def _answer(self, reply: bytes, source: tuple) -> None:
+        try:
+            self._sock.sendto(reply, source)
+        except OSError as error:
+            self.gateway.counters[f"udp_send_{error.errno}"] += 1
+
+    # -- MQTT
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        if reason_code.is_failure:
+            self._connection.refused(reason_code)
+            return
+        self._connection.connected()
+        log.info("connected to the broker")
+        client.subscribe(subscriptions(client, [(self._topics.command, 0), (self._topics.control, 1)]))
+        info = self._publish_status()
+        # the client sends again what was not acknowledged before: an older status, behind this one, would be the one that is kept
+        self._status.hurry()
+        if info is not None:
+            self._connection.watch_publish(client, self._topics.status, info.mid)
+
+    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+        self._connection.lost(reason_code)
+
+    def _on_command(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
+        if retained:
+            self._refuse_retained("command")
+            return
+        try:
+            properties = read_command_properties(pairs) if pairs else None
+        except PayloadError as error:
+            properties = error
+        self.gateway.on_command(payload, properties, time.monotonic_ns())
+
+    def _refuse_retained(self, name: str) -> None:
+        self.gateway.refusals.message(
+            "retained", f"a message on {name} with the retain flag: nobody knows how old it is"
+        )
+
+    def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
+        if message.retain:
+            self._refuse_retained("control")
+            return
+        try:
+            control = parse_control(message.payload)
+        except PayloadError as error:
+            self.gateway.refusals.message(error.reason, error)
+            self._log(logging.WARNING, f"refused on {error.reason}", str(error))
+            return
+        ok, reason = self.gateway.on_control(control, time.monotonic_ns())
+        if not reason:
+            return
+        if control.verb == "speed_limit":
+            # repeated several times a second: only what is new is worth a line and an answer
+            before, self._speed_answer = self._speed_answer, (control.session, ok, reason)
+            if self._speed_answer == before:
+                return
+        verb = control.verb if control.verb in VERBS else "unknown verb"
+        kind = verb if ok else f"refused {verb}"
+        self._log(logging.INFO if ok else logging.WARNING, kind, f"session {control.session}: {reason}")
+        # the state first: whoever reads the answer must not act on an older status
+        self._publish_status()
+        answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
+        self._mqtt.client.publish(self._topics.control_ack, json.dumps(answer), qos=1)
+
+    def _publish_state(self) -> None:
+        if not self._mqtt.connected:
+            return
+        message = self.gateway.state_message(time.monotonic_ns())
+        if message is None:
+            return
+        payload, properties = message
+        beside = properties.pairs() if self._state_properties else None
+        self._mqtt.client.send_stream(self._topics.state, payload, beside)
+
+    def _publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
+        self._status.sent(time.monotonic())
+        if not self._mqtt.connected:
+            return None
+        status = self.gateway.status()
+        status["reply_us"] = self.reply_time.summary()
+        if final:
+            status |= {"state": "offline", "reason": "gateway stopped"}
+        return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
+
+
+def _arguments(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="rsi_gateway",
+        description="Bridge between MQTT joint strings and KUKA RSI. Needs no ROS. Not safety rated.",
+    )
+    parser.add_argument(
+        "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
+    )
+    parser.add_argument(
+        "--listen",
+        default="127.0.0.1:0",
+        metavar="HOST:PORT",
+        help="UDP address for RSI; port 0: PORT of the Ethernet XML [%(default)s]",
+    )
+    parser.add_argument(
+        "--ethernet-xml",
+        metavar="FILE",
+        help="the file that was copied to the controller: do not start when the configuration was made from another one",
+    )
+    parser.add_argument(
+        "--commissioning",
+        nargs="?",
+        const="true",
+        default="false",
+        choices=["true", "false"],
+        help="send every correction as zero; everything else runs and is reported as usual",
+    )
+    parser.add_argument(
+        "--controller",
+        metavar="HOST",
+        help="read telegrams from this address only; a name is looked up once, at the start; without one --listen must be"
+        " a loopback address",
+    )
+    parser.add_argument("--broker", default="127.0.0.1:1883", metavar="HOST:PORT", help="MQTT broker [%(default)s]")
+    parser.add_argument(
+        "--account",
+        metavar="FILE",
+        help="account file for the broker, as make_site writes it; without: anonymous, no TLS",
+    )
+    parser.add_argument("--protocol", default="5", choices=["5", "3.1.1"], help="MQTT version [%(default)s]")
+    parser.add_argument("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
+    parser.add_argument(
+        "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
+    )
+    parser.add_argument("--trace", metavar="FILE", help="record what is really sent, cycle by cycle, for an hour")
+    return parser.parse_args(argv)
+
+
+def _address(text: str, option: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    lowest = 0 if option == "--listen" else 1
+    if not host or not (port.isascii() and port.isdigit()) or not lowest <= int(port) < 65536:
+        raise ConfigurationError(option, text, "HOST:PORT")
+    return host, int(port)
+
+
+def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
+    host, port = _address(text, "--listen")
+    return host, port or config.layout.port
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    try:
+        config = load_config(arguments.config)
+        account = load_account(arguments.account) if arguments.account else None
+        broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
+        topics = Topics(arguments.prefix, config.robot)
+        address = _listen_address(arguments.listen, config)
+        told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
+        controller = address_of(arguments.controller, "--controller") if arguments.controller else None
+        if controller is None and not is_loopback(address[0]):
+            expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"
+            raise ConfigurationError("--controller", "", expected)
+        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
+        run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
+        service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
+        service.gateway.trace = trace and trace.record
+    except ConstructionTwinError as error:
+        log.error("%s", error)
+        return 2
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: service.stop())
+    log.info("configuration %s; listening on %s:%d; broker %s", config.hash[:12], *address, arguments.broker)
+    log.info("telegrams are read from %s", f"{controller} only" if controller else "whoever begins a session")
+    if address[1] != config.layout.port:
+        log.warning("the Ethernet XML tells the controller to send to port %d, not %d", config.layout.port, address[1])
+    if told != address[0] and address[0] != "0.0.0.0":
+        log.warning("the Ethernet XML tells the controller to send to address %s, not %s", told, address[0])
+    if service.gateway.mode is not Mode.NORMAL:
+        log.warning("mode %s%s", service.gateway.mode.value, NOTES[service.gateway.mode])
+    log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
+    # a full collection over everything imported would take longer than the controller waits
+    gc.freeze()
+    service.run()
+    if trace is not None:
+        trace.close()
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the gateway until SIGINT or SIGTERM; return the exit code."""
+    arguments = _arguments(sys.argv[1:] if argv is None else argv)
+    # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
+    sys.setswitchinterval(0.001)
+    listener = log_beside_the_loop()
+    try:
+        return _run(arguments)
+    finally:
+        listener.stop()

@@ -1,0 +1,84 @@
+"""Moving playout time without a step: a shift in whole nanoseconds, with a bounded rate that itself changes slowly.
+
+Standard library only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from construction_twin.core.units import CYCLE_NS
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast playout time may be moved.
+
+    Played at a rate 1 + r, a motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds
+    velocity times dr/dt.
+
+    Attributes
+    ----------
+    back, ahead : int
+        Largest shift per cycle [ns], backwards and forwards.
+    change : int
+        Largest change of that shift from one cycle to the next [ns].
+    """
+
+    back: int
+    ahead: int
+    change: int
+
+    @classmethod
+    def of(cls, back: float, ahead: float, slope: float) -> Pace:
+        """Return the pace of the largest rates and of their largest change, `slope` [1/s]."""
+        return cls(round(back * CYCLE_NS), round(ahead * CYCLE_NS), round(slope * CYCLE_NS * CYCLE_NS / 1_000_000_000))
+
+
+#: For clock drift, and to shrink a delay: 0.5 %, changing by 0.005 per second. At 2 rad/s that adds 0.01 rad/s^2; it takes 1.8 s
+#: to move a cycle.
+CALM = Pace.of(0.005, 0.005, 0.005)
+#: For a delay that has become too short: 5 %, changing by 0.1 per second. At 2 rad/s that adds 0.2 rad/s^2, 8 % of what axis 1 may;
+#: time is slowed only, so the motion's own acceleration falls. It takes 1.1 s to gain 30 ms.
+URGENT = Pace.of(0.05, 0.005, 0.1)
+
+#: To make up for what a speed limit has put off: 1 %, changing by 0.1 per second, so that a motion at 0.9 of its acceleration
+#: limits still keeps inside them.
+CATCH_UP = Pace.of(0.05, 0.01, 0.1)
+
+
+class Slew:
+    """Carries a shift out, cycle by cycle, beginning and ending at rate zero."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Stand still, with nothing left to do."""
+        #: What remains to be shifted [ns].
+        self.remaining = 0
+        #: The shift of the last cycle [ns].
+        self.shift = 0
+
+    @property
+    def moving(self) -> bool:
+        """True while something is shifted."""
+        return bool(self.remaining or self.shift)
+
+    @property
+    def rate(self) -> float:
+        """Present deviation of playout time's rate from 1."""
+        return self.shift / CYCLE_NS
+
+    def step(self, pace: Pace) -> int:
+        """Return the shift of this cycle [ns], at most `pace` allows; the sum of all is exactly what was asked for."""
+        distance = abs(self.remaining)
+        # the largest shift after which slowing down still ends in time
+        cycles = (math.isqrt(1 + 8 * distance // pace.change) - 1) // 2
+        wanted = (distance + pace.change * cycles * (cycles + 1) // 2) // (cycles + 1)
+        wanted = min(wanted, pace.ahead) if self.remaining > 0 else -min(wanted, pace.back)
+        shift = min(max(wanted, self.shift - pace.change), self.shift + pace.change)
+        self.remaining -= shift
+        self.shift = shift
+        return shift

@@ -1,0 +1,147 @@
+"""Playing more slowly, on the same path: how far playout time may advance so that no joint exceeds its share of the speed.
+
+Time is slowed for all joints together, never a joint by itself. Its rate changes only so fast that the joints' acceleration limits
+hold on the way. Standard library only; stamps in ns, positions in rad (m for linear joints).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from construction_twin.core.interpolation import Pose
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
+
+#: Share of the acceleration limits for slowing time down; what the motion itself needs of it counts.
+BRAKING_SHARE = 0.95
+#: The same for letting it run again.
+RISING_SHARE = 0.5
+#: However hard the motion itself brakes, time may be slowed with this share.
+LEAST_SHARE = 0.1
+#: Largest growth of the rate per second.
+LARGEST_RISE = 1.0
+#: Halvings with which a cycle's advance is brought into the acceleration limits.
+HALVINGS = 5
+#: What a step may be larger than its share of the speed because of the wire's rounding, as a share of that.
+ROUNDING_SHARE = 0.1
+
+
+class Governor:
+    """Bounds the rate of playout time.
+
+    Parameters
+    ----------
+    limits : MotionLimits
+    decimals : int
+        Decimals on the wire.
+    """
+
+    def __init__(self, limits: MotionLimits, decimals: int):
+        self._velocity = limits.velocity
+        self._acceleration = limits.acceleration
+        self._digit = limits.last_digits(decimals)
+        allowances = limits.allowances(decimals)
+        self._bend = tuple((a + extra) * CYCLE * CYCLE for a, extra in zip(limits.acceleration, allowances))
+        self._steps: tuple[float, ...] = ()
+        self.share = 1.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with another stream, at rest; the share stays."""
+        #: False while time need not be looked at.
+        self.active = self.share < 1.0
+        #: Rate of playout time in the last cycle; None: whatever it would be without a limit.
+        self.rate: float | None = None
+        self._targets: list[Pose] = []
+
+    def limit(self, share: float) -> None:
+        """Allow every joint this share of its velocity limit from now on, 0 to 1."""
+        self.share = share
+        self._steps = tuple([share * v * CYCLE for v in self._velocity])
+        if share < 1.0 and not self.active:
+            self.restart()
+
+    def advance(
+        self, commands: Sequence[tuple[int, Pose]], wanted: int, elapsed: int, target: Callable[[int], Pose]
+    ) -> int:
+        """Return how far playout time may advance in this cycle [ns], at most `wanted`.
+
+        Parameters
+        ----------
+        commands : sequence of (int, tuple)
+            Stamps [ns] and poses [rad]; playout time lies between the first two.
+        wanted : int
+            How far it would advance without a limit [ns].
+        elapsed : int
+            Controller time since the last cycle [ns].
+        target : callable
+            From an advance [ns] to the target there [rad].
+        """
+        free = wanted / elapsed
+        last = free if self.rate is None else min(self.rate, free)
+        goal, fall, rise = self._bounds(commands, free, last, elapsed / NANOSECONDS)
+        rate = min(max(goal, last - fall, 0.0), last + rise, free)
+        step = round(rate * elapsed)
+        if elapsed != CYCLE_NS:
+            # what comes after missed telegrams cannot be compared with what was before them
+            self._targets.clear()
+        step = self._fit(step, last, fall, elapsed, target)
+        if step >= wanted and self.share >= 1.0:
+            self.active = False
+        self.rate = step / elapsed
+        self._targets = [*self._targets[-1:], target(step)]
+        return step
+
+    def _bounds(
+        self, commands: Sequence[tuple[int, Pose]], free: float, rate: float, period: float
+    ) -> tuple[float, float, float]:
+        """Return the rate to strive for, and by how much it may fall and rise in this cycle."""
+        goal, fall, rise = free, math.inf, LARGEST_RISE * period
+        last = min(len(commands) - 1, 4)
+        if last == 0:
+            return goal, fall, math.inf
+        (stamp0, q0), (stamp2, q2) = commands[0], commands[last]
+        span = (stamp2 - stamp0) / NANOSECONDS
+        q1 = commands[last // 2][1] if last == 4 else None
+        moves = False
+        for j, (start, end) in enumerate(zip(q0, q2)):
+            if start == end:
+                continue
+            moves = True
+            speed = abs(end - start) / span
+            goal = min(goal, self.share * self._velocity[j] / speed)
+            limit, own = self._acceleration[j], 0.0
+            if q1 is not None:
+                own = math.copysign(rate * rate * 4.0, end - start) * (end - 2.0 * q1[j] + start) / (span * span)
+            fall = min(fall, max(LEAST_SHARE * limit, BRAKING_SHARE * limit + own) * period / speed)
+            rise = min(rise, max(0.0, RISING_SHARE * limit - own) * period / speed)
+        return goal, fall, rise if moves else math.inf
+
+    def _fit(self, step: int, last: float, fall: float, elapsed: int, target: Callable[[int], Pose]) -> int:
+        """Return `step` [ns], changed as far as this very cycle's poses ask for it."""
+        targets = self._targets
+        if not targets or self.share >= 1.0:
+            return step
+        cycles = elapsed / CYCLE_NS
+        excess = 1.0
+        for new, old, allowed, digit in zip(target(step), targets[-1], self._steps, self._digit):
+            allowed = (allowed + min(digit, ROUNDING_SHARE * allowed)) * cycles
+            if allowed and abs(new - old) > excess * allowed:
+                excess = abs(new - old) / allowed
+        if excess > 1.0:
+            step = min(step, max(math.floor(step / excess), math.ceil((last - fall) * elapsed) if fall < last else 0))
+        if len(targets) < 2 or self._bends_within(target(step)):
+            return step
+        refused, accepted = step, round(last * elapsed)
+        for _ in range(HALVINGS):
+            middle = (refused + accepted) // 2
+            if self._bends_within(target(middle)):
+                accepted = middle
+            else:
+                refused = middle
+        return accepted
+
+    def _bends_within(self, new: Pose) -> bool:
+        before, last = self._targets
+        return all([abs(c - 2.0 * b + a) <= most for a, b, c, most in zip(before, last, new, self._bend)])

@@ -1,0 +1,124 @@
+"""A record of what the gateway really sent, one entry per answered telegram: for tests, and for finding out what happened.
+
+The file is mapped into memory at its full length beforehand, so that recording is one write into memory: no system call in the
+cycle, and nothing is lost when the process is killed. Standard library only; rad and ns.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.gateway.states import State
+
+#: Begins every trace; the number is the format's.
+MAGIC = b"rsitrace1\n"
+_HEADER = struct.Struct("<10sHI")
+_STATES = tuple(State)
+#: Cycles that a trace holds by default: an hour.
+DEFAULT_CYCLES = 900_000
+
+
+def _entry(axes: int) -> struct.Struct:
+    return struct.Struct(f"<qqHH4x{axes}d")
+
+
+@dataclass(frozen=True)
+class TraceEntry:
+    """One answered telegram.
+
+    Attributes
+    ----------
+    ipoc : int
+        [ms]
+    stamp : int
+        Of the target played [ns, sender's clock]; 0 for none.
+    state : State
+    session : int
+        Number of the RSI session, from 1; counted modulo 65536.
+    position : tuple, shape (n,)
+        Origin plus correction [rad].
+    """
+
+    ipoc: int
+    stamp: int
+    state: State
+    session: int
+    position: tuple[float, ...]
+
+
+class TraceWriter:
+    """Writes a trace; `record` is what `Gateway.trace` takes.
+
+    Parameters
+    ----------
+    path : str
+        File to write; one that exists is replaced.
+    axes : int
+        Values per position.
+    cycles : int, optional
+        Entries that the file holds; what comes after is counted in `dropped`.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file cannot be written.
+    """
+
+    def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
+        self._entry = _entry(axes)
+        self._numbers = {state: number for number, state in enumerate(_STATES)}
+        self._end = _HEADER.size + cycles * self._entry.size
+        self._at = _HEADER.size
+        self.dropped = 0
+        try:
+            self._file = open(path, "w+b")
+            # not written, so a file system that can leaves holes
+            self._file.truncate(self._end)
+            self._memory = mmap.mmap(self._file.fileno(), self._end)
+        except OSError as error:
+            raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
+        _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
+
+    def record(self, ipoc: int, session: int, state: State, stamp: int, position: tuple[float, ...]) -> None:
+        """Append an entry."""
+        if self._at >= self._end:
+            self.dropped += 1
+            return
+        self._entry.pack_into(
+            self._memory, self._at, ipoc, stamp, self._numbers[state] + 1, session & 0xFFFF, *position
+        )
+        self._at += self._entry.size
+
+    def close(self) -> None:
+        """Cut the file to what was recorded."""
+        self._memory.close()
+        self._file.truncate(self._at)
+        self._file.close()
+
+
+def read_trace(path: str) -> list[TraceEntry]:
+    """Read a trace, also one whose writer was killed or is still at it.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not a trace.
+    """
+    data = Path(path).read_bytes()
+    if len(data) < _HEADER.size or not data.startswith(MAGIC):
+        raise ConfigurationError(path, data[:16], "a file written by rsi_gateway --trace")
+    _, axes, size = _HEADER.unpack_from(data)
+    entry = _entry(axes)
+    if size != entry.size:
+        raise ConfigurationError(path, size, f"entries of {entry.size} bytes")
+    entries = []
+    for at in range(_HEADER.size, len(data) - size + 1, size):
+        ipoc, stamp, state, session, *position = entry.unpack_from(data, at)
+        if not state:
+            break
+        entries.append(TraceEntry(ipoc, stamp, _STATES[state - 1], session, tuple(position)))
+    return entries

@@ -1,0 +1,69 @@
+"""When a speed limit goes on to the gateway: changes at once, repeats rarely, silence as silence. Pure, standard library only."""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+
+#: An unchanged limit is repeated no faster than this [ns].
+PERIOD = NANOSECONDS // 5
+
+
+class SpeedForwarder:
+    """Forwards what the source of `speed_limit` says, and nothing that it does not say.
+
+    A message is forwarded at most once, except to a session that began after it: the deadline of who listens then runs from
+    where the source's own silence began.
+
+    Parameters
+    ----------
+    deadline : float
+        A source that was heard this recently is the only one [s]. A message older than this is not sent any more: its source has
+        fallen silent.
+    """
+
+    def __init__(self, deadline: float):
+        self._deadline = round(deadline * NANOSECONDS)
+        #: The last limit heard; None before the first one.
+        self.limit: float | None = None
+        #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.
+        self.number = 0
+        self._source = ""
+        self._heard_at = 0
+        self._unsent = False
+        self._sent: tuple[float, str] | None = None
+        self._sent_at = 0
+
+    def on_limit(self, limit: float, source: str, now: int) -> None:
+        """Take a message [share, 0 to 1] that `source` sent and that came at `now` [ns].
+
+        Raises
+        ------
+        PayloadError
+            ``speed_limit``, or ``speed_limit_source`` while another source is heard: the executor refuses it too.
+        """
+        # written so that a nan does not pass
+        if not 0.0 <= limit <= 1.0:
+            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a share from 0 to 1")
+        if source != self._source and self.limit is not None and now - self._heard_at <= self._deadline:
+            raise PayloadError(
+                "speed_limit_source", f"{source} sent a speed limit while {self._source} does; let only one of them"
+            )
+        self.limit, self._source, self._heard_at, self._unsent = limit, source, now, True
+
+    def poll(self, session: str, now: int) -> float | None:
+        """Return the limit to send now to the armed session `session` ("" for none), or None."""
+        if not session or self.limit is None:
+            return None
+        if now - self._heard_at > self._deadline:
+            # silence is silence, also for a session that begins meanwhile
+            self._unsent = False
+            return None
+        is_new = self._sent is None or self._sent[1] != session
+        self._unsent |= is_new
+        due = is_new or self.limit != self._sent[0] or now - self._sent_at >= PERIOD
+        if not (self._unsent and due):
+            return None
+        self._unsent, self._sent, self._sent_at = False, (self.limit, session), now
+        self.number += 1
+        return self.limit

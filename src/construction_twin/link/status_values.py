@@ -1,0 +1,59 @@
+"""What the gateway's status says beside its counters, as texts for `link` and `/diagnostics`. Standard library only."""
+
+from __future__ import annotations
+
+import math
+
+from construction_twin.core.errors import PayloadError
+
+#: Objects of the status whose values are shown, each under its own name and theirs.
+_GROUPS = ("playout", "speed_limit", "stop", "intruder")
+_SINGLE = ("mode", "last_refusal", "last_ipoc_jump_ms")
+_LONGEST = 300
+#: Members that are lists, one value per axis, and how many at most.
+_LISTS = ("stop.distance_deg", "stop.moved_deg")
+_MOST_AXES = 12
+
+
+def status_values(status: dict) -> dict[str, str]:
+    """Return playout, speed limit, last stop, mode, last intruder, last refusal and last jump of IPOC.
+
+    Parameters
+    ----------
+    status : dict
+        As `parse_status` returned it; what is absent is left out.
+
+    Returns
+    -------
+    values : dict of str
+        E.g. ``{"playout_delay_ms": "20", "intruder_session": "", "last_refusal": "..."}``; "" for what is not known.
+
+    Raises
+    ------
+    PayloadError
+        ``status``, when a value is no number, short text or null.
+    """
+    values = {name: _text(name, status[name]) for name in _SINGLE if name in status}
+    for group in _GROUPS:
+        members = status.get(group, {})
+        if not isinstance(members, dict) or len(members) > 32 or any(len(name) > 64 for name in members):
+            raise PayloadError("status", f"status message whose {group} is not what the interface says")
+        values |= {f"{group}_{name}": _text(f"{group}.{name}", value) for name, value in members.items()}
+    return values
+
+
+def _text(name: str, value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, list) and name in _LISTS and len(value) <= _MOST_AXES:
+        if not all(isinstance(member, (int, float)) for member in value):
+            raise PayloadError("status", f"status message whose {name} is not a list of numbers")
+        return " ".join([_text(name, member) for member in value])
+    if isinstance(value, str):
+        return value[:_LONGEST]
+    # a whole number in JSON may have more digits than a float holds: only one of a counter's size is compared as one
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 63:
+        return f"{value:.9g}"
+    if isinstance(value, float) and math.isfinite(value):
+        return f"{value:.9g}"
+    raise PayloadError("status", f"status message whose {name} is {str(value)[:80]!r}: no number, text or null")

@@ -1,0 +1,274 @@
+"""Faults of the mock controller: which there are, what they need, and what they do to it while it runs.
+
+Pure: time is a count of 4 ms cycles, randomness has a seed. Angles are those of the controller's axes; SI.
+Standard library only. While no fault is active, `FaultBoard.tick` is one comparison per cycle.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from construction_twin.core.errors import FaultError
+from construction_twin.core.motion_errors import JointRangeError
+from construction_twin.core.units import CYCLE
+from construction_twin.mock.controller import MockController
+from construction_twin.mock.line import Line
+from construction_twin.mock.own_motion import T1_SPEED
+
+#: Which datagrams a fault of the network meets: both directions, packets to the PC, or replies to the controller.
+DIRECTIONS = ("", "to_pc", "to_controller")
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """What a fault needs.
+
+    Attributes
+    ----------
+    axis : str
+        ``one`` axis, ``any`` (none named: all of them), or ``no`` axis.
+    values : tuple of int
+        Allowed numbers of values; -1 stands for one per axis.
+    meaning : str
+        Of the values, for the messages.
+    network : bool
+        True when a direction may be given.
+    shift : bool
+        True when the value is a difference of an axis angle, whose sign follows the axis's.
+    positive : bool
+        True when every value must be greater than 0; network faults also allow a jitter of 0.
+    lasting : bool
+        False: it is over as soon as it has happened, and cannot be switched off.
+    """
+
+    axis: str
+    values: tuple[int, ...]
+    meaning: str
+    network: bool = False
+    shift: bool = False
+    positive: bool = True
+    lasting: bool = True
+
+
+#: Every fault by its name.
+KINDS = {
+    "stall": FaultKind("one", (0,), "no value"),
+    "slow": FaultKind("one", (1,), "the largest velocity [rad/s]"),
+    "offset": FaultKind("one", (1,), "the offset [rad]", shift=True, positive=False),
+    "drift": FaultKind("one", (1,), "the rate [rad/s]", shift=True, positive=False),
+    "backlash": FaultKind("one", (1,), "the play [rad]"),
+    "noise": FaultKind("any", (1,), "the standard deviation [rad]"),
+    "drop": FaultKind("no", (1,), "the share of datagrams, up to 1", network=True),
+    "delay": FaultKind("no", (1, 2), "the delay, and how much more it may be [s]", network=True, positive=False),
+    "duplicate": FaultKind("no", (1,), "the share of datagrams, up to 1", network=True),
+    "estop": FaultKind("no", (0,), "no value"),
+    "rsi_timeout": FaultKind("no", (0,), "no value"),
+    "t1": FaultKind("no", (0, 1), "nothing, or the tool's speed [m/s]"),
+    "restart_at": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
+    "jog": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault to be injected or ended.
+
+    Attributes
+    ----------
+    name : str
+        One of `KINDS`.
+    axis : str
+        The controller's axis; empty for none, or for all.
+    values : tuple of float
+        As the kind says; ignored when the fault is ended.
+    direction : str
+        One of `DIRECTIONS`.
+    duration : float
+        The fault ends by itself after this time [s]; 0: it stays. Of ``jog``: the length of the motion, 0: moderate.
+    """
+
+    name: str
+    axis: str = ""
+    values: tuple[float, ...] = ()
+    direction: str = ""
+    duration: float = 0.0
+
+    @property
+    def subject(self) -> str:
+        """What of the controller it concerns: one of these has a fault once."""
+        return self.axis or self.direction
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.subject}".strip()
+
+
+class FaultBoard:
+    """The faults of one controller and of its network.
+
+    Parameters
+    ----------
+    controller : MockController
+    seed : int
+        Of the noise and of the network's faults.
+
+    Attributes
+    ----------
+    to_pc, to_controller : Line
+        Where datagrams go while a line is active.
+    changes : int
+        Counts every change of the active faults.
+    """
+
+    def __init__(self, controller: MockController, seed: int):
+        self.controller = controller
+        controller.encoders.reseed(random.Random(f"{seed} encoders"))
+        self.to_pc = Line(random.Random(f"{seed} to_pc"))
+        self.to_controller = Line(random.Random(f"{seed} to_controller"))
+        self.changes = 0
+        self._cycle = 0
+        self._active: dict[tuple[str, str], tuple[Fault, float]] = {}
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """The faults that are on, as texts."""
+        return tuple(str(fault) for fault, _ in self._active.values())
+
+    def tick(self) -> None:
+        """Let a cycle go by: faults whose time is over end. To be called before `MockController.begin_cycle`."""
+        self._cycle += 1
+        if not self._active:
+            return
+        for fault, end in tuple(self._active.values()):
+            if self._cycle >= end or self._is_over(fault):
+                self.end(fault)
+
+    def inject(self, fault: Fault) -> str:
+        """Switch a fault on, or change its values.
+
+        Returns
+        -------
+        text : str
+            What happens now, one sentence.
+
+        Raises
+        ------
+        FaultError
+            If there is no such fault, it lacks something, or this is not the moment for it.
+        """
+        kind = self._check(fault)
+        start, _ = self._actions(fault)
+        try:
+            start()
+        except (ValueError, JointRangeError) as error:
+            raise FaultError(fault.name, fault.values, str(error)) from error
+        self.changes += 1
+        if not kind.lasting:
+            return f"{fault.name} is carried out"
+        cycles = math.ceil(fault.duration / CYCLE - 1e-9) if fault.duration else math.inf
+        self._active[fault.name, fault.subject] = fault, self._cycle + cycles
+        return f"{fault} is on" + (f" for {fault.duration:g} s" if fault.duration else "")
+
+    def end(self, fault: Fault) -> str:
+        """Switch a fault off; only name, axis and direction count.
+
+        Raises
+        ------
+        FaultError
+            If it is not on.
+        """
+        if (fault.name, fault.subject) not in self._active:
+            raise FaultError(
+                fault.name, fault.subject or None, f"a fault that is on: {', '.join(self.active) or 'none is'}"
+            )
+        _, stop = self._actions(fault)
+        stop()
+        del self._active[fault.name, fault.subject]
+        self.changes += 1
+        return f"{fault} is over"
+
+    def _is_over(self, fault: Fault) -> bool:
+        return fault.name == "rsi_timeout" and not self.controller.running
+
+    def _check(self, fault: Fault) -> FaultKind:
+        if fault.name not in KINDS:
+            raise FaultError("fault", fault.name, f"one of {', '.join(KINDS)}")
+        kind, axes = KINDS[fault.name], self.controller.config.axes
+        if kind.axis == "one" and not fault.axis or kind.axis == "no" and fault.axis:
+            raise FaultError(fault.name, fault.axis, "a joint" if kind.axis == "one" else "no joint")
+        if fault.axis and fault.axis not in axes:
+            raise FaultError(fault.name, fault.axis, f"one of {', '.join(axes)}")
+        if fault.direction not in (DIRECTIONS if kind.network else ("",)):
+            raise FaultError(
+                fault.name,
+                fault.direction,
+                "direction to_pc, to_controller or none" if kind.network else "no direction",
+            )
+        counts = [len(axes) if count < 0 else count for count in kind.values]
+        if len(fault.values) not in counts or not all(map(math.isfinite, fault.values)):
+            raise FaultError(fault.name, fault.values, kind.meaning)
+        if kind.positive and not all(value > 0.0 for value in fault.values):
+            raise FaultError(fault.name, fault.values, f"{kind.meaning}, greater than 0")
+        if kind.network and not all(0.0 <= value <= 1.0 for value in fault.values):
+            raise FaultError(fault.name, fault.values, f"{kind.meaning}, 0 to 1")
+        if not (math.isfinite(fault.duration) and fault.duration >= 0.0):
+            raise FaultError(fault.name, fault.duration, "a duration [s] of 0 or more")
+        return kind
+
+    def _actions(self, fault: Fault) -> tuple[Callable[[], None], Callable[[], None]]:
+        """Return what switches the fault on, and off."""
+        if fault.name in ("stall", "slow"):
+            return self._servo(fault)
+        if fault.name in ("offset", "drift", "backlash", "noise"):
+            return self._encoders(fault)
+        if KINDS[fault.name].network:
+            return self._network(fault)
+        controller, values = self.controller, fault.values
+        return {
+            "estop": (controller.press_emergency_stop, controller.release_emergency_stop),
+            "rsi_timeout": (lambda: controller.ignore_replies(True), lambda: controller.ignore_replies(False)),
+            "t1": (lambda: controller.limit_tool_speed(values[0] if values else T1_SPEED), controller.lift_tool_speed),
+            "restart_at": (lambda: controller.restart(values), _nothing),
+            "jog": (lambda: controller.run_program(values, fault.duration), _nothing),
+        }[fault.name]
+
+    def _servo(self, fault: Fault):
+        servo, config = self.controller.servo, self.controller.config
+        joint = config.axes.index(fault.axis)
+        limits = config.velocity[joint], config.acceleration[joint]
+        if fault.name == "stall":
+            return lambda: servo.stall(joint), lambda: servo.release(joint, *limits)
+        return lambda: servo.limit(joint, fault.values[0], limits[1]), lambda: servo.unlimit(joint, *limits)
+
+    def _encoders(self, fault: Fault):
+        encoders, axes = self.controller.encoders, self.controller.config.axes
+        joints = [axes.index(fault.axis)] if fault.axis else range(len(axes))
+
+        def put(value: float) -> None:
+            for joint in joints:
+                if fault.name == "backlash":
+                    encoders.backlash(joint, value, self.controller.measured[joint])
+                else:
+                    {"offset": encoders.shift, "drift": encoders.drift, "noise": encoders.noise}[fault.name](
+                        joint, value
+                    )
+
+        return lambda: put(fault.values[0]), lambda: put(0.0)
+
+    def _network(self, fault: Fault):
+        lines = [getattr(self, direction) for direction in DIRECTIONS[1:] if fault.direction in ("", direction)]
+
+        def put(value: float, more: float = 0.0) -> None:
+            for line in lines:
+                if fault.name == "delay":
+                    line.delay(value, more)
+                else:
+                    {"drop": line.drop, "duplicate": line.duplicate}[fault.name](value)
+
+        return lambda: put(*fault.values), lambda: put(0.0)
+
+
+def _nothing() -> None:
+    """What needs no end."""

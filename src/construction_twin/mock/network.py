@@ -1,0 +1,243 @@
+"""The mock controller on the network: UDP client and 4 ms clock around `MockController`. Runs without ROS.
+
+The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, this process can
+be: then the packets that are due follow each other by half a cycle until the grid is met again, so that the PC always has
+that long to answer, IPOC advances by 4 per packet and keeps up with time. Only after a stall longer than `CATCH_UP` are
+grid points given up. Late packets and grid points given up are counted (`overruns`, `skipped`).
+"""
+
+from __future__ import annotations
+
+import logging
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from queue import Empty, SimpleQueue
+from typing import TypeVar
+
+from construction_twin.core.errors import ConstructionTwinError, TransportError
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.mock.controller import MockController
+from construction_twin.mock.faults import FaultBoard
+from construction_twin.rsi.udp import receive
+
+log = logging.getLogger(__name__)
+
+#: Packets that are late by no more than this are all sent [ns].
+CATCH_UP = 25 * CYCLE_NS
+#: Shortest distance of two packets [ns].
+_CLOSEST = CYCLE_NS // 2
+#: Datagrams read before the clock is looked at again: a flood must not stop it.
+_DRAIN_LIMIT = 64
+
+Result = TypeVar("Result")
+
+
+class MockRsi:
+    """Runs a mock controller against a gateway.
+
+    Parameters
+    ----------
+    controller : MockController
+    gateway : tuple of (str, int)
+        Host and UDP port of the gateway.
+    restart_after : float, optional
+        A stopped controller starts a new RSI session after this time [s]; 0 (default): it stays stopped.
+    observe : callable, optional
+        Called with this object in every cycle, right after sending; must be quick.
+    report : callable, optional
+        Called with one sentence when a session starts or stops.
+    fault_seed : int, optional
+        Of the faults' random numbers.
+
+    Attributes
+    ----------
+    faults : FaultBoard
+    overruns : int
+        Packets that left more than half a cycle late, because this process was not run in time.
+    skipped : int
+        Grid points given up because it was not run for longer than `CATCH_UP`.
+    foreign : int
+        Datagrams that did not come from the gateway.
+    send_errors : int
+        Packets the system refused to send.
+    left : int
+        When the last packet left, on the monotonic clock [ns]: what the cycle did to the arm cannot be seen before.
+
+    Raises
+    ------
+    TransportError
+        If the gateway's host is unknown.
+    """
+
+    def __init__(
+        self,
+        controller: MockController,
+        gateway: tuple[str, int],
+        restart_after: float = 0.0,
+        observe: Callable[[MockRsi], None] = lambda mock: None,
+        report: Callable[[str], None] = log.info,
+        fault_seed: int = 0,
+    ):
+        self.controller = controller
+        self.faults = FaultBoard(controller, fault_seed)
+        self.overruns = self.skipped = self.foreign = self.send_errors = self.left = 0
+        self._gateway = _resolve(*gateway)
+        self._restart_after = round(restart_after * NANOSECONDS)
+        self._observe = observe
+        self._report = report
+        self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
+        self._socket: socket.socket | None = None
+        self._session = 0
+        self._stopped_at: int | None = None
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """The controller's counters, those of the transport, and what faults did to it."""
+        names = ("overruns", "skipped", "foreign", "send_errors")
+        lines = self.faults.to_pc, self.faults.to_controller
+        kinds = ("dropped", "delayed", "doubled")
+        by_faults = {kind: sum(getattr(line, kind) for line in lines) for kind in kinds}
+        return self.controller.counters | {name: getattr(self, name) for name in names} | by_faults
+
+    def request(self, action: Callable[[], Result], timeout: float = 1.0) -> Result:
+        """Run `action` between two cycles of the loop and return its result; for other threads.
+
+        Raises
+        ------
+        TimeoutError
+            If the loop does not get to it within `timeout` [s].
+        """
+        future: Future = Future()
+        self._requests.put((action, future))
+        return future.result(timeout)
+
+    def run(self, stop: threading.Event) -> None:
+        """Run until `stop` is set; at most one cycle longer."""
+        try:
+            due = time.monotonic_ns()
+            while not stop.is_set():
+                self._serve_requests()
+                self._follow_session(due)
+                self.faults.tick()
+                packet = self.controller.begin_cycle()
+                self.left = time.monotonic_ns()
+                if packet is not None:
+                    self._send(packet)
+                sent = time.monotonic_ns()
+                due = self._next_due(due, sent)
+                self._observe(self)
+                self._receive_until(max(due, sent + _CLOSEST))
+        finally:
+            if self._socket is not None:
+                self._socket.close()
+
+    def _serve_requests(self) -> None:
+        while True:
+            try:
+                action, future = self._requests.get_nowait()
+            except Empty:
+                return
+            try:
+                future.set_result(action())
+            except ConstructionTwinError as error:
+                future.set_exception(error)
+
+    def _follow_session(self, now: int) -> None:
+        """Restart when due; every session gets a port of its own."""
+        controller = self.controller
+        if not controller.running:
+            if self._stopped_at is None:
+                self._stopped_at = now
+                self._report(f"RSI session {controller.session} stopped: {controller.reason}")
+            due = self._restart_after and now - self._stopped_at >= self._restart_after
+            if due and not controller.needs_person:
+                controller.restart()
+        if controller.running:
+            self._stopped_at = None
+        if controller.session != self._session:
+            self._session = controller.session
+            self._open_socket()
+            self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
+
+    def _open_socket(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        # an unused port of the system's choice on all addresses, as the controller does it
+        self._socket.bind(("", 0))
+
+    def _send(self, packet: bytes) -> None:
+        line = self.faults.to_pc
+        if line.active:
+            line.put(packet, time.monotonic_ns())
+            self._deliver(time.monotonic_ns())
+        else:
+            self._put_on_wire(packet)
+
+    def _put_on_wire(self, packet: bytes) -> None:
+        try:
+            self._socket.sendto(packet, self._gateway)
+        except OSError:
+            # e.g. no route: a controller does not notice, its replies just stay away
+            self.send_errors += 1
+
+    def _next_due(self, due: int, sent: int) -> int:
+        late = sent - due
+        self.overruns += late > _CLOSEST
+        skipped = late // CYCLE_NS if late > CATCH_UP else 0
+        self.skipped += skipped
+        return due + (1 + skipped) * CYCLE_NS
+
+    def _receive_until(self, deadline: int) -> None:
+        now = time.monotonic_ns()
+        while True:
+            # select: poll and epoll count in whole milliseconds
+            select.select([self._socket], [], [], max(0, self._wake_up(deadline) - now) / NANOSECONDS)
+            self._drain()
+            now = time.monotonic_ns()
+            if self.faults.to_pc.active or self.faults.to_controller.active:
+                self._deliver(now)
+            if now >= deadline:
+                return
+
+    def _wake_up(self, deadline: int) -> int:
+        """Return when something is to be done next, at the latest at `deadline` [ns]."""
+        for line in (self.faults.to_pc, self.faults.to_controller):
+            arrival = line.next_arrival() if line.active else None
+            if arrival is not None and arrival < deadline:
+                deadline = arrival
+        return deadline
+
+    def _deliver(self, now: int) -> None:
+        """Hand on what faults have delayed until now."""
+        for packet in self.faults.to_pc.take(now):
+            self._put_on_wire(packet)
+        for data in self.faults.to_controller.take(now):
+            self.controller.receive(data)
+
+    def _drain(self) -> None:
+        for _ in range(_DRAIN_LIMIT):
+            try:
+                data, _, source = receive(self._socket)
+            except BlockingIOError:
+                return
+            if source != self._gateway:
+                self.foreign += 1
+            elif self.faults.to_controller.active:
+                self.faults.to_controller.put(data, time.monotonic_ns())
+            else:
+                self.controller.receive(data)
+
+
+def _resolve(host: str, port: int) -> tuple[str, int]:
+    try:
+        return socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+    except OSError as error:
+        raise TransportError(
+            f"gateway host {host!r} port {port}: {error}; give an IPv4 address or a known name"
+        ) from error

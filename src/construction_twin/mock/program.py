@@ -1,0 +1,228 @@
+"""The mock KR C4 as a program: settings, and what is built from them. Runs without ROS; clock and socket are in `mock_network`.
+
+python -m construction_twin.mock --help
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import logging
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.realtime import request_realtime
+from construction_twin.core.units import from_wire, radians, to_wire
+from construction_twin.mock.controller import ForwardKinematics, MockConfig, MockController
+from construction_twin.mock.network import MockRsi
+from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.rsi.ethernet_xml import load_ethernet_xml, read_ethernet_xml
+from construction_twin.rsi.layout import AxisUnit, RsiLayout
+
+log = logging.getLogger(__name__)
+
+_ROOT = Path(__file__).resolve().parents[3]
+
+_Degrees = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
+
+
+class MockSettings(pydantic.BaseModel):
+    """What can be set on the mock from outside; config/mock_rsi.yaml explains every key."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    gateway_host: str
+    gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
+    ethernet_xml: str = ""
+    precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
+    timeout: Annotated[int, pydantic.Field(ge=1)] = 100
+    cumulative_delay: bool = False
+    start_pose_deg: _Degrees = []
+    correction_lower_deg: _Degrees = []
+    correction_upper_deg: _Degrees = []
+    correction_monitor_deg: _Degrees = []
+    velocity_factor: Annotated[float, pydantic.Field(ge=0)] = 2.0
+    acceleration_factor: Annotated[float, pydantic.Field(ge=0)] = 400.0
+    first_ipoc: Annotated[int, pydantic.Field(ge=0)] = 4_208_163_634
+    e1_sign: Literal[1, -1] = 1
+    e1_offset: Annotated[float, pydantic.Field(allow_inf_nan=False)] = 0.0
+    e1_feedback_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
+    e1_correction_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
+    servo: Literal["ideal", "realistic"] = "ideal"
+    servo_delay_cycles: Annotated[int, pydantic.Field(ge=1)] = 3
+    servo_omega: Annotated[float, pydantic.Field(gt=0)] = 60.0
+    servo_zeta: Annotated[float, pydantic.Field(gt=0)] = 0.8
+    encoder_resolution_deg: Annotated[float, pydantic.Field(ge=0)] = 3e-5
+    fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
+    restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
+    realtime_priority: Annotated[int, pydantic.Field(ge=0, le=99)] = 0
+
+
+def build_controller(settings: MockSettings, robot: RobotModel) -> MockController:
+    """Build the controller of `robot` as `settings` say.
+
+    Raises
+    ------
+    ConfigurationError
+        If a setting does not fit the robot.
+    JointRangeError
+        If the start pose lies outside the range.
+    """
+    layout = _layout(settings)
+    ends = zip(axis_angles(robot, robot.lower), axis_angles(robot, robot.upper))
+    lower, upper = zip(*(sorted(pair) for pair in ends))
+
+    def listed(name: str) -> tuple[float, ...] | None:
+        values = getattr(settings, name)
+        if values and len(values) != len(robot.axes):
+            raise ConfigurationError(name, values, f"{len(robot.axes)} numbers, one per joint, or none")
+        return from_wire(values, robot.linear) if values else None
+
+    config = MockConfig(
+        axes=tuple(axis.rsi for axis in robot.axes),
+        start_pose=listed("start_pose_deg") or axis_angles(robot, robot.home),
+        lower=lower,
+        upper=upper,
+        velocity=robot.velocity,
+        acceleration=robot.acceleration,
+        layout=layout,
+        units=_units(settings, robot),
+        precision=settings.precision,
+        timeout=settings.timeout,
+        cumulative_delay=settings.cumulative_delay,
+        correction_lower=listed("correction_lower_deg"),
+        correction_upper=listed("correction_upper_deg"),
+        correction_monitor=listed("correction_monitor_deg"),
+        velocity_factor=settings.velocity_factor,
+        acceleration_factor=settings.acceleration_factor,
+        first_ipoc=settings.first_ipoc,
+    )
+    return MockController(config, build_servo(settings), make_forward_kinematics(robot))
+
+
+def gateway_address(settings: MockSettings) -> tuple[str, int]:
+    """Return where packets go: the port is the Ethernet XML's unless another one is given."""
+    layout = _layout(settings)
+    if not settings.gateway_port and layout is None:
+        raise ConfigurationError("gateway_port", 0, "a port, or an Ethernet XML that names it")
+    return settings.gateway_host, settings.gateway_port or layout.port
+
+
+def _layout(settings: MockSettings) -> RsiLayout | None:
+    return read_ethernet_xml(settings.ethernet_xml, "Ethernet XML").layout if settings.ethernet_xml else None
+
+
+def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
+    e1 = settings.e1_sign, settings.e1_offset, settings.e1_feedback_scale, settings.e1_correction_scale
+    return tuple(AxisUnit(linear, *(e1 if axis.rsi == "E1" else ())) for axis, linear in zip(robot.axes, robot.linear))
+
+
+def build_servo(settings: MockSettings) -> Servo:
+    """Build the servo model that `settings` name."""
+    if settings.servo == "ideal":
+        return IdealServo(settings.servo_delay_cycles)
+    resolution = radians([settings.encoder_resolution_deg])[0]
+    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution)
+
+
+def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
+    """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of `tip_link` in `base_link`."""
+    from construction_twin.kinematics.chain import Chain  # needs PyKDL, which the pure core and its users do not
+    from construction_twin.robot.frames import rotation_to_abc
+
+    chain = Chain(robot)
+
+    def forward(angles: tuple[float, ...]):
+        frame = chain.frame(joint_angles(robot, angles))
+        return (frame[0, 3], frame[1, 3], frame[2, 3]), rotation_to_abc(frame)
+
+    return forward
+
+
+def joint_angles(robot: RobotModel, angles: tuple[float, ...]) -> tuple[float, ...]:
+    """Convert axis angles of the controller to joint angles of the robot [rad]."""
+    return tuple(axis.sign * (value - axis.offset) for axis, value in zip(robot.axes, angles))
+
+
+def axis_angles(robot: RobotModel, q: tuple[float, ...]) -> tuple[float, ...]:
+    """Convert joint angles of the robot to axis angles of the controller [rad], [m]."""
+    return tuple(axis.sign * value + axis.offset for axis, value in zip(robot.axes, q))
+
+
+def _arguments(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="mock_rsi",
+        description="Mock KUKA KR C4 with RSI: a UDP client with its own 4 ms clock. Needs no ROS.",
+        argument_default=argparse.SUPPRESS,
+    )
+    option = parser.add_argument
+    option("--robot-xacro", type=Path, default=_ROOT / "urdf/kr120r2500.urdf.xacro", help="URDF or xacro [%(default)s]")
+    option("--robot-config", type=Path, default=_ROOT / "config/kr120.yaml", help="robot YAML [%(default)s]")
+    option("--ethernet-xml", type=Path, default=_ROOT / "krl/ethernet/ctwin_ethernet.xml", metavar="FILE",
+           help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
+    option(
+        "--gateway",
+        default="127.0.0.1:0",
+        metavar="HOST:PORT",
+        help="where packets go; port 0: the Ethernet XML's [%(default)s]",
+    )
+    option(
+        "--start",
+        dest="start_pose_deg",
+        type=_pose,
+        metavar="DEG,...",
+        help="start pose of the axes [deg], linear ones [mm], as the robot's joints are ordered [home]",
+    )
+    option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
+    option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")
+    option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
+    option("--restart-after", type=float, metavar="S", help="new RSI session this long after a stop [s]; 0: never [0]")
+    option(
+        "--realtime", dest="realtime_priority", type=int, metavar="PRIORITY", help="SCHED_FIFO priority; 0: none [0]"
+    )
+    return parser.parse_args(argv)
+
+
+def _pose(text: str) -> list[float]:
+    return [float(value) for value in text.split(",")]
+
+
+def _settings(options: dict) -> MockSettings:
+    host, _, port = options.pop("gateway").rpartition(":")
+    if "ethernet_xml" in options:
+        options["ethernet_xml"] = load_ethernet_xml(options["ethernet_xml"]).text
+    try:
+        return MockSettings(gateway_host=host, gateway_port=port, **options)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigurationError("/".join(map(str, first["loc"])), first["input"], first["msg"]) from error
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the mock until SIGINT or SIGTERM, then say what was counted; return the exit code."""
+    options = vars(_arguments(sys.argv[1:] if argv is None else argv))
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
+    try:
+        robot = read_robot_files(options.pop("robot_xacro"), options.pop("robot_config"))
+        settings = _settings(options)
+        controller = build_controller(settings, robot)
+        mock = MockRsi(controller, gateway_address(settings), settings.restart_after, fault_seed=settings.fault_seed)
+    except ConstructionTwinError as error:
+        log.error("%s", error)
+        return 2
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    log.info(request_realtime(settings.realtime_priority))
+    gc.freeze()  # a full collection over every imported module takes longer than a cycle
+    mock.run(stop)
+    where = ", ".join(f"{value:.4f}" for value in to_wire(controller.measured, robot.linear))
+    log.info("axes [deg, mm] %s; %s", where, mock.counters)
+    return 0

@@ -1,0 +1,275 @@
+"""Servo models of the mock controller: what the axes really do about their setpoints, one step per 4 ms cycle.
+
+Timing: reply k sets the setpoint of cycle k, and `step` turns it into the position at the end of that cycle, which
+packet k + 1 reports. With `IdealServo(delay_cycles=3)` packet k + 3 reports exactly the setpoint of cycle k. Angles in
+rad, plain tuples, standard library only, no clock.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Sequence
+
+from construction_twin.core.follower import braking_step
+from construction_twin.core.units import CYCLE
+
+
+class Servo(ABC):
+    """A servo model with joints that can be stalled or slow.
+
+    A stalled joint's measured position stands still whatever its setpoint does. Released, its reference sets out from there
+    at rest and approaches the setpoint within velocity and acceleration limits; once it has met the setpoint, position and
+    speed, it follows it directly again. A slow joint does the same all the time, with a lower velocity.
+    """
+
+    def __init__(self) -> None:
+        self._measured: tuple[float, ...] = ()
+        self._setpoint: tuple[float, ...] = ()
+        self._last_setpoint: tuple[float, ...] = ()
+        self._stalled: set[int] = set()
+        self._slow: dict[int, float] = {}
+        self._chases: dict[int, Chase] = {}
+
+    @property
+    def measured(self) -> tuple[float, ...]:
+        """Measured position [rad], shape (n,)."""
+        return self._measured
+
+    def reset(self, q: Sequence[float]) -> None:
+        """Start at rest at `q` [rad], shape (n,); stalled joints stay stalled, there, and slow ones slow."""
+        self._setpoint = self._last_setpoint = tuple(q)
+        self._chases = {
+            joint: Chase(q[joint], q[joint], 0.0, self._slow[joint], chase.acceleration)
+            for joint, chase in self._chases.items()
+            if joint in self._slow
+        }
+        self._start(self._setpoint)
+        self._measured = self._respond(self._setpoint)
+
+    def step(self, setpoint: Sequence[float]) -> tuple[float, ...]:
+        """Advance one cycle.
+
+        Parameters
+        ----------
+        setpoint : sequence of float, length n
+            Setpoint of this cycle [rad].
+
+        Returns
+        -------
+        measured : tuple of float, length n
+            Measured position at the end of the cycle [rad].
+        """
+        reference = list(setpoint)
+        for joint in self._stalled:
+            reference[joint] = self._measured[joint]
+        for joint, chase in tuple(self._chases.items()):
+            chase.aim(setpoint[joint])
+            reference[joint] = chase.move()
+            if chase.met and joint not in self._slow:
+                del self._chases[joint]
+        self._last_setpoint, self._setpoint = self._setpoint, tuple(setpoint)
+        self._measured = self._respond(tuple(reference))
+        return self._measured
+
+    def stall(self, joint: int) -> None:
+        """Freeze the measured position of the joint with index `joint`."""
+        self._chases.pop(joint, None)
+        self._stalled.add(joint)
+        self._freeze(joint, self._measured[joint])
+
+    def release(self, joint: int, velocity: float, acceleration: float) -> None:
+        """Let a stalled joint catch up with its setpoint; no effect on a joint that is not stalled.
+
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        velocity, acceleration : float
+            Limits of the approach [rad/s], [rad/s^2]; of a slow joint its own velocity.
+        """
+        if joint in self._stalled:
+            self._stalled.remove(joint)
+            velocity = self._slow.get(joint, velocity)
+            self._chases[joint] = Chase(self._measured[joint], self._setpoint[joint], 0.0, velocity, acceleration)
+
+    def limit(self, joint: int, velocity: float, acceleration: float) -> None:
+        """Make a joint slow: its reference follows the setpoint within these limits [rad/s], [rad/s^2]."""
+        self._slow[joint] = velocity
+        if joint not in self._stalled:
+            self._chase(joint, velocity, acceleration)
+
+    def unlimit(self, joint: int, velocity: float, acceleration: float) -> None:
+        """Let a slow joint catch up with its setpoint within limits [rad/s], [rad/s^2]; no effect on one that is not slow."""
+        if self._slow.pop(joint, None) is not None and joint in self._chases:
+            self._chase(joint, velocity, acceleration)
+
+    def _chase(self, joint: int, velocity: float, acceleration: float) -> None:
+        """Begin a chase, from the present reference and at its present speed."""
+        setpoint = self._setpoint[joint]
+        position, step = setpoint, setpoint - self._last_setpoint[joint]
+        if joint in self._chases:
+            position, step = self._chases[joint].position, self._chases[joint].step
+        self._chases[joint] = Chase(position, setpoint, step, velocity, acceleration)
+
+    @abstractmethod
+    def _start(self, q: tuple[float, ...]) -> None:
+        """Set the model's state to rest at `q`."""
+
+    @abstractmethod
+    def _respond(self, reference: tuple[float, ...]) -> tuple[float, ...]:
+        """Advance the model one cycle and return the measured position."""
+
+    @abstractmethod
+    def _freeze(self, joint: int, position: float) -> None:
+        """Set one joint's state to rest at `position`, forgetting the references it has not acted on yet."""
+
+
+class IdealServo(Servo):
+    """A pure delay: the arm is exactly where it was told to be, some cycles later.
+
+    Parameters
+    ----------
+    delay_cycles : int, optional
+        Cycles from the packet whose reply carries a setpoint to the packet that reports it as reached; at least 1,
+        default 3.
+    """
+
+    def __init__(self, delay_cycles: int = 3):
+        if delay_cycles < 1:
+            raise ValueError(f"delay_cycles is {delay_cycles}; expected at least 1")
+        super().__init__()
+        self._line: deque[list[float]] = deque(maxlen=delay_cycles)
+
+    def _start(self, q: tuple[float, ...]) -> None:
+        self._line.extend(list(q) for _ in range(self._line.maxlen))
+
+    def _respond(self, reference: tuple[float, ...]) -> tuple[float, ...]:
+        self._line.append(list(reference))
+        return tuple(self._line[0])
+
+    def _freeze(self, joint: int, position: float) -> None:
+        for reference in self._line:
+            reference[joint] = position
+
+
+class RealisticServo(Servo):
+    """A second-order lag per joint, exactly discretised for a setpoint held during the cycle, read by an encoder.
+
+    Following a ramp it trails by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle of holding.
+
+    Parameters
+    ----------
+    omega : float, optional
+        Natural frequency [rad/s].
+    zeta : float, optional
+        Damping ratio.
+    resolution : float, optional
+        Encoder step [rad]; 0 for an exact reading.
+    """
+
+    def __init__(self, omega: float = 60.0, zeta: float = 0.8, resolution: float = math.radians(3e-5)):
+        if not (omega > 0.0 and zeta > 0.0 and resolution >= 0.0):
+            raise ValueError(f"omega {omega}, zeta {zeta}, resolution {resolution}; expected > 0, > 0, >= 0")
+        super().__init__()
+        self._transition = _transition(omega, zeta, CYCLE)
+        self._resolution = resolution
+        self._position: list[float] = []
+        self._velocity: list[float] = []
+
+    def _start(self, q: tuple[float, ...]) -> None:
+        self._position = list(q)
+        self._velocity = [0.0] * len(q)
+
+    def _respond(self, reference: tuple[float, ...]) -> tuple[float, ...]:
+        (xx, xv), (vx, vv) = self._transition
+        for joint, goal in enumerate(reference):
+            error, velocity = self._position[joint] - goal, self._velocity[joint]
+            self._position[joint] = goal + xx * error + xv * velocity
+            self._velocity[joint] = vx * error + vv * velocity
+        return tuple(map(self._read, self._position))
+
+    def _freeze(self, joint: int, position: float) -> None:
+        self._position[joint] = position
+        self._velocity[joint] = 0.0
+
+    def _read(self, position: float) -> float:
+        if not self._resolution:
+            return position
+        return round(position / self._resolution) * self._resolution
+
+
+class Chase:
+    """A reference that approaches a moving setpoint within limits; one `aim` and one `move` per cycle.
+
+    Parameters
+    ----------
+    position, setpoint : float
+        Where it begins, and the setpoint of that cycle [rad].
+    step : float
+        Its last step [rad per cycle].
+    velocity, acceleration : float
+        Limits [rad/s], [rad/s^2]. Who begins faster brakes within `acceleration` to `velocity`.
+
+    Attributes
+    ----------
+    met : bool
+        True when the last `aim` met the setpoint, position and speed.
+    """
+
+    def __init__(self, position: float, setpoint: float, step: float, velocity: float, acceleration: float):
+        self.position, self.step = position, step
+        self.acceleration = acceleration
+        self.met = False
+        self._setpoint = setpoint
+        self._aimed = 0.0
+        self._speed = velocity * CYCLE
+        self._budget = acceleration * CYCLE * CYCLE
+
+    def aim(self, setpoint: float) -> float:
+        """Take the setpoint of this cycle [rad]; return the step that the limits allow towards it [rad]."""
+        drift = setpoint - self._setpoint
+        self._setpoint = setpoint
+        ahead = setpoint - self.position
+        self.met = (
+            abs(ahead - self.step) <= self._budget
+            and abs(ahead - drift) <= self._budget
+            and abs(ahead) <= self._speed * (1 + 1e-9)
+        )
+        self._aimed = ahead
+        if not self.met:
+            behind = ahead - drift
+            wanted = drift + math.copysign(braking_step(abs(behind), self._budget), behind)
+            self._aimed = self.within_budget(min(max(wanted, -self._speed), self._speed))
+        return self._aimed
+
+    def within_budget(self, step: float) -> float:
+        """Return `step` [rad], brought within one cycle's acceleration of the last one."""
+        return min(max(step, self.step - self._budget), self.step + self._budget)
+
+    def move(self, step: float | None = None) -> float:
+        """Take the step that `aim` allowed, or another one [rad]; return the new position [rad]."""
+        if step is not None:
+            self.met = False
+        elif self.met:
+            # the setpoint itself: a sum could differ from it in the last bit
+            self.step, self.position = self._aimed, self._setpoint
+            return self.position
+        self.step = self._aimed if step is None else step
+        self.position += self.step
+        return self.position
+
+
+def _transition(omega: float, zeta: float, period: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return exp(A * period) of (x - u, x') for x'' = -omega^2 (x - u) - 2 zeta omega x', u constant, any damping."""
+    centre = -zeta * omega
+    root = omega * cmath.sqrt(zeta * zeta - 1.0)
+    even = cmath.cosh(root * period).real
+    odd = (cmath.sinh(root * period) / root).real if root else period
+    scale = math.exp(centre * period)
+    return (
+        (scale * (even - centre * odd), scale * odd),
+        (-scale * omega * omega * odd, scale * (even + centre * odd)),
+    )

@@ -1,0 +1,227 @@
+"""Algorithm 1 of the paper: do twin and physical arm agree, and may the next pose pass?
+
+Pure: time comes in as an argument (ns). Angles in rad, joints in the robot's order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from construction_twin.core.interpolation import interpolate
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.monitor.lag import LagEstimate
+
+#: Twin poses kept for comparison by command stamp: 2 s.
+HISTORY = 500
+#: Kinds of comparison: with the twin's pose for the same command, and with its present one.
+ALIGNED, INSTANT = "aligned", "instant"
+
+
+def next_pose(
+    theta_virtual: tuple[float, ...],
+    theta_physical: tuple[float, ...],
+    theta_next: tuple[float, ...],
+    threshold: tuple[float, ...],
+) -> tuple[tuple[float, ...], bool]:
+    """Choose the pose to execute next: Algorithm 1, line by line.
+
+    Parameters
+    ----------
+    theta_virtual, theta_physical, theta_next : tuple, shape (n,)
+        Joint angles of the twin, of the physical arm, and of the next setpoint [rad].
+    threshold : tuple, shape (n,)
+        Largest difference that still counts as agreement, per joint [rad].
+
+    Returns
+    -------
+    theta : tuple, shape (n,)
+        `theta_next`, or `theta_virtual` when any joint differs by more than its threshold.
+    replan : bool
+        True when the trajectory must be planned anew from `theta`.
+
+    References
+    ----------
+    Liang et al., section 3.3, Algorithm 1.
+    """
+    for virtual, physical, limit in zip(theta_virtual, theta_physical, threshold):
+        # written so that a nan does not pass
+        if not abs(virtual - physical) <= limit:
+            return theta_virtual, True
+    return theta_next, False
+
+
+class TwinHistory:
+    """The twin's recent poses by stamp, so that a delayed physical pose meets the twin's pose for the same command."""
+
+    def __init__(self):
+        self._poses: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=HISTORY)
+
+    @property
+    def latest(self) -> tuple[int, tuple[float, ...]] | None:
+        """Newest stamp [ns] and pose [rad], or None."""
+        return self._poses[-1] if self._poses else None
+
+    def add(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Append a pose; one that is not newer than the newest is ignored."""
+        if not self._poses or stamp > self._poses[-1][0]:
+            self._poses.append((stamp, q))
+
+    def at(self, stamp: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """Return pose [rad] and velocity [rad/s] at `stamp` [ns], or None when it lies outside what is kept.
+
+        Between two poses the playout's own interpolation is used.
+        """
+        after = later = None
+        poses = reversed(self._poses)
+        for pose in poses:
+            if pose[0] <= stamp:
+                return self._between(stamp, pose, later, next(poses, None), after)
+            after, later = later, pose
+        return None
+
+    @staticmethod
+    def _between(
+        stamp: int, earlier: tuple, later: tuple | None, before: tuple | None, after: tuple | None
+    ) -> tuple | None:
+        stamp0, q0 = earlier
+        if later is None:
+            return (q0, (0.0,) * len(q0)) if stamp == stamp0 else None
+        stamp1, q1 = later
+        period = (stamp1 - stamp0) / NANOSECONDS
+        return interpolate(stamp, earlier, later, before, after), tuple((b - a) / period for a, b in zip(q0, q1))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One physical pose compared with the twin.
+
+    Attributes
+    ----------
+    at : int
+        When the physical pose was received [ns].
+    mode : str
+        ``aligned`` or ``instant``.
+    theta_virtual, theta_physical, threshold : tuple, shape (n,)
+        [rad]; [m] for linear joints.
+    round_trip : float
+        Reception minus command stamp [s]; nan when unknown.
+    servo_lag : float
+        How long the arm trails what it is compared with [s]; nan until it has moved.
+    """
+
+    at: int
+    mode: str
+    theta_virtual: tuple[float, ...]
+    theta_physical: tuple[float, ...]
+    threshold: tuple[float, ...]
+    round_trip: float
+    servo_lag: float
+
+    @property
+    def error(self) -> tuple[float, ...]:
+        """|physical - twin| per joint [rad]."""
+        return tuple(abs(p - v) for p, v in zip(self.theta_physical, self.theta_virtual))
+
+    @property
+    def agrees(self) -> bool:
+        """True when Algorithm 1 lets the next pose pass."""
+        return self.agrees_within(1.0)
+
+    def agrees_within(self, share: float) -> bool:
+        """Return whether Algorithm 1 would let the next pose pass with this share of the threshold, 0 to 1."""
+        threshold = self.threshold if share == 1.0 else tuple(share * limit for limit in self.threshold)
+        return not next_pose(self.theta_virtual, self.theta_physical, self.theta_virtual, threshold)[1]
+
+    def worst(self) -> int:
+        """Index of the joint that uses most of its threshold; one whose error is no number comes first."""
+        shares = [error / limit for error, limit in zip(self.error, self.threshold)]
+        return max(range(len(shares)), key=lambda index: math.inf if math.isnan(shares[index]) else shares[index])
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """How poses are compared.
+
+    Attributes
+    ----------
+    threshold : tuple, shape (n,)
+        Agreement at rest, per joint [rad]; [m] for linear joints.
+    lag_allowance : float
+        Largest servo lag that is believed, and until the lag is known what is allowed for it at the commanded velocity [s].
+    lag_margin : float
+        Once the lag is known: what it may be wrong by [s].
+    aligned : bool
+        True compares by command stamp where there is one, False always with the twin's present pose.
+    """
+
+    threshold: tuple[float, ...]
+    lag_allowance: float = 0.05
+    lag_margin: float = 0.06
+    aligned: bool = True
+
+
+class PoseComparison:
+    """Compares each physical pose with the twin's, the arm's lag taken out.
+
+    Parameters
+    ----------
+    settings : ComparisonSettings
+    """
+
+    def __init__(self, settings: ComparisonSettings):
+        self.twin = TwinHistory()
+        self.last: Comparison | None = None
+        # seen at the present moment the arm trails by the whole way to it and back
+        self._lags = {mode: LagEstimate(settings.lag_allowance) for mode in (ALIGNED, INSTANT)}
+        self.configure(settings)
+
+    def configure(self, settings: ComparisonSettings) -> None:
+        """Compare by other settings from the next pose on."""
+        self._settings = settings
+        for lag in self._lags.values():
+            lag.most = settings.lag_allowance
+
+    def compare(self, q: tuple[float, ...], command_stamp: int, now: int) -> Comparison | None:
+        """Compare a physical pose.
+
+        Parameters
+        ----------
+        q : tuple, shape (n,)
+            Physical pose [rad].
+        command_stamp : int
+            Stamp of the command it answers to [ns]; 0 compares with the twin's present pose.
+        now : int
+            Time of reception, on the clock of the stamps [ns].
+
+        Returns
+        -------
+        comparison : Comparison or None
+            None when the twin's pose for that stamp is not known.
+        """
+        settings = self._settings
+        mode = ALIGNED if command_stamp and settings.aligned else INSTANT
+        lag = self._lags[mode]
+        reference = self._reference(command_stamp if mode == ALIGNED else 0, lag.nanoseconds)
+        if reference is None:
+            return None
+        virtual, velocity = reference
+        allowance = settings.lag_margin if lag.known else settings.lag_allowance
+        threshold = tuple(limit + allowance * abs(v) for limit, v in zip(settings.threshold, velocity))
+        round_trip = (now - command_stamp) / NANOSECONDS if command_stamp else math.nan
+        self.last = Comparison(now, mode, virtual, q, threshold, round_trip, lag.seconds)
+        if self.last.agrees:
+            # what disagrees is not lag
+            lag.learn(tuple(p - v for p, v in zip(q, virtual)), velocity)
+        return self.last
+
+    def _reference(self, stamp: int, lag: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        latest = self.twin.latest
+        if latest is None:
+            return None
+        stamp = (stamp or latest[0]) - lag
+        if stamp != latest[0]:
+            return self.twin.at(stamp)
+        before = self.twin.at(stamp - CYCLE_NS)
+        return latest[1], before[1] if before else (0.0,) * len(latest[1])

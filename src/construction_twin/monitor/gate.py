@@ -1,0 +1,392 @@
+"""The gate: Algorithm 1 in the command path. Nothing reaches either robot that has not passed here.
+
+Pure: `now` is an argument everywhere, in ns on a clock that nobody sets (the monotonic one): on the wall clock a step back would
+put off every time-out. Stamps are on a clock of their own. Angles in rad, linear joints in m.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
+from construction_twin.core.lateness import Lateness
+from construction_twin.core.limits import MotionCheck, MotionLimits
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
+from construction_twin.monitor.states import HELD_STATES, SyncEvent, SyncMachine, SyncState, Transition
+from construction_twin.mqtt.joint_string import JointStringCodec
+
+#: What may happen after a violation.
+REPLAN, RESUME, STOP = "replan", "resume", "stop"
+POLICIES = (REPLAN, RESUME, STOP)
+#: A setpoint may be this much later than the quickest one [ns]: an executor that catches up sends what is 80 ms late, and what is
+#: later the gateway has bridged and braked for.
+LATEST = NANOSECONDS // 10
+_TOO_LATE = f"at most {LATEST / NANOSECONDS:g} s: the monitor was not run, or the executor's clock was set back (then call reset)"
+#: Silence is the link's to judge: the arm has contradicted nobody.
+_SILENCE = (SyncEvent.FEEDBACK_STALE, SyncEvent.SETPOINT_STALE)
+
+
+@dataclass(frozen=True)
+class GateSettings:
+    """How strict the gate is.
+
+    Attributes
+    ----------
+    threshold, threshold_linear : float
+        Agreement at rest of joints that turn [rad], and of linear ones [m].
+    thresholds : mapping of str to float
+        Other values for single joints, by joint name.
+    aligned : bool
+        Compare by command stamp where there is one; otherwise always with the twin's present pose.
+    lag_allowance, lag_margin : float
+        [s], see `ComparisonSettings`.
+    feedback_timeout : float
+        Physical feedback older than this counts as out of sync [s].
+    agree_share : float
+        Share of the threshold, up to 1, that every error must stay below for the poses to agree again.
+    agree_time : float
+        They must do so this long before the gate opens [s].
+    policy : str
+        What happens after a violation: ``replan``, ``resume`` or ``stop``.
+    give_up_time : float
+        A gate that is closed this long stays closed until there is a new command session [s].
+    escalate_count, escalate_time : int, float
+        So does one that closes this often within this time, but not for stale feedback [s].
+    compares : bool
+        False without a physical arm: the gate then only checks the motion.
+    """
+
+    threshold: float = 0.01
+    threshold_linear: float = 0.005
+    thresholds: Mapping[str, float] = field(default_factory=dict)
+    aligned: bool = True
+    lag_allowance: float = 0.05
+    lag_margin: float = 0.06
+    feedback_timeout: float = 0.1
+    agree_share: float = 0.8
+    agree_time: float = 0.1
+    policy: str = REPLAN
+    give_up_time: float = 30.0
+    escalate_count: int = 5
+    escalate_time: float = 30.0
+    compares: bool = True
+
+    def comparison(self, limits: MotionLimits) -> ComparisonSettings:
+        """Return the part that the comparison needs, for the joints of `limits` in their order.
+
+        Raises
+        ------
+        ConfigurationError
+            When `thresholds` names another joint.
+        """
+        foreign = [name for name in self.thresholds if name not in limits.names]
+        if foreign:
+            raise ConfigurationError("thresholds", foreign[0], f"names of joints: {', '.join(limits.names)}")
+        threshold = tuple(
+            self.thresholds.get(name, self.threshold_linear if slides else self.threshold)
+            for name, slides in zip(limits.names, limits.linear)
+        )
+        return ComparisonSettings(threshold, self.lag_allowance, self.lag_margin, self.aligned)
+
+
+class Gate:
+    """Passes theta_next, or holds theta_virtual.
+
+    theta_virtual is the twin's present pose. A command that is still on its way to the twin counts as executed: holding anything
+    older would send both robots a step backwards.
+
+    Parameters
+    ----------
+    limits : MotionLimits
+    codec : JointStringCodec
+        The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
+    settings : GateSettings
+    now : int, optional
+        [ns]
+
+    Raises
+    ------
+    ConfigurationError
+    """
+
+    def __init__(self, limits: MotionLimits, codec: JointStringCodec, settings: GateSettings, now: int = 0):
+        self._limits = limits
+        self._codec = codec
+        self.settings = settings
+        self.violations = 0
+        self.refused = 0
+        #: Whether the arm leads: then nothing opens the gate.
+        self.mirrored = False
+        self._machine = SyncMachine()
+        self._forget()
+        self._machine.on(SyncEvent.STARTED, "started", now)
+
+    def _forget(self) -> None:
+        self.comparison = PoseComparison(self.settings.comparison(self._limits))
+        #: Nominal stamp of the last setpoint that passed [ns]; 0 when none.
+        self.held_stamp = 0
+        self._check = MotionCheck(self._limits, self._codec.decimals)
+        self._agreed_since: int | None = None
+        self._agreed = False
+        self._stamp = 0
+        #: Stamp of the setpoint before the next one to pass.
+        self._before = 0
+        self._lateness = Lateness()
+        #: When a pose that could be compared was received last.
+        self._heard: int | None = None
+        self._obstacle = ""
+        self._policy = self.settings.policy
+        self._closed_at = 0
+        self._closings: deque[int] = deque()
+        #: Whether the present hold is one of them.
+        self._counted = False
+
+    @property
+    def state(self) -> SyncState:
+        """Present state."""
+        return self._machine.state
+
+    @property
+    def reason(self) -> str:
+        """Why that state was entered, and why it is not left although the poses agree."""
+        return self._machine.reason + (f"; not opened: {self._obstacle}" if self._obstacle else "")
+
+    @property
+    def policy(self) -> str:
+        """What happens after a violation: of a closed gate, what was set when it closed."""
+        return self.settings.policy if self.state in (SyncState.WAITING, SyncState.IN_SYNC) else self._policy
+
+    @property
+    def held(self) -> tuple[float, ...]:
+        """Last command that passed [rad], which a closed gate repeats; empty while it has never been open."""
+        return self._check.position
+
+    @property
+    def changed(self) -> bool:
+        """True when there are transitions to take."""
+        return self._machine.changed
+
+    def take_transitions(self) -> list[Transition]:
+        """Return the changes of state since the last call, oldest first."""
+        return self._machine.take()
+
+    # -- from outside
+
+    def restart(self, reason: str, now: int) -> None:
+        """Close the gate and forget every pose: a new command session, in which twin and arm start over."""
+        self._fire(SyncEvent.NEW_SESSION, reason, now)
+        self._forget()
+
+    def stay_stopped(self, reason: str, now: int) -> None:
+        """Begin in STOPPED: a monitor before this one was, and no person has seen to it since."""
+        self._fire(SyncEvent.STOPPED_BEFORE, reason, now)
+
+    def mirror(self, leads: bool, now: int) -> None:
+        """Take whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
+        if leads and not self.mirrored and self._fire(SyncEvent.MIRROR, "the arm leads: nothing is commanded", now):
+            self._forget()
+        self.mirrored = leads
+
+    def configure(self, settings: GateSettings) -> None:
+        """Go on with other settings; a gate that is closed keeps the policy that it closed with.
+
+        Raises
+        ------
+        ConfigurationError
+            When `thresholds` names a joint that there is not; then nothing is changed.
+        """
+        self.comparison.configure(settings.comparison(self._limits))
+        self.settings = settings
+
+    def on_replan(self, reason: str, now: int) -> bool:
+        """Take that a path from the held pose to the interrupted goal was asked for; return whether the gate still holds."""
+        return self._fire(SyncEvent.REPLAN_ASKED, reason, now)
+
+    def on_replan_failed(self, reason: str, now: int) -> bool:
+        """Take that there will be none; return whether the gate still waited for it."""
+        return self._fire(SyncEvent.REPLAN_FAILED, reason, now)
+
+    # -- poses
+
+    def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Take the twin's pose [rad] with the stamp of the command it executes [ns]."""
+        self.comparison.twin.add(stamp, q)
+
+    def on_physical(
+        self, q: tuple[float, ...], command_stamp: int, now: int, received: int | None = None
+    ) -> Comparison | None:
+        """Take a physical pose. The first one above a threshold closes the gate at once.
+
+        Parameters
+        ----------
+        q : tuple, shape (n,)
+            [rad]
+        command_stamp : int
+            See `PoseComparison.compare`.
+        now : int
+            [ns]
+        received : int, optional
+            Time of reception on the clock of the stamps [ns], for the round trip and the report alone; by default `now`.
+
+        Returns
+        -------
+        comparison : Comparison or None
+            None when the twin's pose for that stamp is not known.
+        """
+        continued = self._fresh(now)
+        comparison = self.comparison.compare(q, command_stamp, now if received is None else received)
+        if comparison is None:
+            return None
+        self._heard = now
+        if not comparison.agrees:
+            self._agreed, self._agreed_since = False, None
+            self._on_difference(comparison, now)
+            return comparison
+        if not continued:
+            self._agreed, self._agreed_since = False, None
+        if not self._agreed:
+            self._note_agreement(comparison, now)
+        return comparison
+
+    def _note_agreement(self, comparison: Comparison, now: int) -> None:
+        if not comparison.agrees_within(self.settings.agree_share):
+            self._agreed_since = None
+            return
+        if self._agreed_since is None:
+            self._agreed_since = now
+        self._agreed = now - self._agreed_since >= self.settings.agree_time * NANOSECONDS
+
+    def agreed(self, now: int) -> bool:
+        """True when fresh feedback agrees with the twin, and once did so for `agree_time` within `agree_share` of the threshold."""
+        if not self.settings.compares:
+            return self.comparison.twin.latest is not None
+        return self._agreed and self._fresh(now)
+
+    # -- the path
+
+    def pass_next(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...] | None:
+        """Decide what is executed in place of theta_next.
+
+        Parameters
+        ----------
+        stamp : int
+            Nominal time of the setpoint [ns].
+        theta_next : tuple, shape (n,)
+            [rad]
+        now : int
+            [ns]
+
+        Returns
+        -------
+        command : tuple, shape (n,) or None
+            Pose to execute, rounded to the wire [rad]; None while the gate has never been open and while the arm leads, and for a
+            setpoint that is not newer than the last one: whatever went out with its stamp would be refused further on.
+        """
+        if stamp <= self._stamp:
+            self.refused += 1
+            return None
+        self._stamp = stamp
+        late = self._lateness.of(stamp, now)
+        if self.mirrored:
+            return None
+        was_open = self.state is SyncState.IN_SYNC
+        self.watch(now)
+        if not was_open:
+            self._try_to_open(stamp, theta_next, late, now)
+        elif late > LATEST and self.state is SyncState.IN_SYNC:
+            self._close(SyncEvent.SETPOINT_STALE, f"theta_next is {late / NANOSECONDS:.3f} s late; {_TOO_LATE}", now)
+        if self.state is SyncState.IN_SYNC:
+            return self._checked(stamp, theta_next, now)
+        return self._check.position or None
+
+    def watch(self, now: int) -> None:
+        """Close an open gate when feedback has gone stale, give up on a closed one: also while nobody sends theta_next."""
+        if self.state is SyncState.IN_SYNC:
+            if self.settings.compares and not self._fresh(now):
+                age = (now - self._heard) / NANOSECONDS
+                self._close(SyncEvent.FEEDBACK_STALE, f"last comparable feedback is {age:.3f} s old", now)
+        elif self.state in HELD_STATES and now - self._closed_at > self.settings.give_up_time * NANOSECONDS:
+            held = (now - self._closed_at) / NANOSECONDS
+            self._fire(SyncEvent.GAVE_UP, f"held for {held:.3f} s; {self._machine.reason}; call reset", now)
+
+    def _fresh(self, now: int) -> bool:
+        return self._heard is not None and now - self._heard <= self.settings.feedback_timeout * NANOSECONDS
+
+    def _on_difference(self, comparison: Comparison, now: int) -> None:
+        open_ = self.state is SyncState.IN_SYNC
+        silent = self.state in (SyncState.STALE, SyncState.REPLANNING) and not self._counted
+        if not (open_ or silent) or not self.settings.compares:
+            return
+        joint = comparison.worst()
+        unit = "m" if self._limits.linear[joint] else "rad"
+        difference = f"{comparison.error[joint]:.6f} {unit}, threshold {comparison.threshold[joint]:.6f} {unit}"
+        reason = f"{self._limits.names[joint]} differs by {difference}"
+        if open_:
+            self._close(SyncEvent.POSE_DIFFERS, reason, now)
+            return
+        self._fire(SyncEvent.POSE_DIFFERS, reason, now)
+        # the silence has ended in a contradiction: that the arm was silent before does not excuse it
+        self._count(reason, now)
+
+    def _close(self, event: SyncEvent, reason: str, now: int) -> None:
+        """Leave IN_SYNC: hold, and see whether that is the end of it."""
+        settings = self.settings
+        self.violations += 1
+        # whatever closed the gate, agreement counts from now on
+        self._agreed, self._agreed_since = False, None
+        self._policy, self._closed_at, self._counted = settings.policy, now, False
+        self._fire(event, reason, now)
+        if self._policy == STOP:
+            self._fire(SyncEvent.POLICY_STOP, f"the policy is to stop; {reason}; call reset", now)
+        elif event not in _SILENCE:
+            self._count(reason, now)
+
+    def _count(self, reason: str, now: int) -> None:
+        """Count the present hold, and end it when there have been too many."""
+        settings, self._counted = self.settings, True
+        self._closings.append(now)
+        while self._closings[0] < now - settings.escalate_time * NANOSECONDS:
+            self._closings.popleft()
+        if len(self._closings) >= settings.escalate_count:
+            often = f"held {len(self._closings)} times in {settings.escalate_time:g} s"
+            self._fire(SyncEvent.ESCALATED, f"{often}; {reason}; call reset", now)
+
+    def _try_to_open(self, stamp: int, theta_next: tuple[float, ...], late: int, now: int) -> None:
+        if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):
+            return
+        if late > LATEST:
+            self._obstacle = f"theta_next is late; {_TOO_LATE}"
+            return
+        held = self.comparison.twin.latest[1] if self.state is SyncState.WAITING else self._check.position
+        try:
+            trial = MotionCheck(self._limits, self._codec.decimals)
+            trial.start(stamp - CYCLE_NS, self._codec.quantise(held))
+            trial.accept(stamp, self._codec.quantise(theta_next))
+        except (MotionRefused, PayloadError) as refusal:
+            self._obstacle = str(refusal)
+            return
+        self._check.start(stamp - CYCLE_NS, self._codec.quantise(held))
+        self._before = stamp - CYCLE_NS
+        self._fire(SyncEvent.OPENED, "poses agree and the stream continues from the held pose", now)
+
+    def _checked(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...]:
+        try:
+            command = self._codec.quantise(theta_next)
+            if stamp - self._before > LATEST and command != self._check.position:
+                missing = f"theta_next moves after {(stamp - self._before) / NANOSECONDS:.3f} s without setpoints"
+                self._close(SyncEvent.SETPOINT_STALE, f"{missing}; {_TOO_LATE}", now)
+                return self._check.position
+            self._check.accept(stamp, command)
+        except (MotionRefused, PayloadError) as refusal:
+            self.refused += 1
+            self._close(SyncEvent.SETPOINT_REFUSED, str(refusal), now)
+            return self._check.position
+        self.held_stamp = self._before = stamp
+        return command
+
+    def _fire(self, event: SyncEvent, reason: str, now: int) -> bool:
+        self._obstacle = ""
+        return self._machine.on(event, reason, now, self.comparison.last, self.held_stamp)

@@ -1,0 +1,184 @@
+"""The paper's joint string (Figure 6) and nothing else: rad inside, degrees on the wire.
+
+One string is ``+012.345,-090.000,...``: per axis a sign, three digits, a point and a fixed number of decimals, comma
+separated, so that a PLC can cut it by position. Fields stand in the order of the controller's axes, A1 first, external axes
+last. A linear axis, which the paper does not have, is in mm with five digits before the point: ``+01234.567``. What does not
+fit is refused, never guessed. Standard library only.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.units import degrees, radians
+
+#: Digits before the point: of degrees, the paper's; of mm, for tracks of up to 100 m to either side.
+DIGITS, LINEAR_DIGITS = 3, 5
+
+
+class JointStringCodec:
+    """Encodes and decodes joint strings of one length and one number of decimals.
+
+    Parameters
+    ----------
+    joints : int
+        Number of joints.
+    decimals : int
+        Decimals of a degree, and of a mm, 1 to 6. The paper's are 3.
+    mapping : sequence of (int, float), optional
+        Sign and offset [rad], [m] per joint: the wire carries the controller's axis value ``sign * q + offset``. Without it
+        joint and axis values are the same, as they are on the KUKA, and always on the gateway's side.
+    axes : sequence of str, optional
+        RSI name of each joint's axis, all different. Fields are in alphabetical order of these: A1 to A6, then E1. Default: as
+        the joints are.
+    linear : sequence of bool, optional
+        Which joints are linear: m inside, mm on the wire. Default: none.
+
+    Raises
+    ------
+    ConfigurationError
+        If `decimals` or `joints` is out of range, or `axes` and `linear` are not one per joint.
+
+    References
+    ----------
+    Liang et al., section 3.3 and Figure 6.
+    """
+
+    def __init__(
+        self,
+        joints: int,
+        decimals: int = 3,
+        mapping: Sequence[tuple[int, float]] | None = None,
+        axes: Sequence[str] = (),
+        linear: Sequence[bool] = (),
+    ):
+        if not 1 <= decimals <= 6:
+            raise ConfigurationError("decimals", decimals, "1 to 6 decimals of a degree")
+        if joints < 1:
+            raise ConfigurationError("joints", joints, "at least one joint")
+        for name, given in (("axes", axes), ("linear", linear)):
+            if given and len(given) != joints:
+                raise ConfigurationError(name, tuple(given), f"one for each of {joints} joints")
+        self.joints = joints
+        self.decimals = decimals
+        self._mapping = mapping if mapping and any(entry != (1, 0.0) for entry in mapping) else None
+        order = sorted(range(joints), key=lambda joint: axes[joint]) if axes else list(range(joints))
+        slides = [bool(linear and linear[joint]) for joint in order]
+        # None: the paper's string, whose fields are the joints; the common case stays as quick as it can be
+        self._fields = list(zip(order, slides)) if any(slides) or order != sorted(order) else None
+        self._places = [(order.index(joint), slides[order.index(joint)]) for joint in range(joints)]
+        self._digits = [LINEAR_DIGITS if linear else DIGITS for linear in slides]
+        self.length = sum(digits + 2 + decimals for digits in self._digits) + joints - 1
+        self._template = ",".join(f"%+0{digits + 2 + decimals}.{decimals}f" for digits in self._digits)
+        self._zeros = [f"+{'0' * digits}.{'0' * decimals}" for digits in sorted(set(self._digits))]
+        self._pattern = re.compile(b",".join(rb"([+-]\d{%d}\.\d{%d})" % (digits, decimals) for digits in self._digits))
+
+    @classmethod
+    def of(cls, robot, decimals: int) -> JointStringCodec:
+        """Return the codec for a `RobotModel`'s joints."""
+        mapping = [(axis.sign, axis.offset) for axis in robot.axes]
+        return cls(len(robot.joint_names), decimals, mapping, [axis.rsi for axis in robot.axes], robot.linear)
+
+    @classmethod
+    def of_config(cls, config) -> JointStringCodec:
+        """Return the codec for a `GatewayConfig`'s axes: the gateway's side of `of`."""
+        linear = [axis in config.linear for axis in config.axes]
+        return cls(len(config.axes), config.decimals, None, config.axes, linear)
+
+    def encode(self, q: tuple[float, ...]) -> bytes:
+        """Return the joint string of a pose.
+
+        Parameters
+        ----------
+        q : tuple, shape (joints,)
+            Joint values [rad], [m] where linear, in the robot's order.
+
+        Returns
+        -------
+        payload : bytes
+            ASCII; zero is always ``+000.000``, rounding is half-even on the exact value.
+
+        Raises
+        ------
+        PayloadError
+            ``count``, ``values`` (nan, inf) or ``range`` (1000 degrees, or 100 m, or more after rounding).
+        """
+        if len(q) != self.joints:
+            raise PayloadError("count", f"{len(q)} joint values; expected {self.joints}")
+        if not all(map(math.isfinite, q)):
+            raise PayloadError("values", f"joint values {tuple(q)} are not all finite numbers")
+        if self._mapping:
+            q = [sign * value + offset for value, (sign, offset) in zip(q, self._mapping)]
+        if self._fields is None:
+            text = self._template % degrees(q)
+        else:
+            text = self._template % tuple(
+                [1e3 * q[joint] if slides else math.degrees(q[joint]) for joint, slides in self._fields]
+            )
+        # a huge angle in rad is infinite in degrees, and "+0000inf" would have the right length
+        if len(text) != self.length or "inf" in text:
+            limit = "1000 degrees" if max(self._digits) == DIGITS else "1000 degrees or 100 m"
+            raise PayloadError("range", f"{text!r} does not fit the format: a joint is at or beyond {limit}")
+        for zero in self._zeros:
+            text = text.replace("-" + zero[1:], zero)
+        return text.encode("ascii")
+
+    def decode(self, payload: bytes) -> tuple[float, ...]:
+        """Return the pose that a joint string stands for.
+
+        Parameters
+        ----------
+        payload : bytes
+
+        Returns
+        -------
+        q : tuple, shape (joints,)
+            Joint values [rad], [m] where linear, in the robot's order.
+
+        Raises
+        ------
+        PayloadError
+            ``decimals`` when the string is well formed with another number of decimals, ``length`` or ``format``.
+        """
+        match = self._pattern.fullmatch(payload) if len(payload) == self.length else None
+        if match is None:
+            raise self._why(payload)
+        fields = match.groups()
+        if self._fields is None:
+            axes = radians(map(float, fields))
+        else:
+            axes = tuple(
+                [
+                    float(fields[place]) / 1e3 if slides else math.radians(float(fields[place]))
+                    for place, slides in self._places
+                ]
+            )
+        if self._mapping:
+            return tuple([sign * (value - offset) for value, (sign, offset) in zip(axes, self._mapping)])
+        return axes
+
+    def quantise(self, q: tuple[float, ...]) -> tuple[float, ...]:
+        """Return `q` as the receiver of its joint string will see it [rad], [m]; idempotent."""
+        return self.decode(self.encode(q))
+
+    def _why(self, payload: bytes) -> PayloadError:
+        shown = payload[:80]
+        first, *others = self._digits
+        any_decimals = rb"[+-]\d{%d}\.(\d+)" % first + b"".join(rb",[+-]\d{%d}\.\d+" % digits for digits in others)
+        other = re.fullmatch(any_decimals, payload[:512])
+        if other and len(other.group(1)) != self.decimals:
+            return PayloadError(
+                "decimals",
+                f"joint string with {len(other.group(1))} decimals; this side is configured for {self.decimals}: "
+                "give both sides the same number",
+            )
+        if len(payload) != self.length:
+            return PayloadError("length", f"{len(payload)} bytes {shown!r}; expected {self.length}")
+        digits = " or ".join(map(str, sorted(set(self._digits))))
+        return PayloadError(
+            "format",
+            f"{shown!r} is not {self.joints} times a sign, {digits} digits, a point, {self.decimals} digits",
+        )

@@ -1,0 +1,200 @@
+"""Where requests for plans arrive: every kind of motion, in the scene as it is now, one at a time.
+
+What leaves it was checked against the latest scene that was known when it left. Joint vectors in the order of
+`RobotModel.joint_names`, SI; poses of the robot's tip in its base frame. Knows no ROS; may be used from several threads.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from construction_twin.core.motion_errors import NoSceneError, SceneChangedError, SceneError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.inverse import InverseKinematics
+from construction_twin.planning.cartesian import plan_cartesian
+from construction_twin.planning.planner import Clock, Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.recheck import report
+from construction_twin.planning.tool_path import ToolWaypoint
+from construction_twin.planning.waypoints import Waypoints, plan_waypoints
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.neighbour import Obstacle
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import SelfCollision
+
+
+class PlanningDesk:
+    """Plans motions of one robot in the latest scene.
+
+    Every method that returns a plan raises, besides what it names: `NoSceneError` without a scene, `SceneError` if the
+    scene cannot be used with this robot, `SceneChangedError` if another scene arrived while planning, `LimitError` and
+    `CollisionError` if a 4 ms sample of the result is outside a limit or in contact.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    solver : InverseKinematics
+    settings : PlannerSettings
+    self_collision : SelfCollision
+    clock : callable
+        Returns seconds from any fixed origin; measures planning time.
+    rng : numpy Generator
+    source : str
+        Where scenes come from, for the message when there is none.
+    neighbour : callable, optional
+        Returns what another arm takes up now, padding included; asked for every plan, and raises when it is not known.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        solver: InverseKinematics,
+        settings: PlannerSettings,
+        self_collision: SelfCollision,
+        clock: Clock,
+        rng: np.random.Generator,
+        source: str = "scene",
+        neighbour: Callable[[], Iterable[Obstacle]] | None = None,
+    ):
+        self._robot = robot
+        self._solver = solver
+        self._settings = settings
+        self._self_collision = self_collision
+        self._clock = clock
+        self._planner = Planner(robot, solver, settings, clock, rng)
+        self._source = source
+        self._neighbour = neighbour
+        # kinematics, worlds and OMPL are not made for several threads
+        self._busy = threading.Lock()
+        self._scene: Scene | None = None
+        self._problem: SceneError | None = None
+        self._news = threading.Condition()
+        self._world: CollisionWorld | None = None
+
+    @property
+    def scene(self) -> Scene | None:
+        """The latest scene; None before the first, and after one that cannot be used."""
+        return self._scene
+
+    def set_scene(self, scene: Scene) -> None:
+        """Take over a scene; what is being planned in another one will be dropped. Returns at once."""
+        with self._news:
+            self._scene, self._problem = scene, None
+            self._news.notify_all()
+
+    def refuse_scene(self, problem: SceneError) -> None:
+        """Note that the scene has changed to one that cannot be used: until the next one nothing can be planned."""
+        with self._news:
+            self._scene, self._problem = None, problem
+            self._news.notify_all()
+
+    def forget_scene(self, seen: Scene | None) -> None:
+        """Note that nobody answers for a scene any more; without effect when another one has come since it was `seen`."""
+        with self._news:
+            if self._scene is seen:
+                self._scene = None
+
+    def wait_for_scene(self, timeout: float) -> None:
+        """Wait for the first scene.
+
+        Parameters
+        ----------
+        timeout : float
+            [s]
+
+        Raises
+        ------
+        NoSceneError
+            If none came.
+        """
+        with self._news:
+            if not self._news.wait_for(lambda: self._scene is not None or self._problem is not None, timeout):
+                raise NoSceneError(self._source)
+
+    def to_joints(self, start: Sequence[float], goal: Sequence[float], request: PlanRequest) -> Plan:
+        """Plan a motion between two joint vectors; see `Planner.plan_to_joints`."""
+        return self._in_scene(lambda world: self._planner.plan_to_joints(start, goal, request, world))
+
+    def to_pose(self, start: Sequence[float], pose: Pose, request: PlanRequest, configuration: str = "") -> Plan:
+        """Plan a motion that brings the tip to a pose; see `Planner.plan_to_pose`."""
+        return self._in_scene(lambda world: self._planner.plan_to_pose(start, pose, request, world, configuration))
+
+    def along(
+        self, start: Sequence[float], waypoints: Sequence[ToolWaypoint], speed: float | None, request: PlanRequest
+    ) -> Plan:
+        """Plan a motion of the tip along lines and arcs; see `cartesian.plan_cartesian`.
+
+        Parameters
+        ----------
+        start : sequence of float, length n
+        waypoints : sequence of ToolWaypoint
+        speed : float, optional
+            Of the tool along the path [m/s]; None: as fast as the limits allow.
+        request : PlanRequest
+            Its duration and number of waypoints are not used.
+        """
+
+        def make(world: CollisionWorld) -> Trajectory:
+            bounds = self._settings.bounds
+            motion = plan_cartesian(start, waypoints, self._solver, world, speed, *self._scales(request), bounds)
+            return motion.trajectory
+
+        return self._in_scene(lambda world: self._checked(make, "cartesian", request, world))
+
+    def through(self, waypoints: Waypoints, present: Sequence[float], request: PlanRequest) -> Plan:
+        """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
+
+        Parameters
+        ----------
+        waypoints : Waypoints
+        present : sequence of float, length n
+            Where the arm is.
+        request : PlanRequest
+            Its duration and number of waypoints are not used.
+        """
+
+        def make(world: CollisionWorld) -> Trajectory:
+            return plan_waypoints(waypoints, present, self._robot, *self._scales(request), self._settings.bounds)
+
+        return self._in_scene(lambda world: self._checked(make, "waypoints", request, world))
+
+    def _scales(self, request: PlanRequest) -> tuple[float, float | None]:
+        speed_scale = self._settings.speed_scale if request.speed_scale is None else request.speed_scale
+        return speed_scale, request.acceleration_scale
+
+    def _checked(
+        self, make: Callable[[CollisionWorld], Trajectory], planner: str, request: PlanRequest, world: CollisionWorld
+    ) -> Plan:
+        began = self._clock()
+        trajectory = make(world)
+        planning_time = self._clock() - began
+        measured = report(trajectory, self._robot, world, self._clock)
+        return request.plan(planner, planning_time, trajectory, measured, world.scene.hash)
+
+    def _in_scene(self, make: Callable[[CollisionWorld], Plan]) -> Plan:
+        with self._busy:
+            plan = make(self._present_world())
+            with self._news:
+                present = self._scene.hash if self._scene is not None else "unknown"
+            if plan.scene != present:
+                raise SceneChangedError(plan.scene, present)
+            return plan
+
+    def _present_world(self) -> CollisionWorld:
+        with self._news:
+            scene, problem = self._scene, self._problem
+        if problem is not None:
+            raise problem
+        if scene is None:
+            raise NoSceneError(self._source)
+        if self._world is None:
+            self._world = CollisionWorld(self._robot, scene, self._self_collision)
+        elif self._world.scene.hash != scene.hash:
+            self._world = self._world.with_scene(scene)
+        # no version of the scene: what it does later is the watch's question, see `conflict`
+        return self._world if self._neighbour is None else self._world.with_neighbour(self._neighbour())

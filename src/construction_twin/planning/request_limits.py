@@ -1,0 +1,108 @@
+"""What may be asked of a plan, and how large it may become: checked before anything of that size is made.
+
+Joint vectors in the order of `RobotModel.joint_names`, SI.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.core.motion_errors import PlanningError, PlanSizeError, TrajectoryError
+from construction_twin.planning.limit_usage import SAME_POINT
+from construction_twin.robot.description import RobotModel
+
+#: A tool covers less than this from one waypoint of a trajectory to the next [m]: 2.5 m/s at the usual 20 ms.
+TOOL_STEP = 0.05
+
+
+@dataclass(frozen=True)
+class PlanBounds:
+    """The largest plan that is made.
+
+    Attributes
+    ----------
+    duration : float
+        [s]
+    waypoints : float
+    """
+
+    duration: float = math.inf
+    waypoints: float = math.inf
+
+    def check(self, duration: float, waypoints: float = 0) -> None:
+        """Check a plan that is about to be made.
+
+        Parameters
+        ----------
+        duration : float
+            [s]
+        waypoints : float, optional
+
+        Raises
+        ------
+        PlanSizeError
+            If it would be too large; also if the duration is not a number.
+        """
+        if not duration <= self.duration:
+            raise PlanSizeError("duration", duration, self.duration, " s", "ask for a faster or shorter motion")
+        if waypoints > self.waypoints:
+            raise PlanSizeError(
+                "waypoints", waypoints, self.waypoints, "", "ask for fewer, or for a faster or shorter motion"
+            )
+
+    def check_tool_path(self, length: float, speed: float | None) -> None:
+        """Check the length of a tool path [m], and the time it takes at a speed of the tool [m/s] (None: any).
+
+        Raises
+        ------
+        PlanSizeError
+        """
+        if speed is not None:
+            self.check(length / speed)
+        if not length <= TOOL_STEP * self.waypoints:
+            most = TOOL_STEP * self.waypoints
+            raise PlanSizeError("length of the tool's path", length, most, " m", "divide it into several")
+
+
+def check_request(
+    duration: float | None, speed: float, acceleration: float, waypoints: int | None, corner_share: float | None
+) -> None:
+    """Check what is asked of a plan besides its path; see `timing.time_path`.
+
+    Raises
+    ------
+    PlanningError
+        Naming what does not make sense, and what was expected.
+    """
+    if duration is not None and not 0.0 < duration < math.inf:
+        raise PlanningError(f"the requested duration is {duration} s; expected a positive number")
+    for name, scale in (("speed", speed), ("acceleration", acceleration)):
+        if not 0.0 < scale <= 1.0:
+            raise PlanningError(f"the requested {name} scale is {scale}; expected a share of the limits in (0, 1]")
+    if waypoints is not None and waypoints < 2:
+        raise PlanningError(f"{waypoints} waypoints are requested; a motion needs at least 2")
+    if corner_share is not None and not 0.0 < corner_share <= 1.0:
+        raise PlanningError(f"the requested corner share is {corner_share}; expected a number in (0, 1]")
+
+
+def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
+    """Return a checked copy of a path without repeated points; see `timing.time_path`, also for what it raises."""
+    path = np.array(path, dtype=np.float64)
+    joints = len(robot.joint_names)
+    if path.ndim != 2 or path.shape[1] != joints or len(path) < 2:
+        raise TrajectoryError(f"the path has shape {path.shape}; expected at least 2 points of {joints} joints")
+    if not np.all(np.isfinite(path)):
+        row, joint = np.argwhere(~np.isfinite(path))[0]
+        name = robot.joint_names[joint]
+        raise TrajectoryError(f"point {row} of the path: {name} is {path[row, joint]}, not a finite number")
+    for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
+        robot.check_range(point)
+    apart = np.max(np.abs(np.diff(path, axis=0)), axis=1) > SAME_POINT
+    if not np.any(apart):
+        raise TrajectoryError("the arm is already there: the path's points are all the same; nothing to plan")
+    kept = path[np.concatenate(([True], apart))]
+    kept[-1] = path[-1]
+    return kept

@@ -1,0 +1,389 @@
+"""One robot: joints, limits, home pose and how its joints appear on the wire and in RSI.
+
+Geometry, ranges and speeds come from the URDF; what a URDF cannot carry (acceleration and jerk limits, home pose, axis
+mapping) from one YAML file, whose keys carry their unit: deg for joints that turn, mm for linear ones. Inside,
+everything is SI: rad or m, by `RobotModel.linear`. Kinematics is in `kinematics`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+from xml.etree import ElementTree
+from xml.parsers.expat import ExpatError
+
+import pydantic
+import xacro
+import yaml
+from urdf_parser_py.urdf import URDF, Joint
+from urdf_parser_py.xml_reflection.core import ParseError
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.motion_errors import JointRangeError
+from construction_twin.core.units import radians
+
+_LOG = logging.getLogger(__name__)
+
+_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
+_Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
+
+
+@dataclass(frozen=True)
+class AxisMapping:
+    """How a joint appears on the wire and in RSI: ``rsi_value = sign * q + offset``.
+
+    Attributes
+    ----------
+    rsi : str
+        Attribute name in RSI telegrams, e.g. ``A1``, or ``E1`` for an external axis.
+    sign : int
+        +1 or -1.
+    offset : float
+        [rad] ([m] for a linear joint).
+    """
+
+    rsi: str
+    sign: int
+    offset: float
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """A robot's description. All joint tuples are in the order of `joint_names`, from base to tip.
+
+    Units are those of a joint that turns; where `linear` is True, read m for rad.
+
+    Attributes
+    ----------
+    name : str
+    urdf : str
+        The URDF's XML text (already expanded).
+    base_link, tip_link : str
+        Ends of the kinematic chain.
+    joint_names : tuple of str, length n
+    lower, upper : tuple of float, length n
+        Joint range [rad].
+    velocity : tuple of float, length n
+        [rad/s]
+    acceleration : tuple of float, length n
+        [rad/s^2]
+    jerk : tuple of float, length n
+        [rad/s^3]
+    home : tuple of float, length n
+        [rad], within the range.
+    axes : tuple of AxisMapping, length n
+    linear : tuple of bool, length n
+        True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
+    """
+
+    name: str
+    urdf: str
+    base_link: str
+    tip_link: str
+    joint_names: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...]
+    home: tuple[float, ...]
+    axes: tuple[AxisMapping, ...]
+    linear: tuple[bool, ...]
+
+    def check_range(self, q: Sequence[float]) -> None:
+        """Check that every joint lies within its range, limits included.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            Joint values [rad] or [m], order of `joint_names`.
+
+        Raises
+        ------
+        JointRangeError
+            Naming the first joint outside; nan is outside every range.
+        ValueError
+            If `q` has another length.
+        """
+        if len(q) != len(self.joint_names):
+            raise ValueError(f"{len(q)} joint values for {len(self.joint_names)} joints of {self.name}")
+        for joint, value, lower, upper in zip(self.joint_names, q, self.lower, self.upper):
+            if not lower <= value <= upper:
+                raise JointRangeError(joint, float(value), lower, upper)
+
+
+class _JointDescription(pydantic.BaseModel):
+    """What both kinds of joint have; see the comments in config/kr120.yaml for every key's meaning."""
+
+    model_config = pydantic.ConfigDict(extra="forbid")
+
+    rsi: Annotated[str, pydantic.Field(pattern=r"^[AE][1-6]$")]
+    sign: Literal[1, -1]
+
+
+class _TurningJoint(_JointDescription):
+    home_deg: _Finite
+    acceleration_deg_s2: _Positive
+    jerk_deg_s3: _Positive
+    offset_deg: _Finite
+
+    def si(self) -> tuple[float, float, float, float]:
+        """Return home, acceleration, jerk and offset in rad."""
+        return radians((self.home_deg, self.acceleration_deg_s2, self.jerk_deg_s3, self.offset_deg))
+
+
+class _LinearJoint(_JointDescription):
+    home_mm: _Finite
+    acceleration_mm_s2: _Positive
+    jerk_mm_s3: _Positive
+    offset_mm: _Finite
+
+    def si(self) -> tuple[float, float, float, float]:
+        """Return home, acceleration, jerk and offset in m."""
+        values = (self.home_mm, self.acceleration_mm_s2, self.jerk_mm_s3, self.offset_mm)
+        return tuple(value / 1e3 for value in values)
+
+
+class _RobotDescription(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid")
+
+    name: Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    base_link: str
+    tip_link: str
+    joints: dict[str, dict]
+
+
+def load_robot(urdf: str, description: Mapping) -> RobotModel:
+    """Build a robot from its URDF text and the mapping of its robot YAML.
+
+    The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`. They must be revolute or prismatic.
+
+    Parameters
+    ----------
+    urdf : str
+        URDF XML text.
+    description : Mapping
+        The parsed robot YAML.
+
+    Returns
+    -------
+    robot : RobotModel
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the key (``robot/...``) or the URDF element, its value and what was expected.
+    """
+    parsed = _validate(_RobotDescription, dict(description), "robot")
+    model = parse_urdf(urdf)
+    joints = [joint for joint in chain_joints(model, parsed.base_link, parsed.tip_link) if joint.joint_type != "fixed"]
+    for joint in joints:
+        _check_joint(joint)
+    described = _describe_joints(parsed, joints)
+    home, acceleration, jerk, offset = zip(*(joint.si() for joint in described))
+    robot = RobotModel(
+        name=parsed.name,
+        urdf=urdf,
+        base_link=parsed.base_link,
+        tip_link=parsed.tip_link,
+        joint_names=tuple(joint.name for joint in joints),
+        lower=tuple(float(joint.limit.lower) for joint in joints),
+        upper=tuple(float(joint.limit.upper) for joint in joints),
+        velocity=tuple(float(joint.limit.velocity) for joint in joints),
+        acceleration=acceleration,
+        jerk=jerk,
+        home=home,
+        axes=tuple(AxisMapping(joint.rsi, joint.sign, zero) for joint, zero in zip(described, offset)),
+        linear=tuple(joint.joint_type == "prismatic" for joint in joints),
+    )
+    _check_home(robot)
+    return robot
+
+
+def read_robot_files(urdf_path: str | Path, yaml_path: str | Path) -> RobotModel:
+    """Build a robot from files, without ROS.
+
+    Parameters
+    ----------
+    urdf_path : str or Path
+        A URDF, or a xacro (``*.xacro``), which is expanded with its default arguments.
+    yaml_path : str or Path
+        The robot YAML.
+
+    Returns
+    -------
+    robot : RobotModel
+
+    Raises
+    ------
+    ConfigurationError
+        See `load_robot`; also for a file that cannot be read or parsed.
+    """
+    urdf = expand_xacro(urdf_path) if str(urdf_path).endswith(".xacro") else _read_text(urdf_path)
+    return load_robot(urdf, _read_description(yaml_path))
+
+
+def home_positions(yaml_path: str | Path) -> dict[str, float]:
+    """Return the home pose of a robot YAML by joint name [rad], [m]; needs no URDF.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is not a robot YAML, as far as this can be told without the URDF.
+    """
+    parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
+    kinds = {name: _LinearJoint if "home_mm" in joint else _TurningJoint for name, joint in parsed.joints.items()}
+    return {
+        name: _validate(kinds[name], joint, f"robot/joints/{name}").si()[0] for name, joint in parsed.joints.items()
+    }
+
+
+def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
+    """Expand a xacro file to URDF text.
+
+    Parameters
+    ----------
+    path : str or Path
+    arguments : Mapping of str to str, optional
+        Values for the file's ``xacro:arg`` elements.
+
+    Returns
+    -------
+    urdf : str
+        Indented XML.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file cannot be read or expanded.
+    """
+    _read_text(path)  # xacro's own message for a missing file does not say what was expected
+    try:
+        return xacro.process_file(str(path), mappings=dict(arguments or {})).toprettyxml(indent="  ")
+    except xacro.XacroException as error:
+        raise ConfigurationError(str(path), str(error), "a xacro file that expands") from error
+    except ExpatError as error:
+        raise ConfigurationError(str(path), str(error), "well-formed XML") from error
+
+
+def parse_urdf(urdf: str) -> URDF:
+    """Parse URDF text with urdfdom's Python parser; its remarks on unknown tags go to the debug log.
+
+    Raises
+    ------
+    ConfigurationError
+        If the text is not a URDF.
+    """
+    remarks = io.StringIO()
+    try:
+        # bytes, because the XML parser refuses an encoding declaration in a str
+        with contextlib.redirect_stderr(remarks):
+            model = URDF.from_xml_string(urdf.encode())
+    except (ParseError, ElementTree.ParseError, AssertionError, KeyError, ValueError) as error:
+        raise ConfigurationError("robot_description", str(error), "a URDF") from error
+    for remark in remarks.getvalue().splitlines():
+        _LOG.debug("robot_description: %s", remark)
+    return model
+
+
+def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
+    """Return the joints from `base_link` to `tip_link`, fixed ones included.
+
+    Raises
+    ------
+    ConfigurationError
+        If a link is missing or `tip_link` does not descend from `base_link`.
+    """
+    for key, link in (("robot/base_link", base_link), ("robot/tip_link", tip_link)):
+        if link not in model.link_map:
+            raise ConfigurationError(key, link, f"one of the URDF's links {sorted(model.link_map)}")
+    joints = []
+    link = tip_link
+    while link != base_link:
+        if link not in model.parent_map or len(joints) == len(model.joints):
+            raise ConfigurationError("robot/tip_link", tip_link, f"a descendant of {base_link}")
+        name, link = model.parent_map[link]
+        joints.append(model.joint_map[name])
+    return joints[::-1]
+
+
+def _read_text(path: str | Path) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(str(path), str(error), "a readable text file") from error
+
+
+def _read_description(yaml_path: str | Path) -> dict:
+    try:
+        description = yaml.safe_load(_read_text(yaml_path))
+    except yaml.YAMLError as error:
+        raise ConfigurationError(str(yaml_path), str(error), "a YAML file") from error
+    if not isinstance(description, dict):
+        raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
+    return description
+
+
+def _validate(model: type[pydantic.BaseModel], values: Mapping, where: str):
+    try:
+        return model.model_validate(values)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        where = "/".join([where, *map(str, first["loc"])])
+        value = None if first["type"] == "missing" else first["input"]
+        raise ConfigurationError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
+
+
+def _check_joint(joint: Joint) -> None:
+    where = f"robot_description joint {joint.name}"
+    if joint.joint_type not in ("revolute", "prismatic") or joint.mimic is not None:
+        found = "a mimic joint" if joint.mimic is not None else joint.joint_type
+        raise ConfigurationError(where, found, "an independent revolute or prismatic joint with limits")
+    unit = "m" if joint.joint_type == "prismatic" else "rad"
+    limit = joint.limit
+    if limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
+        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"lower < upper [{unit}]")
+    if not (math.isfinite(limit.lower) and math.isfinite(limit.upper)):
+        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"finite lower and upper [{unit}]")
+    if not 0 < limit.velocity < math.inf:
+        raise ConfigurationError(f"{where} limit velocity", limit.velocity, f"a positive number [{unit}/s]")
+
+
+def _limit_text(limit) -> str | None:
+    return None if limit is None else f"lower {limit.lower}, upper {limit.upper}"
+
+
+def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list[_TurningJoint | _LinearJoint]:
+    """Return the YAML's entry for each joint, in their order, with the keys that fit its type."""
+    names = [joint.name for joint in joints]
+    if not names:
+        expected = f"a link that joints move against {parsed.base_link}"
+        raise ConfigurationError("robot/tip_link", parsed.tip_link, expected)
+    if set(parsed.joints) != set(names):
+        raise ConfigurationError("robot/joints", sorted(parsed.joints), f"one entry for each of {names}")
+    described = []
+    for joint in joints:
+        kind = _LinearJoint if joint.joint_type == "prismatic" else _TurningJoint
+        described.append(_validate(kind, parsed.joints[joint.name], f"robot/joints/{joint.name}"))
+    rsi_axes = [joint.rsi for joint in described]
+    for number, axis in enumerate(rsi_axes):
+        if axis in rsi_axes[:number]:
+            expected = f"a different RSI axis for each joint; {names[rsi_axes.index(axis)]} has this one"
+            raise ConfigurationError(f"robot/joints/{names[number]}/rsi", axis, expected)
+    return described
+
+
+def _check_home(robot: RobotModel) -> None:
+    try:
+        robot.check_range(robot.home)
+    except JointRangeError as error:
+        linear = robot.linear[robot.joint_names.index(error.joint)]
+        key = f"robot/joints/{error.joint}/{'home_mm' if linear else 'home_deg'}"
+        found = error.value * 1e3 if linear else math.degrees(error.value)
+        raise ConfigurationError(key, found, f"a pose in range: {error}") from error

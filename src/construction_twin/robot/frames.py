@@ -1,0 +1,124 @@
+"""Orientations: rotation matrices inside, quaternions towards ROS, KUKA's A, B, C towards RSI.
+
+KUKA's angles turn about Z, then the new Y, then the new X: ``R = Rz(A) Ry(B) Rx(C)`` (rsi.md section 10).
+Radians throughout; degrees are the codecs' business. Quaternions are in ROS order x, y, z, w.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from construction_twin.core.motion_errors import KinematicsError
+
+#: Below this |cos B| the angles A and C turn about the same axis and only their sum or difference is defined.
+_GIMBAL = 1e-12
+#: How far a quaternion's norm may be from 1: rounding in a message passes, an empty message (0, 0, 0, 0) does not.
+_NORM_TOLERANCE = 1e-3
+
+
+def rotation_to_abc(rotation) -> tuple[float, float, float]:
+    """Convert a rotation matrix to KUKA's A, B, C.
+
+    At B = +-90 deg, where only A - C (or A + C) is defined, A is 0.
+
+    Parameters
+    ----------
+    rotation : array, shape (3, 3)
+        Or whatever gives an element for a row and a column, as a PyKDL.Frame or a PyKDL.Rotation.
+
+    Returns
+    -------
+    a, b, c : float
+        [rad]; A and C in [-pi, pi], B in [-pi/2, pi/2].
+    """
+    r = rotation
+    cos_b = math.hypot(r[0, 0], r[1, 0])
+    a = math.atan2(r[1, 0], r[0, 0]) if cos_b > _GIMBAL else 0.0
+    b = math.atan2(-r[2, 0], cos_b)
+    # C from the matrix with A taken out, not from its last row: so A and C fit together even where both are ill-defined
+    sin_a, cos_a = math.sin(a), math.cos(a)
+    c = math.atan2(sin_a * r[0, 2] - cos_a * r[1, 2], cos_a * r[1, 1] - sin_a * r[0, 1])
+    return a, b, c
+
+
+def abc_to_rotation(a: float, b: float, c: float) -> np.ndarray:
+    """Convert KUKA's A, B, C to a rotation matrix.
+
+    Parameters
+    ----------
+    a, b, c : float
+        [rad]
+
+    Returns
+    -------
+    rotation : array, shape (3, 3)
+        ``Rz(A) Ry(B) Rx(C)``
+    """
+    sin_a, cos_a = math.sin(a), math.cos(a)
+    sin_b, cos_b = math.sin(b), math.cos(b)
+    sin_c, cos_c = math.sin(c), math.cos(c)
+    return np.array(
+        [
+            [cos_a * cos_b, cos_a * sin_b * sin_c - sin_a * cos_c, cos_a * sin_b * cos_c + sin_a * sin_c],
+            [sin_a * cos_b, sin_a * sin_b * sin_c + cos_a * cos_c, sin_a * sin_b * cos_c - cos_a * sin_c],
+            [-sin_b, cos_b * sin_c, cos_b * cos_c],
+        ]
+    )
+
+
+def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Convert a rotation matrix to a unit quaternion.
+
+    Parameters
+    ----------
+    rotation : array, shape (3, 3)
+
+    Returns
+    -------
+    quaternion : array, shape (4,)
+        x, y, z, w with w >= 0.
+    """
+    return Rotation.from_matrix(rotation).as_quat(canonical=True)
+
+
+def quaternion_to_rotation(quaternion) -> np.ndarray:
+    """Convert a quaternion to a rotation matrix.
+
+    Parameters
+    ----------
+    quaternion : sequence of float, length 4
+        x, y, z, w; normalised here when its norm is 1 within 1e-3.
+
+    Returns
+    -------
+    rotation : array, shape (3, 3)
+
+    Raises
+    ------
+    KinematicsError
+        If it is no unit quaternion, e.g. the (0, 0, 0, 0) of a message nobody filled in.
+    """
+    values = np.asarray(quaternion, dtype=float)
+    if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
+        raise KinematicsError(f"quaternion x, y, z, w is {values.tolist()}; expected 4 numbers of norm 1")
+    return Rotation.from_quat(values).as_matrix()
+
+
+def rotation_angle(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the angle between two orientations, exact also where it is tiny.
+
+    Parameters
+    ----------
+    first, second : array, shape (3, 3)
+
+    Returns
+    -------
+    angle : float
+        [rad], 0 to pi.
+    """
+    # |R1 - R2|_F = 2 sqrt(2) sin(angle / 2); the usual arccos of the trace loses half the digits near 0
+    chord = float(np.linalg.norm(np.asarray(first) - np.asarray(second)))
+    return 2.0 * math.asin(min(1.0, chord / (2.0 * math.sqrt(2.0))))

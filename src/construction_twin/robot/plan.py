@@ -1,0 +1,111 @@
+"""What lies on the reviewer's desk: a trajectory, where it comes from, and what was measured on it before anybody looks.
+
+SI; joint tuples in the order of the trajectory's `joint_names`; points in the robot's base frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Smallest distance between two bodies that must not touch.
+
+    Attributes
+    ----------
+    distance : float
+        [m]; negative: how deep they are in each other. inf: there is nothing to touch.
+    between : tuple of str, length 2 or 0
+        Names of the two: a link of the robot first, then a link or an object of the scene.
+    point : tuple of float, length 3
+        Nearest point on the first of them, in the robot's base frame [m].
+    time : float
+        When, from the start of the trajectory [s]; 0 for a single pose.
+    """
+
+    distance: float
+    between: tuple[str, ...] = ()
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class LimitShares:
+    """Largest share of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit.
+
+    Attributes
+    ----------
+    velocity, acceleration, jerk : tuple of float, length n
+    """
+
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """What was measured on every 4 ms sample of a trajectory.
+
+    Attributes
+    ----------
+    clearance : Clearance
+    shares : LimitShares
+    recheck_time : float
+        Time the measurement took [s].
+    """
+
+    clearance: Clearance
+    shares: LimitShares
+    recheck_time: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A trajectory with its origin, as a reviewer sees it. It cannot exist with a hash that is not its trajectory's.
+
+    Attributes
+    ----------
+    id : str
+        Unique id.
+    hash : str
+        The trajectory's `content_hash`.
+    source : str
+        Who asked for it.
+    planner : str
+        What found the path: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``.
+    scene : str
+        Hash of the scene it was checked against.
+    created_ns : int
+        When it was planned [ns, ROS time].
+    planning_time : float
+        Time spent planning and timing [s], without `PlanReport.recheck_time`.
+    trajectory : Trajectory
+    report : PlanReport
+
+    Raises
+    ------
+    TrajectoryError
+        If `id` is empty or `hash` is not the trajectory's.
+    """
+
+    id: str
+    hash: str
+    source: str
+    planner: str
+    scene: str
+    created_ns: int
+    planning_time: float
+    trajectory: Trajectory
+    report: PlanReport
+
+    def __post_init__(self):
+        if not self.id:
+            raise TrajectoryError("a plan has an empty id; expected a unique one")
+        found = self.trajectory.content_hash()
+        if self.hash != found:
+            raise TrajectoryError(f"plan {self.id} has hash {self.hash!r}, its waypoints have {found}; plan it again")

@@ -1,0 +1,219 @@
+"""Timed joint motions: waypoints with position, velocity and acceleration, joined by quintic segments.
+
+Joint vectors are in the order of `Trajectory.joint_names`, SI (rad, rad/s, rad/s^2), times in seconds from the start of
+the motion. Knows no robot limits (`timing` does) and no clock: a time is an argument.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from bisect import bisect_right
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from construction_twin.core.motion_errors import TrajectoryError
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Waypoints of a joint motion; between two of them the motion is the quintic that meets both.
+
+    Times are held on whole nanoseconds, as in a ROS duration, so that a trajectory and its hash survive a message. The
+    arrays are copied and made read-only.
+
+    Parameters
+    ----------
+    joint_names : tuple of str, length n
+    times : array, shape (k,)
+        Time of each waypoint from the start [s]: first 0, strictly increasing, at least two.
+    positions, velocities, accelerations : array, shape (k, n)
+        [rad], [rad/s], [rad/s^2]
+
+    Raises
+    ------
+    TrajectoryError
+        If shapes do not fit, a value is not finite, or times do not start at 0 and increase; names row and joint.
+    """
+
+    joint_names: tuple[str, ...]
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    _knots: list = field(init=False, repr=False)
+    _coefficients: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        if not self.joint_names or len(set(self.joint_names)) != len(self.joint_names):
+            raise TrajectoryError(f"joint names are {self.joint_names}; expected at least one and all different")
+        times = _frozen_array("times", self.times, 1)
+        object.__setattr__(self, "times", _check_times(times))
+        shape = (len(times), len(self.joint_names))
+        for name in ("positions", "velocities", "accelerations"):
+            values = _frozen_array(name, getattr(self, name), 2)
+            object.__setattr__(self, name, values)
+            self._check_values(name, values, shape)
+        # what `sample` needs at 250 Hz: a list, because bisect on it is several times faster than on an array
+        object.__setattr__(self, "_knots", self.times.tolist())
+        object.__setattr__(self, "_coefficients", _quintic_coefficients(self))
+
+    @property
+    def duration(self) -> float:
+        """Time of the last waypoint [s]."""
+        return self._knots[-1]
+
+    def sample(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Evaluate the motion at one time.
+
+        Before 0 and after `duration` the motion rests at its first or last position: velocity and acceleration are zero
+        there whatever the end waypoints say. At exactly 0 and `duration` the waypoints' own values are returned.
+
+        Parameters
+        ----------
+        t : float
+            Time from the start of the motion [s].
+
+        Returns
+        -------
+        q, qd, qdd : array, shape (n,)
+            [rad], [rad/s], [rad/s^2]; the caller's own copies.
+        """
+        knots = self._knots
+        if not 0.0 <= t < knots[-1]:
+            return self._sample_end(t)
+        segment = bisect_right(knots, t) - 1
+        x = t - knots[segment]
+        x2 = x * x
+        x3 = x2 * x
+        x4 = x3 * x
+        powers = np.array(
+            (
+                (1.0, x, x2, x3, x4, x4 * x),
+                (0.0, 1.0, 2.0 * x, 3.0 * x2, 4.0 * x3, 5.0 * x4),
+                (0.0, 0.0, 2.0, 6.0 * x, 12.0 * x2, 20.0 * x3),
+            )
+        )
+        q, qd, qdd = powers @ self._coefficients[segment]
+        return q, qd, qdd
+
+    def sample_many(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Evaluate the motion at many times; outside [0, `duration`] as `sample` does.
+
+        Parameters
+        ----------
+        times : array, shape (m,)
+            [s]
+
+        Returns
+        -------
+        q, qd, qdd, qddd : array, shape (m, n)
+            [rad], [rad/s], [rad/s^2] and jerk [rad/s^3].
+        """
+        times = np.asarray(times, dtype=np.float64)
+        segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
+        x = (np.clip(times, 0.0, self.duration) - self.times[segment])[:, None]
+        derivatives = []
+        coefficients = [self._coefficients[segment, degree] for degree in range(6)]
+        while len(derivatives) < 4:
+            value = np.zeros_like(coefficients[0])
+            for coefficient in reversed(coefficients):
+                value = value * x + coefficient
+            derivatives.append(value)
+            coefficients = [degree * coefficient for degree, coefficient in enumerate(coefficients)][1:]
+        outside = (times < 0.0) | (times > self.duration)
+        for value in derivatives[1:]:
+            value[outside] = 0.0
+        derivatives[0][times >= self.duration] = self.positions[-1]
+        return tuple(derivatives)
+
+    def content_hash(self) -> str:
+        """Return the SHA-256 (hex) over joint names, times, positions, velocities and accelerations.
+
+        Equal exactly when all of these are equal to the last bit; -0.0 and 0.0 differ.
+        """
+        digest = hashlib.sha256()
+        digest.update("\0".join(self.joint_names).encode() + b"\0\0")
+        for values in (self.times, self.positions, self.velocities, self.accelerations):
+            digest.update(values.astype("<f8").tobytes())
+        return digest.hexdigest()
+
+    def _sample_end(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        row = 0 if t < 0.0 else -1
+        if t == self._knots[-1]:
+            return self.positions[row].copy(), self.velocities[row].copy(), self.accelerations[row].copy()
+        if t != t:
+            raise TrajectoryError("a trajectory cannot be sampled at time nan")
+        rest = np.zeros(len(self.joint_names))
+        return self.positions[row].copy(), rest, rest.copy()
+
+    def _check_values(self, name: str, values: np.ndarray, shape: tuple[int, int]) -> None:
+        if values.shape != shape:
+            raise TrajectoryError(f"{name} have shape {values.shape}; expected {shape}, waypoints by joints")
+        wrong = np.argwhere(~np.isfinite(values))
+        if len(wrong):
+            row, joint = wrong[0]
+            value, joint_name = values[row, joint], self.joint_names[joint]
+            raise TrajectoryError(f"{name} of waypoint {row}: {joint_name} is {value}, not a finite number")
+
+
+def whole_nanoseconds(times: np.ndarray) -> np.ndarray:
+    """Round times to whole nanoseconds, the resolution of a ROS duration.
+
+    Parameters
+    ----------
+    times : array
+        [s]
+
+    Returns
+    -------
+    times : array
+        [s]; each equal to some ``integer / 1e9`` to the last bit.
+    """
+    return np.round(np.asarray(times, dtype=np.float64) * 1e9) / 1e9
+
+
+def _frozen_array(name: str, values, dimensions: int) -> np.ndarray:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TrajectoryError(f"{name} are not a regular array of numbers: {error}") from error
+    if array.ndim != dimensions:
+        raise TrajectoryError(f"{name} have {array.ndim} dimensions; expected {dimensions}")
+    array.flags.writeable = False
+    return array
+
+
+def _check_times(times: np.ndarray) -> np.ndarray:
+    if len(times) < 2:
+        raise TrajectoryError(f"{len(times)} waypoints; a motion needs at least two")
+    if not np.all(np.isfinite(times)):
+        row = int(np.argmin(np.isfinite(times)))
+        raise TrajectoryError(f"time of waypoint {row} is {times[row]}, not a finite number")
+    times = whole_nanoseconds(times)
+    if times[0] != 0.0:
+        raise TrajectoryError(f"the first waypoint is at {times[0]} s; expected 0")
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(late):
+        row = int(late[0]) + 1
+        before = times[row - 1]
+        raise TrajectoryError(f"waypoint {row} is at {times[row]:.9f} s, not after the one before at {before:.9f} s")
+    times[0] = 0.0  # -0.0 would change the hash
+    times.flags.writeable = False
+    return times
+
+
+def _quintic_coefficients(trajectory: Trajectory) -> np.ndarray:
+    """Return the segments' polynomial coefficients by ascending power of the time in the segment, shape (k - 1, 6,
+    n)."""
+    h = np.diff(trajectory.times)[:, None]
+    q0, q1 = trajectory.positions[:-1], trajectory.positions[1:]
+    v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]
+    a0, a1 = trajectory.accelerations[:-1], trajectory.accelerations[1:]
+    step = q1 - q0
+    h2 = h * h
+    c3 = (20.0 * step - (8.0 * v1 + 12.0 * v0) * h - (3.0 * a0 - a1) * h2) / (2.0 * h2 * h)
+    c4 = (-30.0 * step + (14.0 * v1 + 16.0 * v0) * h + (3.0 * a0 - 2.0 * a1) * h2) / (2.0 * h2 * h2)
+    c5 = (12.0 * step - 6.0 * (v1 + v0) * h + (a1 - a0) * h2) / (2.0 * h2 * h2 * h)
+    return np.stack((q0, v0, 0.5 * a0, c3, c4, c5), axis=1)

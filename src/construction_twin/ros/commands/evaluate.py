@@ -1,0 +1,94 @@
+"""Command line: evaluates a bag and writes the report. Runs without a ROS master."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import rospkg
+import rospy
+from rich.console import Console
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.evaluation.report import write_report
+from construction_twin.evaluation.tables import render_tables
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.ros.commands.bag import read_recording
+
+#: This package's arms, as URDF and robot YAML; the first one whose joints are the bag's is taken.
+ROBOTS = (
+    ("urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"),
+    ("urdf/kr120_track.urdf.xacro", "config/kr120_track.yaml"),
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Evaluate the bag named on the command line.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Default: the process's, without what roslaunch adds.
+
+    Returns
+    -------
+    status : int
+        0, or 1 after a sentence on standard error.
+    """
+    options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+    directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + "_evaluation")
+    console = Console(highlight=False)
+    try:
+        recording = read_recording(options.bag, options.robot)
+        robot = _robot(options, recording.joint_names)
+        report = write_report(recording, robot, directory)
+    except (ConstructionTwinError, OSError) as error:
+        print(f"evaluate: {error}", file=sys.stderr)
+        return 1
+    render_tables(report.summary, console)
+    if robot.joint_names != recording.joint_names:
+        console.print(
+            f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
+        )
+    print_files(console, report.files)
+    return 0
+
+
+def print_files(console: Console, files) -> None:
+    """Print where the files of a report are."""
+    console.print("\nWritten:")
+    for path in files:
+        console.print(f"  {path}", soft_wrap=True)
+
+
+def package_file(relative: str) -> Path:
+    """Return the path of a file of this package."""
+    return Path(rospkg.RosPack().get_path("construction_twin"), relative)
+
+
+def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotModel:
+    if options.robot_xacro or options.robot_config:
+        files = options.robot_xacro or package_file(ROBOTS[0][0]), options.robot_config or package_file(ROBOTS[0][1])
+        return read_robot_files(*files)
+    robots = [read_robot_files(*map(package_file, files)) for files in ROBOTS]
+    return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="evaluate", description="Compare twin and physical arm in a bag: tables, figures and summary.json."
+    )
+    parser.add_argument(
+        "bag", type=Path, help="a bag with at least .../twin/joint_states and .../physical/joint_states"
+    )
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _evaluation)")
+    parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
+    parser.add_argument(
+        "--robot-xacro",
+        type=Path,
+        metavar="FILE",
+        help="URDF or xacro for figure 8 and units (default: the one here that fits the bag)",
+    )
+    parser.add_argument("--robot-config", type=Path, metavar="FILE", help="robot YAML (default: likewise)")
+    return parser

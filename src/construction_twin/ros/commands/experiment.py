@@ -1,0 +1,310 @@
+"""The experiment: waits for a ready system, records, has the task planned and played, evaluates the recording."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pydantic
+import rospy
+from rich.console import Console
+from rich.progress import Progress
+
+from construction_twin.core.errors import ConstructionTwinError, ExperimentError
+from construction_twin.core.units import from_wire
+from construction_twin.evaluation.report import Report, write_report
+from construction_twin.evaluation.tables import render_tables
+from construction_twin.msg import Execution, Feedback, Link, Sync
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.commands.evaluate import print_files
+from construction_twin.ros.commands.recorder import Recorder
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.srv import PlanToJoints
+
+_POLL = 0.05
+#: The bridge reports the gateway's counters this often [s]; the recording goes on until they include the task's end.
+_REPORT_PERIOD = 1.0
+
+_Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
+
+
+class ExperimentSettings(pydantic.BaseModel):
+    """Private parameters; see config/experiment.yaml. `results_dir` is an absolute path."""
+
+    model_config = pydantic.ConfigDict(extra="forbid")
+
+    results_dir: Annotated[str, pydantic.Field(pattern=r"^[/~]")]
+    goals_deg: Annotated[list[list[pydantic.FiniteFloat]], pydantic.Field(min_length=1)]
+    duration: _Positive
+    waypoints: Annotated[int, pydantic.Field(ge=2)]
+    timeout: _Positive
+    rest_tolerance: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
+    rest_time: _Positive
+    topics: Annotated[list[str], pydantic.Field(min_length=1)]
+
+
+class RestDetector:
+    """Tells whether a pose has stayed within a band for some time.
+
+    Parameters
+    ----------
+    tolerance : float
+        Half width of the band around the pose at which it began [rad], [m].
+    rest_time : float
+        [s]
+    """
+
+    def __init__(self, tolerance: float, rest_time: float):
+        self._tolerance = tolerance
+        self._rest_time = rest_time
+        self._pose: np.ndarray | None = None
+        self._since = 0.0
+        self.at_rest = False
+
+    def update(self, stamp: float, position) -> None:
+        """Take one pose, shape (n,) [rad], measured at `stamp` [s]."""
+        position = np.asarray(position, dtype=float)
+        if self._pose is None or np.abs(position - self._pose).max() > self._tolerance:
+            self._pose, self._since = position, stamp
+        self.at_rest = stamp - self._since >= self._rest_time
+
+
+class Experiment:
+    """One run of the task.
+
+    Parameters
+    ----------
+    settings : ExperimentSettings
+    robot : RobotModel
+    console : rich.console.Console
+    """
+
+    def __init__(self, settings: ExperimentSettings, robot: RobotModel, console: Console):
+        self._settings = settings
+        self._robot = robot
+        self._console = console
+        self._check_goals()
+        self._execution = Execution()
+        self._sync = Sync()
+        self._link = Link()
+        rospy.Subscriber("execution", Execution, self._on_execution)
+        rospy.Subscriber("link", Link, self._on_link)
+
+    def run(self) -> Report:
+        """Run everything; see the module.
+
+        Returns
+        -------
+        report : Report
+
+        Raises
+        ------
+        ExperimentError
+            If the system does not get ready, or the task is not finished.
+        ConstructionTwinError
+            If recording or evaluation fails.
+        """
+        results = Path(self._settings.results_dir).expanduser()
+        directory = _new_directory(results)
+        self._wait_until_ready()
+        topics = [rospy.resolve_name(topic) for topic in self._settings.topics]
+        bag = directory / "experiment.bag"
+        with Recorder(bag, topics, rospy.resolve_name("recorder")) as recorder:
+            self._wait(lambda: "" if recorder.connected() else "the recorder to connect", "the recording did not start")
+            self._say(f"recording to {bag}")
+            for number, goal in enumerate(self._settings.goals_deg, start=1):
+                self._play(self._plan(goal), f"plan {number} of {len(self._settings.goals_deg)}")
+            self._wait_for_rest()
+            self._wait_for_counters()
+            recorder.stop(self._settings.timeout)
+        self._say("evaluating")
+        report = write_report(read_recording(bag, rospy.get_namespace()), self._robot, directory)
+        point_latest(results, directory)
+        return Report(report.summary, (bag, *report.files))
+
+    def _check_goals(self) -> None:
+        joints = len(self._robot.joint_names)
+        for goal in self._settings.goals_deg:
+            if len(goal) != joints:
+                raise ExperimentError(
+                    f"a goal in ~goals_deg has {len(goal)} values; {self._robot.name} has {joints} joints"
+                )
+            self._robot.check_range(from_wire(goal, self._robot.linear))
+
+    def _plan(self, goal_deg: list[float]) -> str:
+        """Have one reach planned from the twin's present pose; return the plan's id."""
+        share = len(self._settings.goals_deg)
+        rospy.wait_for_service("plan_to_joints", self._settings.timeout)
+        answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
+            goal=from_wire(goal_deg, self._robot.linear),
+            start=[],
+            duration=self._settings.duration / share,
+            speed_scale=0.0,
+            waypoints=max(2, self._settings.waypoints // share),
+            source="experiment",
+        )
+        if not answer.success:
+            raise ExperimentError(f"the task could not be planned: {answer.message}")
+        self._say(answer.message)
+        return answer.plan_id
+
+    def _play(self, plan_id: str, title: str) -> None:
+        def not_started() -> str:
+            mine = self._execution.plan_id == plan_id
+            started = mine and (self._execution.state == Execution.PLAYING or self._execution.outcome)
+            return "" if started else f"plan {plan_id} to be approved ({rospy.resolve_name('review_plan')})"
+
+        self._wait(not_started, "the plan was not started")
+        with _ProgressView(self._console, title) as show:
+            end = self._follow(plan_id, show)
+        if end.plan_id != plan_id:
+            raise ExperimentError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
+        if end.outcome != "finished":
+            raise ExperimentError(f"the plan was not finished but {end.outcome or 'dropped'}: {end.reason}")
+
+    def _follow(self, plan_id: str, show: Callable[[float], None]) -> Execution:
+        """Show the progress of a plan until it ends; return the executor's report of that."""
+        while True:
+            now = self._execution
+            if now.plan_id != plan_id or now.state in (Execution.WAITING, Execution.IDLE):
+                if now.outcome == "finished":
+                    show(1.0)
+                return now
+            played = rospy.get_time() - now.plan_start.to_sec()
+            if played > now.duration + self._settings.timeout:
+                times = f"lasts {now.duration:g} s but plays for {played:.0f} s"
+                raise ExperimentError(f"the plan {times}; is the executor alive?")
+            show(min(1.0, max(0.0, played / now.duration)))
+            self._pause()
+
+    def _wait_until_ready(self) -> None:
+        # 250 Hz streams are only listened to while they matter: the machine's cores belong to the control path.
+        subscriber = rospy.Subscriber("sync", Sync, self._on_sync, queue_size=1)
+        self._wait(self._not_ready, "the system did not get ready")
+        subscriber.unregister()
+
+    def _wait_for_rest(self) -> None:
+        rest = RestDetector(self._settings.rest_tolerance, self._settings.rest_time)
+        subscriber = rospy.Subscriber(
+            "physical/feedback", Feedback, lambda message: rest.update(message.header.stamp.to_sec(), message.position)
+        )
+        self._wait(lambda: "" if rest.at_rest else "the physical arm to be at rest", "the arm does not come to rest")
+        subscriber.unregister()
+
+    def _not_ready(self) -> str:
+        """Return what the system still lacks, as text; empty when it is ready."""
+        lacking = []
+        if self._link.state != Link.ARMED:
+            lacking.append(f"link ARMED ({self._link.text or 'no report'}{_because(self._link.reason)})")
+        if self._sync.state != Sync.IN_SYNC:
+            lacking.append(f"sync IN_SYNC ({self._sync.text or 'no report'}{_because(self._sync.reason)})")
+        if self._execution.state != Execution.IDLE:
+            lacking.append(f"execution IDLE ({self._execution.text or 'no report'}{_because(self._execution.reason)})")
+        return ", ".join(lacking)
+
+    def _wait_for_counters(self) -> None:
+        begin = rospy.get_time()
+
+        def outdated() -> str:
+            return "" if self._link.header.stamp.to_sec() >= begin + _REPORT_PERIOD else "the link's next report"
+
+        self._wait(outdated, "the bridge does not report any more")
+
+    def _wait(self, lacking: Callable[[], str], failure: str) -> None:
+        """Wait until `lacking` returns an empty text, printing what it says; raise with `failure` after the timeout."""
+        deadline = time.monotonic() + self._settings.timeout
+        said = None
+        while text := lacking():
+            if time.monotonic() > deadline:
+                raise ExperimentError(f"{failure} within {self._settings.timeout:g} s; still waiting for {text}")
+            if text != said:
+                self._say(f"waiting for {text}")
+                said = text
+            self._pause()
+
+    def _pause(self) -> None:
+        if rospy.is_shutdown():
+            raise ExperimentError("interrupted")
+        time.sleep(_POLL)
+
+    def _say(self, text: str) -> None:
+        self._console.print(text, soft_wrap=True)
+
+    def _on_execution(self, message: Execution) -> None:
+        self._execution = message
+
+    def _on_sync(self, message: Sync) -> None:
+        self._sync = message
+
+    def _on_link(self, message: Link) -> None:
+        self._link = message
+
+
+class _ProgressView:
+    """Shows progress: a bar on a terminal, elsewhere a line every 10 %. Entering yields ``show(share)``."""
+
+    def __init__(self, console: Console, title: str):
+        self._console = console
+        self._title = title
+        self._bar = Progress(console=console) if console.is_terminal and not console.is_dumb_terminal else None
+        self._next = 0.0
+
+    def __enter__(self) -> Callable[[float], None]:
+        if self._bar is None:
+            return self._line
+        self._bar.start()
+        task = self._bar.add_task(self._title, total=1.0)
+        return lambda share: self._bar.update(task, completed=share)
+
+    def __exit__(self, *_) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _line(self, share: float) -> None:
+        if share >= self._next:
+            self._console.print(f"{self._title}: {100 * share:3.0f} %")
+            self._next = np.floor(share * 10.0 + 1e-9) / 10.0 + 0.1
+
+
+def point_latest(results: Path, directory: Path) -> None:
+    """Let the link ``latest`` in `results` point at `directory`, in one step."""
+    link = results / f".latest-{os.getpid()}"
+    link.symlink_to(directory.name)
+    link.replace(results / "latest")
+
+
+def main() -> int:
+    """Run the experiment node; return the process's status: 0, or 1 after a sentence."""
+    rospy.init_node("experiment")
+    console = Console(highlight=False)
+    try:
+        settings = read_parameters(ExperimentSettings)
+        report = Experiment(settings, robot_from_parameters(), console).run()
+    except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
+        rospy.logfatal("experiment: %s", error)
+        return 1
+    render_tables(report.summary, console)
+    print_files(console, report.files)
+    return 0
+
+
+def _because(reason: str) -> str:
+    return f": {reason}" if reason else ""
+
+
+def _new_directory(results: Path) -> Path:
+    """Make and return a new folder named after the present time."""
+    name = time.strftime("%Y-%m-%d_%H-%M-%S")
+    for suffix in ("", *(f"_{number}" for number in range(2, 100))):
+        directory = results / (name + suffix)
+        try:
+            directory.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return directory
+    raise ExperimentError(f"{results} already holds a hundred results of this second")

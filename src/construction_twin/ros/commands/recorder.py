@@ -1,0 +1,111 @@
+"""A `rosbag record` process under the caller's control: started, known to be connected, closed properly."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import xmlrpc.client
+from collections.abc import Sequence
+from pathlib import Path
+
+import rosgraph
+import roslib.packages
+
+from construction_twin.core.errors import TransportError
+
+
+class Recorder:
+    """Records topics into one bag while the ``with`` block runs, or until `stop`.
+
+    It stays in the caller's process group, so that whatever ends the node (roslaunch, a terminal's Ctrl-C) ends it too.
+
+    Parameters
+    ----------
+    path : Path
+        The bag; ``.bag.active`` until it is closed.
+    topics : sequence of str
+        Resolved names.
+    name : str
+        Node name of the recorder, resolved.
+
+    Raises
+    ------
+    TransportError
+        If rosbag's recorder is not installed.
+    """
+
+    def __init__(self, path: Path, topics: Sequence[str], name: str):
+        programs = roslib.packages.find_node("rosbag", "record")
+        if not programs:
+            raise TransportError("rosbag's recorder is not installed; install the package python3-rosbag")
+        self.path = path
+        self._topics = tuple(topics)
+        self._name = name
+        self._master = rosgraph.Master(name)
+        namespace, _, base = name.rpartition("/")
+        # --buffsize 0: no limit, a slow disk must not cost samples.
+        options = ["--buffsize", "0", "-O", str(path), f"__name:={base}", f"__ns:={namespace or '/'}"]
+        self._process = subprocess.Popen([programs[0], *options, *topics], stdout=subprocess.DEVNULL)
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._end(signal.SIGINT)
+
+    def connected(self) -> bool:
+        """Return whether the recorder subscribes to every topic and every publisher of one sends to it.
+
+        The publishers are asked, not the recorder: it counts a connection before the publisher has taken it up, which on a
+        busy machine can cost the first second of the recording.
+
+        Raises
+        ------
+        TransportError
+            If the recorder has ended.
+        """
+        if self._process.poll() is not None:
+            status = self._process.returncode
+            raise TransportError(f"the recorder of {self.path} ended with status {status}; is the disk full?")
+        try:
+            publishers, subscribers, _ = self._master.getSystemState()
+            subscribed = {topic for topic, nodes in subscribers if self._name in nodes}
+            wanted = {(topic, node) for topic, nodes in publishers if topic in self._topics for node in nodes}
+            return subscribed.issuperset(self._topics) and wanted <= self._sent_by({node for _, node in wanted})
+        except (rosgraph.MasterException, rosgraph.MasterError, OSError, xmlrpc.client.Error):
+            return False  # a node is still registering, or just left
+
+    def _sent_by(self, nodes: set[str]) -> set[tuple[str, str]]:
+        """Return the pairs of topic and node of what these nodes send to the recorder."""
+        sent = set()
+        for node in nodes:
+            _, _, connections = xmlrpc.client.ServerProxy(self._master.lookupNode(node)).getBusInfo(self._name)
+            sent |= {(c[4], node) for c in connections if c[2] == "o" and c[1] == self._name and c[5]}
+        return sent
+
+    def stop(self, timeout: float) -> None:
+        """End the recording and wait until the bag is closed.
+
+        Parameters
+        ----------
+        timeout : float
+            [s]
+
+        Raises
+        ------
+        TransportError
+            If the bag is not there afterwards.
+        """
+        self._end(signal.SIGINT, timeout)
+        if not self.path.exists():
+            remedy = "`rosbag reindex` can repair the .active file"
+            raise TransportError(f"{self.path} was not closed within {timeout:g} s; {remedy}")
+
+    def _end(self, number: signal.Signals, timeout: float = 10.0) -> None:
+        if self._process.poll() is None:
+            self._process.send_signal(number)
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

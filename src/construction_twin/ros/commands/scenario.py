@@ -1,0 +1,304 @@
+"""scenario: runs one scenario on a running cell with the mock, records it, judges it, ends."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import pydantic
+import rospy
+from rich.console import Console
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from construction_twin.core.errors import ConstructionTwinError, ScenarioError
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.units import from_wire
+from construction_twin.gateway.trace import read_trace
+from construction_twin.msg import Execution, Link, Plan, Sync, Transition
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.commands.experiment import RestDetector
+from construction_twin.ros.commands.recorder import Recorder
+from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
+from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.transport.kept_service import KeptService
+from construction_twin.scenario.definition import STATES, Move, Scenario, Step, make_scenario
+from construction_twin.scenario.judge import Verdict, judge
+from construction_twin.scenario.table import print_verdict
+from construction_twin.scenario.timeline import Change
+from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
+
+#: Longest wait for the system to get ready, and for the recorder [s].
+_READY = 60.0
+#: The arm counts as at rest when no joint left this band [rad] for this time [s].
+_REST_BAND, _REST_TIME = 1e-6, 0.4
+_POLL = 0.005
+
+
+class ScenarioSettings(pydantic.BaseModel):
+    """What the launch file gives beside the scenario itself: `results_dir` and `trace` are absolute paths."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, pydantic.Field(pattern=r"^[a-z0-9_]+$")]
+    results_dir: Annotated[str, pydantic.Field(pattern=r"^[/~]")]
+    trace: Annotated[str, pydantic.Field(pattern=r"^/")]
+
+
+class ScenarioDriver:
+    """Carries out a scenario's steps as a person would: through topics and services.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    robot : RobotModel
+    console : rich.console.Console
+    """
+
+    def __init__(self, scenario: Scenario, robot: RobotModel, console: Console):
+        self._scenario, self._robot, self._console = scenario, robot, console
+        #: What was seen and done, in order; `actions` is what this program did itself.
+        self.seen: list[Change] = []
+        self.actions: list[Change] = []
+        self._passed: list[Change] = []
+        self._plan: Plan | None = None
+        self._approved = ""
+        self._execution = Execution()
+        self._since = 0
+        self._moved = 0
+        for topic, kind in zip(STATES, (Sync, Link, Execution)):
+            rospy.Subscriber(topic, kind, self._on_state, callback_args=topic, queue_size=50)
+        rospy.Subscriber("transitions", Transition, self._on_transition, queue_size=50)
+        rospy.Subscriber("execution", Execution, self._on_execution)
+        rospy.Subscriber("plan", Plan, self._on_plan)
+        self._rest = RestDetector(_REST_BAND, _REST_TIME)
+        self._stop = KeptService("stop", Trigger).keep()
+
+    def wait_until_ready(self) -> None:
+        """Wait until a plan could be started.
+
+        Raises
+        ------
+        ScenarioError
+            If that takes too long.
+        """
+        ready = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
+        self._wait(lambda: all(self.now(t) == s for t, s in ready.items()), f"{ready}", time.monotonic() + _READY)
+        for service in ("plan_to_joints", "mock_rsi/inject"):
+            rospy.wait_for_service(service, _READY)
+
+    def run(self) -> str:
+        """Carry out every step and wait for the end; return why not, empty when all went as written."""
+        deadline = time.monotonic() + self._scenario.limit
+        arm = rospy.Subscriber("mock_rsi/joint_states", JointState, self._on_arm, queue_size=10)
+        self._since = rospy.Time.now().to_nsec()
+        try:
+            for step in self._scenario.steps:
+                self._carry_out(step, deadline)
+            final = self._scenario.expect.final
+            self._wait(
+                lambda: all(self.now(t) == s for t, s in final.items()) and self._rest.at_rest,
+                f"{dict(final)}",
+                deadline,
+            )
+        except (ScenarioError, rospy.ServiceException, rospy.ROSException) as error:
+            return str(error)
+        finally:
+            arm.unregister()
+        return ""
+
+    def now(self, topic: str) -> str:
+        """Return the last state of a topic; of ``outcome`` the last plan's."""
+        if topic == "outcome":
+            return self._execution.outcome
+        return next((c.value for c in reversed(self.seen) if c.topic == topic), "")
+
+    # -- steps
+
+    def _carry_out(self, step: Step, deadline: int) -> None:
+        begin = self._moment(step.when, deadline)
+        due = begin + round(step.after * 1e9)
+        self._wait(lambda: rospy.Time.now().to_nsec() >= due, f"{step}", deadline)
+        stamp = rospy.Time.now().to_nsec()
+        self._console.print(f"{(stamp - self._since) / 1e9:8.3f} s  {step}", soft_wrap=True)
+        self._since = stamp
+        if step.move:
+            self._move(step.move)
+        elif step.approve:
+            self._approve(deadline)
+        elif step.inject:
+            self._inject(step)
+        else:
+            self._note("call", step.call)
+            service = self._stop if step.call == "stop" else rospy.ServiceProxy(step.call, Trigger)
+            self._check(step.call, service())
+
+    def _moment(self, when: str, deadline: float) -> int:
+        """Wait for what a step waits for; return its moment [ns]."""
+        if when == "now":
+            return self._since
+        if when == "rest":
+            self._wait(lambda: self._rest.at_rest, "the arm to stand", deadline)
+            return rospy.Time.now().to_nsec()
+        if when == "motion":
+            self._wait(self._moving, "the motion to start", deadline)
+            return self._execution.plan_start.to_nsec()
+        topic, state = when.split(" ")
+        self._wait(lambda: self.now(topic) == state or self._entered(topic, state), when, deadline)
+        return self._entered(topic, state) or self._since
+
+    def _moving(self) -> bool:
+        state = self._execution
+        return state.plan_start.to_nsec() >= self._moved > 0 and bool(state.state == Execution.PLAYING or state.outcome)
+
+    def _entered(self, topic: str, state: str) -> int:
+        """Return when a state was entered since the last step [ns]; 0 when it was not."""
+        changes = [*self._passed, *self.seen]
+        return next((c.stamp for c in changes if (c.topic, c.value) == (topic, state) and c.stamp >= self._since), 0)
+
+    def _move(self, move: Move) -> None:
+        self._note("move", str(move.goal_deg))
+        self._moved = rospy.Time.now().to_nsec()
+        goal = from_wire(move.goal_deg, self._robot.linear)
+        answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
+            goal=goal, duration=move.duration, source="scenario"
+        )
+        self._check("plan_to_joints", answer)
+
+    def _approve(self, deadline: float) -> None:
+        self._wait(lambda: self._plan and self._plan.id != self._approved, "a plan to approve", deadline)
+        plan, answers = self._plan, []
+
+        def answered() -> bool:
+            # the plan travels to the executor on a topic of its own
+            answers.append(
+                rospy.ServiceProxy("review_plan", ReviewPlan)(plan.id, plan.hash, True, "scenario", self._scenario.name)
+            )
+            return answers[-1].success or "is not under review" not in answers[-1].message
+
+        self._wait(answered, "the executor to know the plan", min(deadline, time.monotonic() + 2.0))
+        self._approved = plan.id
+        self._note("approve", plan.id)
+        self._check("review_plan", answers[-1])
+
+    def _inject(self, step: Step) -> None:
+        fault = step.inject
+        answer = rospy.ServiceProxy("mock_rsi/inject", InjectFault)(
+            fault.fault, fault.joint, fault.values, fault.direction, fault.duration, not fault.end
+        )
+        self._check(f"{step}", answer)
+        if fault.fault in ("restart_at", "jog"):
+            self._note("fault", fault.fault)
+
+    def _check(self, what: str, answer) -> None:
+        if not answer.success:
+            raise ScenarioError(f"{what}: {answer.message}")
+
+    def _note(self, topic: str, value: str) -> None:
+        self.actions.append(Change(rospy.Time.now().to_nsec(), topic, value))
+
+    def _wait(self, condition: Callable[[], object], what: str, deadline: float) -> None:
+        while not condition():
+            if time.monotonic() > deadline:
+                states = ", ".join(f"{topic} {self.now(topic)}" for topic in STATES)
+                raise ScenarioError(f"waited in vain for {what}; {states}: {self._reasons()}")
+            if rospy.is_shutdown():
+                raise ScenarioError("interrupted")
+            time.sleep(_POLL)
+
+    def _reasons(self) -> str:
+        return "; ".join(c.reason for topic in STATES for c in [c for c in self.seen if c.topic == topic][-1:])
+
+    # -- subscriptions
+
+    def _on_state(self, message, topic: str) -> None:
+        if message.text != self.now(topic):
+            self.seen.append(Change(message.header.stamp.to_nsec(), topic, message.text, message.reason))
+
+    def _on_transition(self, message: Transition) -> None:
+        # a state that is left within the same cycle, as HOLDING for REPLANNING, is not on `sync`
+        self._passed.append(Change(message.header.stamp.to_nsec(), "sync", message.to_text, message.reason))
+
+    def _on_execution(self, message: Execution) -> None:
+        self._execution = message
+
+    def _on_plan(self, message: Plan) -> None:
+        self._plan = message
+
+    def _on_arm(self, message: JointState) -> None:
+        self._rest.update(message.header.stamp.to_sec(), message.position)
+
+
+def run_scenario(settings: ScenarioSettings, content: dict, console: Console) -> Verdict:
+    """Run, record and judge; see the module.
+
+    Raises
+    ------
+    ConstructionTwinError
+        If the scenario makes no sense, the system does not get ready, or the recording cannot be judged.
+    """
+    scenario, robot = make_scenario(settings.name, content), robot_from_parameters()
+    folder = Path(settings.results_dir).expanduser() / scenario.name
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in (BAG, NOTES, TRACE, VERDICT):
+        (folder / name).unlink(missing_ok=True)
+    driver = ScenarioDriver(scenario, robot, console)
+    driver.wait_until_ready()
+    topics = [rospy.resolve_name(topic) for topic in TOPICS]
+    with Recorder(folder / BAG, topics, rospy.resolve_name("scenario_recorder")) as recorder:
+        deadline = time.monotonic() + _READY
+        while not recorder.connected():
+            if time.monotonic() > deadline:
+                raise ScenarioError(f"the recording did not start within {_READY:g} s")
+            time.sleep(_POLL)
+        failure = driver.run()
+        rospy.sleep(0.6)  # the mock's next report belongs to the recording
+        recorder.stop(_READY)
+    (folder / NOTES).write_text(
+        json.dumps({"failure": failure, "actions": [asdict(action) for action in driver.actions]}, indent=2) + "\n"
+    )
+    shutil.copyfile(settings.trace, folder / TRACE)
+    return judge_folder(folder, scenario, robot, rospy.get_param("gateway/decimals"), rospy.get_namespace())
+
+
+def judge_folder(folder: Path, scenario: Scenario, robot: RobotModel, decimals: int, namespace: str | None) -> Verdict:
+    """Judge what lies in a folder, and write its verdict.json.
+
+    Raises
+    ------
+    ConstructionTwinError
+        If it cannot be judged.
+    """
+    run = read_run(folder, namespace)
+    verdict = judge(scenario, run, read_trace(str(folder / TRACE)), MotionLimits.of(robot), decimals)
+    changes = [asdict(change) | {"at_s": round((change.stamp - run.start) / 1e9, 4)} for change in run.changes]
+    (folder / VERDICT).write_text(json.dumps(verdict.to_dict() | {"changes": changes}, indent=2, default=str) + "\n")
+    return verdict
+
+
+def main() -> int:
+    """Run the node; return the process's status: 0 when the scenario passed, else 1. With options see `scenario_cli`."""
+    arguments = rospy.myargv()[1:]
+    if arguments:
+        from construction_twin.ros.commands.scenario_cli import main as command
+
+        return command(arguments)
+    rospy.init_node("scenario")
+    console = Console(highlight=False, markup=False)
+    try:
+        content = rospy.get_param("~", {})
+        given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
+        verdict = run_scenario(ScenarioSettings(**given), content, console)
+    except (ConstructionTwinError, rospy.ROSException, OSError, pydantic.ValidationError) as error:
+        rospy.logfatal("scenario: %s", error)
+        return 1
+    print_verdict(verdict, console)
+    console.print(f"Written: {Path(given['results_dir']).expanduser() / given['name'] / VERDICT}", soft_wrap=True)
+    sys.stdout.flush()
+    return 0 if verdict.passed else 1

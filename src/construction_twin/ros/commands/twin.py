@@ -1,0 +1,253 @@
+"""The command `twin`: plan, review and watch one robot from a terminal. Its words are in `cli.arguments`."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import http.client
+import os
+import socket
+import sys
+import urllib.parse
+import xmlrpc.client
+from pathlib import Path
+
+import rosgraph
+import rospy
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.msg import Execution
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+from construction_twin.ros.commands.watch import watch
+from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.views.arguments import Exit, check, parser
+from construction_twin.views.goals import joint_goal, pose_goal
+from construction_twin.views.texts import plan_lines, status_lines
+
+#: States of the executor in which no plan is under way.
+_AT_REST = (Execution.WAITING, Execution.IDLE)
+#: How long to wait for a latched message that may not exist [s].
+LATCHED = 2.0
+
+
+class Command:
+    """One call of the command line.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        As `cli.arguments.parser` makes them.
+    """
+
+    def __init__(self, options: argparse.Namespace):
+        self._options = options
+        self._namespace = "/" + options.robot.strip("/")
+        self._client = OperatorClient(self._namespace, options.timeout, f"twin ({_user()})")
+
+    def run(self) -> Exit:
+        """Do it; see `OperatorClient` for what is raised."""
+        name = self._options.command
+        if name in ("stop", "pause", "resume", "reset"):
+            print(self._client.trigger(name))
+            return Exit.DONE
+        return getattr(self, f"_{name}")()
+
+    def _plan(self) -> Exit:
+        options, client = self._options, self._client
+        pace = {"speed_scale": options.speed or 0.0}
+        if options.csv is not None:
+            print(client.plan_from_csv(str(Path(options.csv).absolute()), **pace))
+        elif options.joints is not None:
+            goal = joint_goal(options.joints, self._robot())
+            print(client.plan_to_joints(goal, options.duration or 0.0, **pace))
+        elif options.line:
+            print(client.plan_line(pose_goal(options.pose), options.frame, (options.tool_speed or 0.0) / 1e3, **pace))
+        else:
+            goal = pose_goal(options.pose), options.frame, options.configuration
+            print(client.plan_to_pose(*goal, options.duration or 0.0, **pace))
+        return Exit.DONE
+
+    def _home(self) -> Exit:
+        options = self._options
+        print(self._client.plan_to_joints(self._robot().home, options.duration or 0.0, options.speed or 0.0))
+        return Exit.DONE
+
+    def _show(self) -> Exit:
+        self._print_plan(self._under_review(self._listener()))
+        return Exit.DONE
+
+    def _preview(self) -> Exit:
+        print(self._client.preview(self._options.speed))
+        return Exit.DONE
+
+    def _approve(self) -> Exit:
+        options = self._options
+        listener = self._listener()
+        plan = self._under_review(listener)
+        self._print_plan(plan)
+        if not options.yes and not _confirmed():
+            print("not approved; the plan still waits", file=sys.stderr)
+            return Exit.NOT_CONFIRMED
+        print(self._verdict(plan, True))
+        return self._wait(listener, plan) if options.wait else Exit.DONE
+
+    def _reject(self) -> Exit:
+        print(self._verdict(self._under_review(self._listener()), False))
+        return Exit.DONE
+
+    def _status(self) -> Exit:
+        listener = self._listener()
+        listener.wait(lambda: listener.newest("sync") and listener.newest("execution"), self._options.timeout)
+        self._await_latched(listener)
+        snapshot = listener.snapshot()
+        if snapshot.link is snapshot.sync is snapshot.execution is None:
+            raise SilenceError(self._namespace, "no node reports", "start bringup, or give another --robot")
+        print("\n".join(status_lines(snapshot)))
+        if not self._options.ready:
+            return Exit.DONE
+        lacking = snapshot.not_ready()
+        print("ready" if not lacking else f"not ready: {'; '.join(lacking)}")
+        return Exit.REFUSED if lacking else Exit.DONE
+
+    def _watch(self) -> Exit:
+        options = self._options
+        watch(self._listener(rates=True), options.rate, options.once, options.timeout)
+        return Exit.DONE
+
+    # -- what several of them need
+
+    def _robot(self) -> RobotModel:
+        return robot_from_parameters(f"{self._namespace}/")
+
+    def _listener(self, rates: bool = False) -> RobotListener:
+        return RobotListener(self._namespace, self._robot(), rates)
+
+    def _under_review(self, listener: RobotListener) -> Plan:
+        """Return the plan that is meant; RequestRefused when none, or another one, waits."""
+
+        if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
+            topic = f"{self._namespace}/execution"
+            raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")
+        listener.wait(lambda: listener.publishers("plan") > 0, self._options.timeout)
+        self._await_latched(listener)
+        plan = listener.under_review()
+        if plan is None:
+            raise RequestRefused(listener.refused or "no plan waits for approval; plan one, then review it")
+        wanted = getattr(self._options, "plan_id", "")
+        if not plan.id.startswith(wanted):
+            raise RequestRefused(f"plan {wanted} is not under review; {plan.id} is")
+        return plan
+
+    def _await_latched(self, listener: RobotListener) -> None:
+        """Wait for what was said before this process began, where somebody is there who says it.
+
+        Before the first plan since the start there is none; a latched one is here within a moment, and its verdict, if there is
+        one, arrives beside it, not before it.
+        """
+        patience = min(LATCHED, self._options.timeout)
+        for name, limit in (("link", patience), ("plan", patience), ("review", patience / 2)):
+            if listener.publishers(name) > 0 or name == "plan":
+                listener.wait(lambda name=name: listener.newest(name) is not None, limit)
+
+    def _print_plan(self, plan: Plan) -> None:
+        print("\n".join(plan_lines(plan, self._robot().linear)))
+
+    def _verdict(self, plan: Plan, approve: bool) -> str:
+        reviewer = self._options.reviewer or _user()
+        return self._client.review(plan.id, plan.hash, approve, reviewer, self._options.reason)
+
+    def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
+        """Wait for the motion's end, tell it, and turn it into an exit code."""
+        seen = []
+
+        def over() -> bool:
+            report = listener.newest("execution")
+            if report.plan_id == plan.id:
+                seen.append(report.plan_id)
+                return report.state in _AT_REST and bool(report.outcome)
+            # another plan, or none, after this one: a new session, or another executor
+            return bool(seen) or not listener.publishers("execution")
+
+        listener.wait(over, None)
+        report = listener.newest("execution")
+        outcome = report.outcome if report.plan_id == plan.id else "dropped"
+        print(f"{outcome or 'dropped'}: {report.reason}")
+        return Exit.DONE if outcome == "finished" else Exit.NOT_FINISHED
+
+
+def connect(options: argparse.Namespace) -> None:
+    """Become a node; SilenceError when there is no master, or no robot of this name."""
+    uri = rosgraph.get_master_uri()
+    to_do = "start bringup, or set ROS_MASTER_URI"
+    address = urllib.parse.urlsplit(uri)
+    if address.scheme != "http" or not address.hostname:
+        raise ConfigurationError("ROS_MASTER_URI", uri, "http://HOST:PORT")
+    unasked = socket.getdefaulttimeout()
+    try:
+        # without this question a node waits for its master for ever, and for whoever else holds its port
+        socket.setdefaulttimeout(options.timeout)
+        rosgraph.Master("/twin", uri).getPid()
+    except (OSError, ValueError, rosgraph.MasterException, http.client.HTTPException, xmlrpc.client.Error) as error:
+        raise SilenceError(uri, f"no ROS master answers ({error})", to_do) from error
+    finally:
+        socket.setdefaulttimeout(unasked)
+    rospy.init_node("twin", anonymous=True, disable_signals=True)
+    namespace = "/" + options.robot.strip("/")
+    if not rospy.has_param(f"{namespace}/robot/name"):
+        suffix = "/robot/name"
+        names = sorted(name.removesuffix(suffix) for name in rospy.get_param_names() if name.endswith(suffix))
+        known = f"known here: {', '.join(names)}; give --robot" if names else to_do
+        raise SilenceError(namespace, "there is no robot of this name", known)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return the exit code of `cli.arguments.Exit`.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Default: the process's, without ROS's remappings.
+    """
+    words = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
+    options = words.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+    problem = check(options)
+    if problem:
+        words.error(problem)
+    try:
+        connect(options)
+        return Command(options).run()
+    except SilenceError as error:
+        return _told(error, Exit.SILENT)
+    except ConfigurationError as error:
+        return _told(error, Exit.USAGE)
+    except ConstructionTwinError as error:
+        return _told(error, Exit.REFUSED)
+    except KeyboardInterrupt:
+        return Exit.INTERRUPTED
+
+
+def _told(error: ConstructionTwinError, code: Exit) -> Exit:
+    print(f"twin: {error}", file=sys.stderr)
+    return code
+
+
+def _user() -> str:
+    """Return who calls: the login name, or the number of an account that has none (in a container)."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return f"uid {os.getuid()}"
+
+
+def _confirmed() -> bool:
+    """Ask at the terminal; nobody there is a no."""
+    if not sys.stdin.isatty():
+        print("twin: nobody can be asked here; look at the plan, then give --yes", file=sys.stderr)
+        return False
+    try:
+        return input("approve, and so start it? [y/N] ").strip().lower() in ("y", "yes")
+    except EOFError:
+        return False  # Ctrl-D

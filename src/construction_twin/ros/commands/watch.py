@@ -1,0 +1,48 @@
+"""Keeps the terminal view of `cli.watch` up to date."""
+
+from __future__ import annotations
+
+import time
+
+import rospy
+from rich.console import Console
+from rich.live import Live
+
+from construction_twin.core.errors import SilenceError
+from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.views.dashboard import render
+
+#: Time over which a single picture counts the rates [s].
+COUNTING = 1.0
+
+
+def watch(listener: RobotListener, rate: float, once: bool, timeout: float) -> None:
+    """Show a robot until the process is interrupted, or once.
+
+    Parameters
+    ----------
+    listener : RobotListener
+    rate : float
+        Pictures per second.
+    once : bool
+        Print one picture and return.
+    timeout : float
+        How long to wait for a first report [s].
+
+    Raises
+    ------
+    SilenceError
+        If nobody reports.
+    """
+    if not listener.wait(lambda: listener.newest("sync") or listener.newest("link"), timeout):
+        raise SilenceError("sync and link", f"nobody reports (waited {timeout:g} s)", "start bringup, or give --robot")
+    console = Console(highlight=False)
+    listener.snapshot()  # begins to count
+    if once:
+        time.sleep(COUNTING)
+        console.print(render(listener.snapshot()))
+        return
+    with Live(console=console, auto_refresh=False, screen=console.is_terminal) as live:
+        while not rospy.is_shutdown():
+            time.sleep(1.0 / rate)
+            live.update(render(listener.snapshot()), refresh=True)

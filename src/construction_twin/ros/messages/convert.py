@@ -1,0 +1,155 @@
+"""Between ROS messages and the library's values: one direction per function, named by it; no parameters, no clock.
+
+Numbers cross unchanged to the last bit: float64 fields as they are, times as whole nanoseconds.
+"""
+
+from __future__ import annotations
+
+import math
+
+import genpy
+import numpy as np
+from geometry_msgs.msg import Point, Transform
+from geometry_msgs.msg import Pose as PoseMsg
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.kinematics.chain import Pose
+from construction_twin.msg import Plan as PlanMsg
+from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.robot.trajectory import Trajectory
+
+
+def trajectory_to_msg(trajectory: Trajectory) -> JointTrajectory:
+    """Return the message; its header is left empty: a trajectory has no start time of its own."""
+    rows = zip(trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations)
+    return JointTrajectory(
+        joint_names=list(trajectory.joint_names),
+        points=[
+            JointTrajectoryPoint(
+                positions=position.tolist(),
+                velocities=velocity.tolist(),
+                accelerations=acceleration.tolist(),
+                time_from_start=genpy.Duration(0, round(time * 1e9)),
+            )
+            for time, position, velocity, acceleration in rows
+        ],
+    )
+
+
+def trajectory_from_msg(msg: JointTrajectory) -> Trajectory:
+    """Return the trajectory.
+
+    Raises
+    ------
+    TrajectoryError
+        If the message is none: also when velocities or accelerations are missing.
+    """
+    return Trajectory(
+        joint_names=tuple(msg.joint_names),
+        times=[point.time_from_start.to_nsec() / NANOSECONDS for point in msg.points],
+        positions=[point.positions for point in msg.points],
+        velocities=[point.velocities for point in msg.points],
+        accelerations=[point.accelerations for point in msg.points],
+    )
+
+
+def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
+    """Return the message.
+
+    Parameters
+    ----------
+    plan : Plan
+    frame_id : str
+        tf frame that is the robot's base: of `tool_path` and of the clearance's point.
+    tool_path : array, shape (k, 3)
+        Position of the tool at the waypoints [m].
+
+    Returns
+    -------
+    msg : construction_twin/Plan
+    """
+    clearance, shares = plan.report.clearance, plan.report.shares
+    msg = PlanMsg(
+        id=plan.id,
+        hash=plan.hash,
+        source=plan.source,
+        planner=plan.planner,
+        scene=plan.scene,
+        duration=plan.trajectory.duration,
+        planning_time=plan.planning_time,
+        recheck_time=plan.report.recheck_time,
+        trajectory=trajectory_to_msg(plan.trajectory),
+        tool_path=[Point(*position) for position in np.asarray(tool_path).tolist()],
+        clearance=clearance.distance,
+        clearance_time=clearance.time,
+        clearance_between=list(clearance.between),
+        clearance_point=Point(*clearance.point),
+        velocity_use=list(shares.velocity),
+        acceleration_use=list(shares.acceleration),
+        jerk_use=list(shares.jerk),
+    )
+    msg.header.stamp = genpy.Time(0, plan.created_ns)
+    msg.header.frame_id = frame_id
+    return msg
+
+
+def plan_from_msg(msg: PlanMsg) -> Plan:
+    """Return the plan.
+
+    Raises
+    ------
+    TrajectoryError
+        If its trajectory is none, its hash is another trajectory's, or what was measured on it are not numbers.
+    """
+    return Plan(
+        id=msg.id,
+        hash=msg.hash,
+        source=msg.source,
+        planner=msg.planner,
+        scene=msg.scene,
+        created_ns=msg.header.stamp.to_nsec(),
+        planning_time=msg.planning_time,
+        trajectory=trajectory_from_msg(msg.trajectory),
+        report=_report_from_msg(msg),
+    )
+
+
+def _report_from_msg(msg: PlanMsg) -> PlanReport:
+    point = msg.clearance_point
+    measured = (msg.clearance_time, point.x, point.y, point.z, *msg.velocity_use, *msg.acceleration_use, *msg.jerk_use)
+    # an infinite clearance is one: there is nothing to touch
+    if math.isnan(msg.clearance) or not all(map(math.isfinite, measured)):
+        found = f"clearance {msg.clearance} at {msg.clearance_time} s, limit shares {[*measured[4:]]}"
+        raise TrajectoryError(f"plan {msg.id} was measured as {found}; expected numbers")
+    return PlanReport(
+        Clearance(msg.clearance, tuple(msg.clearance_between), (point.x, point.y, point.z), msg.clearance_time),
+        LimitShares(tuple(msg.velocity_use), tuple(msg.acceleration_use), tuple(msg.jerk_use)),
+        msg.recheck_time,
+    )
+
+
+def pose_from_msg(msg: PoseMsg) -> Pose:
+    """Return the pose.
+
+    Raises
+    ------
+    KinematicsError
+        If the orientation is not a unit quaternion within 1e-3.
+    """
+    return Pose(_vector(msg.position), quaternion_to_rotation(_quaternion(msg.orientation)))
+
+
+def pose_from_transform_msg(msg: Transform) -> Pose:
+    """Return the pose that a transform gives its child frame in its parent frame; raises like `pose_from_msg`."""
+    return Pose(_vector(msg.translation), quaternion_to_rotation(_quaternion(msg.rotation)))
+
+
+def _vector(msg) -> np.ndarray:
+    return np.array((msg.x, msg.y, msg.z))
+
+
+def _quaternion(msg) -> tuple[float, float, float, float]:
+    return msg.x, msg.y, msg.z, msg.w

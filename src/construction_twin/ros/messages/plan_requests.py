@@ -1,0 +1,122 @@
+"""What the planner's services and topic ask for, as the library's values; no parameters, no clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from trajectory_msgs.msg import JointTrajectory
+
+from construction_twin.core.files import read_file
+from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.kinematics.chain import Pose
+from construction_twin.planning.planner import PlanRequest
+from construction_twin.planning.tool_path import ToolWaypoint
+from construction_twin.planning.waypoint_file import parse_waypoints
+from construction_twin.planning.waypoints import Waypoints, from_points
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.convert import pose_from_msg
+from construction_twin.scene.objects import product
+
+#: Largest CSV file [bytes]: 20000 waypoints with velocities, 15 columns of 20 characters, are 6 MiB.
+_LARGEST_FILE = 16 * 2**20
+
+
+def plan_request(request, plan_id: str, created_ns: int, source: str = "request") -> PlanRequest:
+    """Return the request behind any of the services'; zero and empty mean the default.
+
+    Parameters
+    ----------
+    request : request of PlanToJoints, PlanToPose, PlanCartesian or PlanFromCsv
+    plan_id : str
+        Of the plan to be made.
+    created_ns : int
+        ROS time at which the request arrived [ns]; what says itself when it was asked for counts from then.
+    source : str, optional
+        Who asks, when the request does not say.
+    """
+    asked = getattr(request, "asked", None)
+    return PlanRequest(
+        plan_id=plan_id,
+        created_ns=(asked and asked.to_nsec()) or created_ns,
+        source=request.source or source,
+        duration=getattr(request, "duration", None) or None,
+        speed_scale=request.speed_scale or None,
+        acceleration_scale=request.acceleration_scale or None,
+        waypoints=getattr(request, "waypoints", None) or None,
+    )
+
+
+def check_asked(asked: PlanRequest, now: int) -> None:
+    """Refuse a request that says it was asked for later than `now` [ns]: a stop before then would not void it.
+
+    Raises
+    ------
+    PlanningError
+    """
+    if asked.created_ns > now:
+        late = (asked.created_ns - now) / NANOSECONDS
+        raise PlanningError(
+            f"the request says that it was asked for {late:.3f} s from now, expected before; set the clocks of both alike"
+        )
+
+
+def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
+    """Return a Cartesian path in the robot's base.
+
+    Parameters
+    ----------
+    waypoints : iterable of construction_twin/CartesianWaypoint
+    base_T_frame : Pose
+        The frame that they are given in.
+
+    Raises
+    ------
+    KinematicsError
+        If an orientation is not a unit quaternion.
+    """
+    path = []
+    for msg in waypoints:
+        via = base_T_frame.position + base_T_frame.rotation @ np.array((msg.via.x, msg.via.y, msg.via.z))
+        pose = product(base_T_frame, pose_from_msg(msg.pose))
+        path.append(ToolWaypoint(pose, via if msg.arc else None, msg.blend))
+    return path
+
+
+def read_waypoints(path: str, robot: RobotModel) -> Waypoints:
+    """Read a CSV file of joint waypoints; see `waypoint_file`.
+
+    Raises
+    ------
+    WaypointsError
+        Naming the line, the column, what was found and what was expected.
+    PlanningError
+        If the file cannot be read.
+    """
+    if not Path(path).is_absolute():
+        raise PlanningError(f"the file is {path!r}; expected an absolute path on the planner's machine")
+    try:
+        text = read_file(path, _LARGEST_FILE).decode("utf-8")
+    except OSError as error:
+        message = f"{path} cannot be read: {error.strerror}; expected a CSV file on the planner's machine"
+        raise PlanningError(message) from error
+    except UnicodeDecodeError as error:
+        raise PlanningError(f"{path} cannot be read: it is not text in UTF-8; save it as CSV") from error
+    except ValueError as error:  # a null character in the path
+        raise PlanningError(f"{path!r} cannot be read: {error}") from error
+    return parse_waypoints(text, robot)
+
+
+def trajectory_waypoints(msg: JointTrajectory, robot: RobotModel) -> Waypoints:
+    """Return the waypoints of a trajectory message; raises like `waypoints.from_points`."""
+    points = msg.points
+    return from_points(
+        robot,
+        msg.joint_names,
+        [point.positions for point in points],
+        [point.velocities for point in points],
+        [point.accelerations for point in points],
+        [point.time_from_start.to_nsec() / NANOSECONDS for point in points],
+    )

@@ -1,0 +1,144 @@
+"""Between the scene's messages and its values, and the scene as rviz markers; no parameters, no clock.
+
+Numbers cross unchanged to the last bit, so a scene has the same hash on both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import genpy
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Pose as PoseMsg
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.msg import SceneObject as ObjectMsg
+from construction_twin.scene.objects import Scene, SceneObject
+
+#: Colours r, g, b, a in rviz. In contact is the loudest; what is fixed (the floor) stays in the background.
+_CONTACT = (0.9, 0.05, 0.05, 0.9)
+_FIXED = (0.55, 0.57, 0.6, 0.35)
+_CARRIED = (0.2, 0.65, 0.35, 0.9)
+_STANDING = (0.85, 0.7, 0.35, 0.85)
+_TYPES = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE, "mesh": Marker.MESH_RESOURCE}
+
+
+def object_to_msg(item: SceneObject) -> ObjectMsg:
+    """Return the message."""
+    return ObjectMsg(
+        name=item.name,
+        shape=item.shape,
+        size=list(item.size),
+        mesh=item.mesh,
+        pose=PoseMsg(Point(*item.position), Quaternion(*item.quaternion)),
+        padding=item.padding,
+        link=item.link,
+        touch=list(item.touch),
+    )
+
+
+def object_from_msg(msg: ObjectMsg) -> SceneObject:
+    """Return the object; it is not a fixed one.
+
+    Raises
+    ------
+    SceneError
+        If the message does not describe one.
+    """
+    position, orientation = msg.pose.position, msg.pose.orientation
+    return SceneObject(
+        name=msg.name,
+        shape=msg.shape,
+        size=tuple(msg.size),
+        mesh=msg.mesh,
+        position=(position.x, position.y, position.z),
+        quaternion=(orientation.x, orientation.y, orientation.z, orientation.w),
+        padding=msg.padding,
+        link=msg.link,
+        touch=tuple(msg.touch),
+    )
+
+
+def scene_to_msg(scene: Scene, stamp: genpy.Time, frame_id: str) -> SceneMsg:
+    """Return the message; `frame_id` is the tf frame of the robot's base_link."""
+    msg = SceneMsg(hash=scene.hash, padding=scene.padding, objects=list(map(object_to_msg, scene.objects)))
+    msg.header.stamp = stamp
+    msg.header.frame_id = frame_id
+    return msg
+
+
+def scene_from_msg(msg: SceneMsg) -> Scene:
+    """Return the scene.
+
+    Raises
+    ------
+    SceneError
+        If the message does not describe one, or its hash is another scene's: then a mesh file differs between the two
+        machines or has changed.
+    """
+    scene = Scene(tuple(map(object_from_msg, msg.objects)), msg.padding)
+    if scene.hash != msg.hash:
+        raise SceneError(
+            "the scene's hash", msg.hash, f"{scene.hash}, that of its contents; a mesh file may have changed"
+        )
+    return scene
+
+
+def scene_markers(
+    scene: Scene, gone: Iterable[str], touching: Collection[str], base_link: str, tf_prefix: str
+) -> MarkerArray:
+    """Return the scene for rviz: one marker per object, in a namespace of its name.
+
+    Parameters
+    ----------
+    scene : Scene
+    gone : iterable of str
+        Objects that were shown before and are not in the scene any more.
+    touching : collection of str
+        Objects to show as in contact.
+    base_link : str
+        Frame of what stands in the world, without prefix.
+    tf_prefix : str
+        Of the twin's frames, without a slash at its end; may be empty.
+
+    Returns
+    -------
+    markers : visualization_msgs/MarkerArray
+    """
+    markers = [_marker(item, item.name in touching, base_link, tf_prefix) for item in scene.objects]
+    markers += [Marker(ns=name, action=Marker.DELETE) for name in gone]
+    return MarkerArray(markers)
+
+
+def tf_frame(tf_prefix: str, link: str) -> str:
+    """Return the tf frame of a link."""
+    return f"{tf_prefix}/{link}" if tf_prefix else link
+
+
+def _marker(item: SceneObject, touching: bool, base_link: str, tf_prefix: str) -> Marker:
+    marker = Marker(ns=item.name, type=_TYPES[item.shape], action=Marker.ADD, frame_locked=True)
+    marker.header.frame_id = tf_frame(tf_prefix, item.link or base_link)
+    marker.pose = PoseMsg(Point(*item.position), Quaternion(*item.quaternion))
+    marker.scale = Vector3(*_scale(item))
+    marker.color = ColorRGBA(*_colour(item, touching))
+    if item.mesh:
+        marker.mesh_resource = f"file://{item.mesh}"
+    return marker
+
+
+def _scale(item: SceneObject) -> tuple[float, ...]:
+    if item.shape == "cylinder":
+        radius, length = item.size
+        return 2 * radius, 2 * radius, length
+    return (2 * item.size[0],) * 3 if item.shape == "sphere" else item.size
+
+
+def _colour(item: SceneObject, touching: bool) -> tuple[float, ...]:
+    if touching:
+        return _CONTACT
+    if item.link:
+        return _CARRIED
+    return _FIXED if item.fixed else _STANDING

@@ -1,0 +1,344 @@
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, `stop`, `pause` and `resume`."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+import rospy
+from std_srvs.srv import Trigger, TriggerResponse
+
+from construction_twin.core.errors import ConstructionTwinError, PayloadError, RecordError, ReviewError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.approval import AUTO_APPROVE, Approval
+from construction_twin.execution.conflict_verdicts import NeighbourWatch
+from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.speed_limit import LimitState, SpeedLimit
+from construction_twin.monitor.gate import SyncState
+from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
+from construction_twin.msg import SpeedLimit as SpeedLimitMessage
+from construction_twin.review.queue import EXECUTOR, Verdict
+from construction_twin.review.record import ReviewLog
+from construction_twin.robot.plan import Plan as PlanContent
+from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.transport.cycle import Cycles
+from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
+from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
+
+#: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
+SYNC_TIMEOUT = NANOSECONDS // 2
+#: How often records that nobody waits for are written, and a plan is looked for that may approve itself [s].
+BACKGROUND_PERIOD = 0.05
+#: Between two looks at the twin [s]: its pose is needed where it rests, and counts as known for much longer.
+TWIN_PAUSE = 0.02
+#: How long who computes a forecast leaves the processor to the cycle, every few setpoints [s].
+PAUSE = 0.0005
+
+
+class Settings(NodeSettings):
+    """Private parameters; see config/executor.yaml, the others are given in launch/twin.launch."""
+
+    arm: Literal["mock", "real", "none"]
+    auto_approve: bool = False
+    review_file: Annotated[str, pydantic.Field(min_length=1)]
+    planner: str = "planner"
+    neighbour: str = ""
+    speed_limit_deadline: float = pydantic.Field(gt=0)
+    speed_limit_silent: float = pydantic.Field(ge=0, le=1)
+    speed_limit_required: bool
+
+
+class ExecutorNode:
+    """ROS around an Executor."""
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        robot = robot_from_parameters()
+        self._robot = robot
+        self._executor = Executor(robot)
+        self._executor.neighbour = NeighbourWatch(settings.neighbour)
+        self._limit = SpeedLimit(
+            settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required
+        )
+        self._limit_state: LimitState | None = None
+        self._log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
+        self._record_problem = ""
+        self._said = DeferredLog()
+        self._started = rospy.Time.now()
+        self._lock = threading.Lock()
+        self._approval = Approval(self._executor, self._log.append, self._lock)
+        self._auto_approve = settings.auto_approve
+        self._planner = rospy.resolve_name(settings.planner)
+        self._session: str | None = None
+        self._sync_at = 0
+        self._reported: tuple = ()
+        self._told: tuple = ()
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        self._next = JointPublisher("next/joint_states", robot.joint_names)
+        self._execution = Publisher("execution", Execution, queue_size=10, latch=True)
+        self._verdicts = Publisher("review", Review, queue_size=10, latch=True)
+        self._subscribe(robot.joint_names, settings.arm)
+        rospy.Service("review_plan", ReviewPlan, self._on_review)
+        rospy.Service("stop", Trigger, self._on_stop)
+        rospy.Service("pause", Trigger, lambda _: self._on_trigger("pause", lambda: self._executor.pause(now_ns())))
+        rospy.Service("resume", Trigger, lambda _: self._on_trigger("resume", self._executor.resume))
+        self._timer = rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), self._on_timer)
+        rospy.on_shutdown(self._write_records)
+        rospy.loginfo("verdicts are recorded in %s (%d so far)", self._log.path, self._log.state.lines)
+        if settings.auto_approve:
+            rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
+
+    def _subscribe(self, joint_names: tuple[str, ...], arm: str) -> None:
+        refuse = self._diagnostics.refuse
+        JointSubscriber("twin/joint_states", joint_names, self._on_twin, refuse, queue_size=1, pause=TWIN_PAUSE)
+        rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
+        self._scene = rospy.Subscriber("scene", Scene, self._on_scene, queue_size=5)
+        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
+        rospy.Subscriber("speed_limit", SpeedLimitMessage, self._on_limit, queue_size=5, tcp_nodelay=True)
+        if self._executor.neighbour.name:
+            rospy.Subscriber("conflict", Conflict, self._on_conflict, queue_size=20, tcp_nodelay=True)
+        if arm != "none":
+            self._executor.on_link(False, "no report of the link yet")
+            rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+
+    def run(self) -> None:
+        """Publish one setpoint per cycle until shutdown."""
+        for stamp, stalled in Cycles():
+            with self._lock:
+                now = time.monotonic_ns()
+                if now - self._sync_at > SYNC_TIMEOUT:
+                    self._executor.on_sync(SyncState.STALE, False)
+                if stalled:
+                    self._executor.stall(f"this process was not run for {stalled / 1e9:.3f} s")
+                self._executor.limit_rate(self._limit.update(now), self._limit.reason)
+                setpoint = self._executor.step(stamp, now)
+            if setpoint is not None:
+                self._next.publish(stamp, setpoint)
+            self._publish_changes()
+
+    # -- subscriptions
+
+    def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        with self._lock:
+            self._executor.on_twin(stamp, q, time.monotonic_ns())
+
+    def _on_sync(self, message: Sync) -> None:
+        try:
+            state = SyncState(message.state)
+        except ValueError:
+            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
+            return
+        with self._lock:
+            self._sync_at = time.monotonic_ns()
+            self._executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
+            self._executor.lag = sum(filter(math.isfinite, (message.round_trip, message.servo_lag)))
+
+    def _on_limit(self, message: SpeedLimitMessage) -> None:
+        source = message._connection_header["callerid"]
+        try:
+            with self._lock:
+                self._limit.on_limit(message.limit, message.reason, source, time.monotonic_ns())
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+
+    def _on_scene(self, message: Scene) -> None:
+        with self._lock:
+            self._executor.on_scene(message.hash)
+
+    def _on_conflict(self, message: Conflict) -> None:
+        # by the clock that both nodes have; from here on it grows old by the executor's own
+        age = (rospy.Time.now() - message.header.stamp).to_nsec()
+        problem = message.reason if message.conflict else ""
+        try:
+            with self._lock:
+                self._executor.neighbour.on_verdict(message.plan_id, problem, time.monotonic_ns(), age)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+
+    def _on_plan(self, message: Plan) -> None:
+        caller = message._connection_header["callerid"]
+        if caller != self._planner:
+            # what a plan says about itself was measured by the planner; nobody else's word counts
+            self._diagnostics.refuse("publisher", f"plan from {caller}; only {self._planner} may publish plans")
+            return
+        try:
+            plan = plan_from_msg(message)
+        except ConstructionTwinError as error:
+            self._diagnostics.refuse("plan", str(error))
+            return
+        with self._lock:
+            try:
+                if message.header.stamp < self._started:
+                    raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
+                self._executor.offer(plan)
+            except ReviewError as error:
+                # whoever shows it as waiting takes it away
+                self._executor.turn_down(plan, str(error))
+                self._diagnostics.refuse("plan", str(error))
+
+    def _on_link(self, message: Link) -> None:
+        with self._lock:
+            if message.session and message.session != self._session:
+                if self._session is not None:
+                    self._executor.restart("new command session", now_ns())
+                self._session = message.session
+            self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
+
+    # -- services
+
+    def _on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
+        try:
+            if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
+                raise ReviewError(
+                    f"{request.reviewer!r} is what the executor calls itself; expected the name of a person"
+                )
+            verdict, sentence = self._approval.review(
+                request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
+            )
+        except ConstructionTwinError as error:
+            rospy.logwarn("review refused: %s", error)
+            return ReviewPlanResponse(False, str(error))
+        self._publish_verdict(verdict)
+        return ReviewPlanResponse(True, sentence)
+
+    def _on_stop(self, _request) -> TriggerResponse:
+        with self._lock:
+            sentence = self._executor.stop(now_ns())
+            braking = self._executor.braking()
+        # it brakes already; looking ahead takes some cycles' time, and must not hold up a setpoint
+        if braking is not None:
+            sentence = f"{sentence}; {braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)}"
+        self._said.add(rospy.logwarn, "stop: %s", sentence)
+        return TriggerResponse(True, sentence)
+
+    def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
+        try:
+            with self._lock:
+                sentence = action()
+        except ConstructionTwinError as error:
+            rospy.logwarn("%s refused: %s", name, error)
+            return TriggerResponse(False, str(error))
+        rospy.logwarn("%s: %s", name, sentence)
+        return TriggerResponse(True, sentence)
+
+    # -- in the background
+
+    def _on_timer(self, _event) -> None:
+        """Do what may wait. An error would end the timer for good: that of a record is said and tried again, no other can occur.
+
+        Publishing fails only while the node shuts down, where `Publisher` drops the message; a verdict that is refused ends in
+        `Approval`.
+        """
+        self._write_records()
+        with self._lock:
+            self._executor.desk.scene_alive = self._scene.get_num_connections() > 0
+        if not self._auto_approve:
+            return
+        try:
+            taken = self._approval.approve_by_itself(time.monotonic_ns())
+        except RecordError as error:
+            rospy.logerr_throttle(5.0, "%s", error)
+            return
+        if taken is not None:
+            self._publish_verdict(taken[0])
+
+    def _write_records(self) -> None:
+        self._said.flush()
+        try:
+            self._log.flush()
+        except RecordError as error:
+            self._record_problem = str(error)
+            rospy.logerr_throttle(5.0, "%s", error)
+            return
+        self._record_problem = ""
+
+    # -- reports
+
+    def _publish_verdict(self, verdict: Verdict) -> None:
+        reason = verdict.reason or "no reason given"
+        self._said.add(
+            rospy.logwarn, "plan %s %s by %s: %s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
+        )
+        message = Review(
+            plan_id=verdict.plan_id,
+            plan_hash=verdict.plan_hash,
+            approved=verdict.approved,
+            reviewer=verdict.reviewer,
+            reason=verdict.reason,
+        )
+        message.header.stamp = rospy.Time.now()
+        self._verdicts.publish(message)
+
+    def _publish_changes(self) -> None:
+        """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal."""
+        executor = self._executor
+        with self._lock:
+            events = executor.take_events()
+            state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
+            # a limit that follows a sensor changes all the time: a hundredth is worth a message, none of it a line in the log
+            change = (*state, executor.steady, round(self._limit.limit, 2))
+            told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
+            limit = self._limit.state, self._limit.limit, self._limit.reason
+            plan, rate = executor.plan, executor.rate
+            # with the state: whoever goes by this report must not seem to know of a stop that came after it
+            stamp = now_ns()
+        if change != self._reported:
+            self._reported = change
+            self._execution.publish(_execution(state, plan, rate, limit[1], stamp))
+        for event in events:
+            self._log.defer(event)
+            if isinstance(event, Verdict):
+                self._publish_verdict(event)
+        if limit[0] is not self._limit_state:
+            self._limit_state = limit[0]
+            warns = limit[0] in (LimitState.SILENT, LimitState.MISSING)
+            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", limit[2])
+        if told != self._told:
+            self._told = told
+            self._said.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
+
+    def _report(self) -> tuple[int, str, dict]:
+        executor, log = self._executor, self._log
+        values = {
+            "outcome of the last plan": executor.outcome,
+            "rate": f"{executor.rate:.3f}",
+            "speed limit": f"{self._limit.limit:.3f}",
+            "speed limit because": self._limit.reason,
+            "records": log.state.lines,
+            "SHA-256 of the last record": log.state.head,
+        }
+        if self._record_problem:
+            return ERROR, self._record_problem, values
+        slow = self._limit.state in (LimitState.SILENT, LimitState.MISSING)
+        level = WARN if slow or executor.state in (ExecutorState.WAITING, ExecutorState.HELD) else OK
+        return level, f"{executor.state.name}: {executor.reason}", values
+
+
+def _execution(state: tuple, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
+    """Return the message of a state, reason, start and outcome, all of the moment `stamp` [ns]."""
+    message = Execution(
+        state=state[0].value, text=state[0].name, reason=state[1], outcome=state[3], rate=rate, speed_limit=limit
+    )
+    message.header.stamp = to_time(stamp)
+    if plan is not None:
+        message.plan_id = plan.id
+        message.plan_start = to_time(state[2])
+        message.duration = plan.trajectory.duration
+    return message
+
+
+def main() -> None:
+    """Run the node."""
+    sys.setswitchinterval(0.001)
+    run_node("executor", ExecutorNode)

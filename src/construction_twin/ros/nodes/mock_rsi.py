@@ -1,0 +1,177 @@
+"""mock_rsi: the mock KR C4 as a node. Talks to the gateway by RSI only; its topics and services are for tests."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from queue import SimpleQueue
+
+import rospy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger, TriggerResponse
+
+from construction_twin.core.errors import ConstructionTwinError, FaultError
+from construction_twin.core.units import CYCLE, to_wire
+from construction_twin.mock.faults import KINDS, Fault
+from construction_twin.mock.network import MockRsi
+from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
+from construction_twin.ros.shared.diagnostics import ERROR, OK, NodeDiagnostics
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
+from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultResponse
+
+#: Cycles between two reports on `~status`, 0.5 s.
+_STATUS_CYCLES = 125
+
+
+class MockRsiNode:
+    """ROS around a MockRsi. The 4 ms loop runs in the main thread and hands what is to be published to another one."""
+
+    def __init__(self):
+        self._settings = read_parameters(MockSettings)
+        self._robot = robot_from_parameters()
+        self._controller = build_controller(self._settings, self._robot)
+        gateway = gateway_address(self._settings)
+        self._mock = MockRsi(
+            self._controller,
+            gateway,
+            self._settings.restart_after,
+            self._observe,
+            rospy.loginfo,
+            self._settings.fault_seed,
+        )
+        self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
+        self._cycle = 0
+        self._reported: tuple[int, bool, int, bool] | None = None
+        self._missed = 0
+        self._joints = JointPublisher("~joint_states", self._robot.joint_names)
+        self._status = Publisher("~status", String, queue_size=5, latch=True)
+        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
+        rospy.Service("~restart", Trigger, self._on_restart)
+        rospy.Service("~inject", InjectFault, self._on_inject)
+
+    def run(self) -> None:
+        """Run the controller until shutdown."""
+        stop = threading.Event()
+        rospy.on_shutdown(stop.set)
+        # a full collection over every imported module takes longer than a cycle, and a thread keeps the interpreter for 5 ms
+        gc.freeze()
+        sys.setswitchinterval(0.0005)
+        publisher = threading.Thread(target=self._publish, name="publisher", daemon=True)
+        publisher.start()
+        try:
+            self._mock.run(stop)
+        finally:
+            self._outbox.put(None)
+            publisher.join(1.0)
+
+    # -- in the loop
+
+    def _observe(self, mock: MockRsi) -> None:
+        missed = self._controller.counters["missed"]
+        # the first and the last of replies missed in a row, too
+        state = self._controller.session, self._controller.running, self._mock.faults.changes, missed != self._missed
+        self._missed = missed
+        due = self._cycle % _STATUS_CYCLES == 0 or state != self._reported
+        self._cycle += 1
+        self._reported = state
+        # whoever reacts to the packet may be quicker than this thread
+        stamp = now_ns() - (time.monotonic_ns() - mock.left)
+        self._outbox.put((stamp, self._controller.true, self._snapshot(stamp) if due else None))
+
+    def _snapshot(self, stamp: int) -> dict:
+        controller, linear = self._controller, self._robot.linear
+        return {
+            "state": "running" if controller.running else "stopped",
+            "reason": controller.reason,
+            "flag": controller.flag,
+            "session": controller.session,
+            "ipoc": controller.ipoc,
+            "delay": controller.delay,
+            "stat": controller.stat,
+            "start_pose_deg": to_wire(controller.start_pose, linear),
+            "applied_deg": to_wire(controller.applied, linear),
+            "correction_lower_deg": to_wire(controller.correction_lower, linear),
+            "correction_upper_deg": to_wire(controller.correction_upper, linear),
+            "correction_monitor_deg": to_wire(controller.correction_monitor, linear),
+            "stamp": stamp,
+            "faults": self._mock.faults.active,
+            "stop_ramp": self._ramp(),
+            "counters": self._mock.counters,
+            "config": self._settings.model_dump(exclude={"ethernet_xml"}),
+            "ethernet": asdict(controller.config.layout),
+        }
+
+    def _ramp(self) -> dict | None:
+        """Return the last emergency stop's way and time to rest; None before one, and in the next session."""
+        ramp = self._controller.ramp
+        if ramp is None:
+            return None
+        return {"time": ramp.cycles * CYCLE, "distance_deg": to_wire(ramp.distance, self._robot.linear)}
+
+    # -- in other threads
+
+    def _publish(self) -> None:
+        for stamp, angles, status in iter(self._outbox.get, None):
+            self._joints.publish(stamp, joint_angles(self._robot, angles))
+            if status is not None:
+                self._status.publish(json.dumps(status))
+
+    def _report(self) -> tuple[int, str, dict]:
+        controller = self._controller
+        if controller.running:
+            return OK, f"RSI session {controller.session} running", self._mock.counters
+        return ERROR, f"RSI stopped: {controller.reason}", self._mock.counters
+
+    def _on_restart(self, _request) -> TriggerResponse:
+        def restart() -> str:
+            self._controller.restart()
+            return "a new RSI session starts where the arm stands"
+
+        return TriggerResponse(*self._ask(restart))
+
+    def _on_inject(self, request: InjectFaultRequest) -> InjectFaultResponse:
+        faults = self._mock.faults
+
+        def inject() -> str:
+            fault = self._fault(request)
+            return faults.inject(fault) if request.on else faults.end(fault)
+
+        success, message = self._ask(inject)
+        return InjectFaultResponse(success, message, faults.active)
+
+    def _fault(self, request: InjectFaultRequest) -> Fault:
+        """Return the request in the controller's axes."""
+        names, axes = self._robot.joint_names, self._robot.axes
+        if request.joint and request.joint not in names:
+            raise FaultError(request.fault, request.joint, f"one of {', '.join(names)}")
+        axis = axes[names.index(request.joint)] if request.joint else None
+        kind, values = KINDS.get(request.fault), tuple(request.value)
+        if kind is not None and kind.shift and axis is not None:
+            values = tuple(axis.sign * value for value in values)
+        elif kind is not None and not kind.lasting and len(values) == len(axes):
+            values = axis_angles(self._robot, values)
+        return Fault(request.fault, axis.rsi if axis else "", values, request.direction, request.duration)
+
+    def _ask(self, action: Callable[[], str]) -> tuple[bool, str]:
+        """Have the loop do something that says what it did."""
+        try:
+            done = self._mock.request(action)
+        except ConstructionTwinError as error:
+            return False, str(error)
+        except TimeoutError:
+            return False, "the controller's loop did not answer within 1 s"
+        rospy.loginfo(done)
+        return True, done
+
+
+def main() -> None:
+    """Run the node."""
+    run_node("mock_rsi", MockRsiNode)

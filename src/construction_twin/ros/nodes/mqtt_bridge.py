@@ -1,0 +1,331 @@
+"""mqtt_bridge: ROS <-> MQTT in the paper's joint string, and the person's `reset`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable
+
+import pydantic
+import rospy
+from diagnostic_msgs.msg import KeyValue
+from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
+
+from construction_twin.core.errors import PayloadError, ReviewError
+from construction_twin.core.freshness import StateCheck
+from construction_twin.link.speed_forwarder import SpeedForwarder
+from construction_twin.link.status_values import status_values
+from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
+from construction_twin.msg import Feedback, Link, SpeedLimit
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.gateway_config import config_from_parameters
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, report_of
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
+from construction_twin.ros.transport.publisher import Publisher
+
+#: Period at which the link's state is looked at [s].
+POLL = 0.02
+#: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
+MIRROR_MODE = "mirror_mode"
+
+
+class Settings(MqttSettings):
+    """Private parameters; see config/mqtt_bridge.yaml."""
+
+    gate: str = "pca_monitor"
+    reset_timeout: float = pydantic.Field(gt=0)
+    max_state_age: float = pydantic.Field(gt=0)
+
+
+class MqttBridgeNode:
+    """ROS and MQTT around a LinkSupervisor.
+
+    Two locks, never held together with a socket: `_lock` guards the supervisor; paho has its own for the connection. The supervisor
+    is told the monotonic clock: a wall clock that is set must not make a gateway look alive, or an arm at rest.
+    """
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        self._settings = settings
+        robot = robot_from_parameters()
+        config = config_from_parameters()
+        self._codec = JointStringCodec.of(robot, config.decimals)
+        self._properties = config.properties and settings.protocol == "5"
+        self._lock = threading.Lock()
+        # no private parameter: those are what somebody set, and this is what somebody asked for while it ran
+        mirrors = rospy.get_param(MIRROR_MODE, False) is True
+        self._supervisor = LinkSupervisor.of(config, lambda: uuid.uuid4().hex, mirrors)
+        self._speed = SpeedForwarder(config.speed_limit_deadline)
+        self._sequence = 0
+        self._state_check = StateCheck(settings.max_state_age)
+        self._states = 0
+        # what the gateway's last status says beside its counters; changed together with the supervisor's status
+        self._gateway_values: dict[str, str] = {}
+        self._reported: tuple = ()
+        self._reported_at = 0.0
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        self._physical = JointPublisher("physical/joint_states", robot.joint_names)
+        self._feedback = JointPublisher("physical/feedback", robot.joint_names, Feedback)
+        self._link = Publisher("link", Link, queue_size=10, latch=True)
+        self._topics = Topics(settings.prefix, robot.name)
+        self._client = self._connect(broker_of(settings))
+        gate = rospy.resolve_name(settings.gate)
+        JointSubscriber("command/joint_states", robot.joint_names, self._on_command, self._diagnostics.refuse, gate)
+        rospy.Service("reset", Trigger, lambda _: self._begin_session(self._supervisor.request_reset))
+        rospy.Service("~arm", Trigger, lambda _: self._begin_session(self._supervisor.request_arm))
+        rospy.Service("~stop", Trigger, self._on_stop)
+        rospy.Service("emergency_stop", Trigger, self._on_stop)
+        rospy.Service("mirror", SetBool, self._on_mirror)
+        rospy.Subscriber("speed_limit", SpeedLimit, self._on_speed_limit, queue_size=5)
+
+    def run(self) -> None:
+        """Look after the link until shutdown."""
+        while not rospy.is_shutdown():
+            with self._lock:
+                now = time.monotonic_ns()
+                control = self._supervisor.poll(now)
+                armed = self._supervisor.session if self._supervisor.state is LinkState.ARMED else ""
+                limit = self._speed.poll(armed, now)
+            if control is not None:
+                self._send_control(control)
+            if limit is not None:
+                # repeated for as long as its source speaks: no line in the log
+                self._publish_control(Control(str(self._speed.number), armed, "speed_limit", limit))
+            self._publish_link()
+            time.sleep(POLL)
+        self._client.publish(
+            self._topics.bridge_status, json.dumps({"state": "offline", "reason": "bridge stopped"}), 1, True
+        )
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    # -- ROS to MQTT
+
+    def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
+        with self._lock:
+            send = self._supervisor.on_command(q, time.monotonic_ns())
+            session = self._supervisor.session
+        if not send:
+            return
+        try:
+            payload = self._codec.encode(q)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return
+        self._sequence += 1
+        beside = CommandProperties(session, self._sequence, stamp).pairs() if self._properties else None
+        self._client.send_stream(self._topics.command, payload, beside)
+
+    def _send_control(self, control: Control) -> None:
+        rospy.loginfo("%s, session %s", control.verb, control.session)
+        self._publish_control(control)
+
+    def _on_speed_limit(self, message: SpeedLimit) -> None:
+        source = message._connection_header["callerid"]
+        try:
+            with self._lock:
+                self._speed.on_limit(message.limit, source, time.monotonic_ns())
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+
+    def _publish_control(self, control: Control) -> None:
+        self._client.publish(self._topics.control, control.to_json(), qos=1)
+
+    # -- MQTT to ROS
+
+    def _connect(self, broker: Broker):
+        client = make_client(broker, unique_id(self._topics.robot, "bridge"), self._topics.bridge_status, direct=True)
+        self._connection = report_of(broker)
+        self._connection.watch(client)
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_stream(self._topics.state, self._on_state)
+        client.message_callback_add(self._topics.status, self._on_status)
+        client.message_callback_add(self._topics.control_ack, self._on_answer)
+        client.connect_async(broker.host, broker.port, broker.keepalive)
+        client.loop_start()
+        return client
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        if reason_code.is_failure:
+            self._connection.refused(reason_code)
+            return
+        self._connection.connected()
+        client.subscribe(
+            subscriptions(client, [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)])
+        )
+        # the broker answers it, and so shows whether this is the account of a bridge
+        info = client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
+        self._connection.watch_publish(client, self._topics.bridge_status, info.mid)
+        with self._lock:
+            self._supervisor.on_connection(True)
+
+    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+        self._connection.lost(reason_code)
+        with self._lock:
+            self._supervisor.on_connection(False)
+
+    def _on_state(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
+        received, now = now_ns(), time.monotonic_ns()
+        try:
+            if retained:
+                raise PayloadError("retained", "retained state: nobody knows how old it is")
+            q = self._codec.decode(payload)
+            # where the link carries properties, a pose without them is not the gateway's
+            properties = read_state_properties(pairs) if pairs or self._properties else None
+            if properties is not None:
+                self._state_check.accept(properties.seq, properties.stamp, now)
+        except PayloadError as error:
+            self._diagnostics.refuse(f"state_{error.reason}", str(error))
+            return
+        with self._lock:
+            self._supervisor.on_pose(q, now)
+            self._states += 1
+        self._publish_physical(q, received, properties)
+
+    def _publish_physical(self, q: tuple[float, ...], received: int, properties) -> None:
+        self._physical.publish(received, q)
+        seq, command_stamp = (properties.seq, properties.command_stamp) if properties is not None else (0, 0)
+        self._feedback.publish(received, q, seq, command_stamp)
+
+    def _on_status(self, client, userdata, message) -> None:
+        try:
+            status = parse_status(message.payload)
+            values = status_values(status)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return
+        if status.get("state") == "offline":
+            self._state_check.restart()
+        with self._lock:
+            self._supervisor.on_status(status, time.monotonic_ns())
+            self._gateway_values = values
+
+    def _on_answer(self, client, userdata, message) -> None:
+        try:
+            answer = parse_status(message.payload)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return
+        if answer.get("verb") == "speed_limit" and not answer.get("ok"):
+            self._diagnostics.refuse(
+                "speed_limit", f"gateway refused the speed limit: {str(answer.get('reason'))[:200]}"
+            )
+        with self._lock:
+            self._supervisor.on_answer(answer, time.monotonic_ns())
+
+    # -- services
+
+    def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
+        try:
+            with self._lock:
+                request(time.monotonic_ns())
+                before = self._supervisor.session
+        except ReviewError as error:
+            return TriggerResponse(False, str(error))
+        deadline = time.monotonic() + self._settings.reset_timeout
+        while time.monotonic() < deadline and not rospy.is_shutdown():
+            with self._lock:
+                state, session, reason = self._supervisor.state, self._supervisor.session, self._supervisor.reason
+            if state is LinkState.ARMED and session != before:
+                return TriggerResponse(True, f"armed, session {session}")
+            time.sleep(POLL)
+        return TriggerResponse(False, f"not armed within {self._settings.reset_timeout:g} s: {state.name}, {reason}")
+
+    def _on_stop(self, _request) -> TriggerResponse:
+        with self._lock:
+            control, mirrored = Control(uuid.uuid4().hex, self._supervisor.session, "stop"), self._supervisor.mirrors
+            # the link is not armed from here on: the executor drops its plan, and no command is sent
+            self._supervisor.drop("stopped at the gateway on request; call reset")
+        self._send_control(control)
+        if mirrored:
+            rospy.set_param(MIRROR_MODE, False)
+        if not self._client.is_connected():
+            return TriggerResponse(
+                False,
+                "no connection to the broker: the gateway brakes by itself, because no more commands come; call reset to go on",
+            )
+        return TriggerResponse(True, "stop sent to the gateway, plan dropped; call reset to go on")
+
+    def _on_mirror(self, request) -> SetBoolResponse:
+        try:
+            with self._lock:
+                supervisor, now = self._supervisor, time.monotonic_ns()
+                sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
+        except ReviewError as error:
+            return SetBoolResponse(False, str(error))
+        rospy.set_param(MIRROR_MODE, request.data)
+        return SetBoolResponse(True, sentence)
+
+    # -- reports
+
+    def _status_report(self) -> str:
+        with self._lock:
+            state, reason, session = self._supervisor.state, self._supervisor.reason, self._supervisor.session
+        return json.dumps({"state": state.name.lower(), "reason": reason, "session": session})
+
+    def _publish_link(self) -> None:
+        with self._lock:
+            supervisor = self._supervisor
+            state = (supervisor.state, self._reason(), supervisor.session)
+            status, values = dict(supervisor.status), self._gateway_values
+        now = time.monotonic()
+        changed = state != self._reported
+        if not changed and now - self._reported_at < 1.0:
+            return
+        self._reported, self._reported_at = state, now
+        self._link.publish(self._link_message(*state, status, values))
+        if changed:
+            rospy.loginfo("%s: %s", state[0].name, state[1])
+            self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
+
+    def _reason(self) -> str:
+        """Return the supervisor's sentence; without a connection, also why there is none."""
+        reason, why = self._supervisor.reason, self._connection.sentence
+        return f"{reason}: {why}" if why and self._supervisor.state is LinkState.DISCONNECTED else reason
+
+    def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
+        message = Link(state=state.value, text=state.name, reason=reason, session=session)
+        message.header.stamp = rospy.Time.now()
+        message.gateway_state = str(status.get("state", "offline"))
+        message.commands_sent = self._sequence
+        message.commands_refused = sum(
+            count for name, count in self._diagnostics.refused.items() if not name.startswith("stat")
+        )
+        message.states_received = self._states
+        message.states_refused = sum(
+            count for name, count in self._diagnostics.refused.items() if name.startswith("stat")
+        )
+        counters = status.get("counters", {}) | values
+        counters["decimals"] = status.get("decimals", "")
+        reply = status.get("reply_us", {})
+        counters["reply_us_max"] = reply.get("max", 0)
+        counters["states_lost"] = self._state_check.lost
+        message.gateway_counters = [KeyValue(key, str(value)) for key, value in sorted(counters.items())]
+        message.reply_us_bins = reply.get("bins", [])
+        message.reply_us_counts = reply.get("counts", [])
+        return message
+
+    def _report(self) -> tuple[int, str, dict]:
+        supervisor = self._supervisor
+        level = OK if supervisor.state in (LinkState.ARMED, LinkState.MIRROR) else WARN
+        values = {"session": supervisor.session, "commands sent": self._sequence, "states received": self._states}
+        gateway = supervisor.status.get("counters", {}) | self._gateway_values
+        values |= {f"gateway {key}": value for key, value in sorted(gateway.items())}
+        if not self._properties:
+            values["comparison"] = "instant: the link carries no MQTT 5 properties"
+        return level, f"{supervisor.state.name}: {self._reason()}", values
+
+
+def main() -> None:
+    """Run the node."""
+    sys.setswitchinterval(0.001)
+    run_node("mqtt_bridge", MqttBridgeNode)

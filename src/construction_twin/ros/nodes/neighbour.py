@@ -1,0 +1,153 @@
+"""neighbour: watches whether the other arm stands in the way of our plans (`conflict`), while they wait and while they run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import rospy
+
+from construction_twin.coordination.conflict import braking_horizon
+from construction_twin.coordination.plan_book import PlanUnknownError
+from construction_twin.coordination.way_judge import Judgement, Others, WayJudge
+from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.core.motion_errors import NeighbourUnknownError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
+from construction_twin.msg import Conflict as ConflictMsg
+from construction_twin.ros.shared.arm_listener import ArmListener, OtherArm, neighbour_settings
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.transport.publisher import Publisher
+
+#: From the moment when a verdict counts no longer to the first braking setpoint, and from a pose to its reception, at most
+#: [s]: a few cycles of the executor and the way of a message, on a busy machine.
+DELAY = 0.1
+
+
+class NeighbourNode:
+    """Two arms' topics in, verdicts on our plans out."""
+
+    def __init__(self):
+        settings = neighbour_settings()
+        robot = robot_from_parameters()
+        self._settings = settings
+        self._state = (WARN, "nothing to watch yet", {})
+        self._looks, self._longest = 0, 0.0
+        self._failure = ""
+        self._said: dict[str, tuple[bool, bool]] = {}
+        self._diagnostics = NodeDiagnostics(robot.name, lambda: self._state)
+        self._other = OtherArm(robot.name, settings, self._diagnostics.refuse, streams=True)
+        self._own = ArmListener(robot, self._diagnostics.refuse, streams=True)
+        timeout = VERDICT_TIMEOUT / NANOSECONDS
+        self._horizon = braking_horizon(robot, self._other.robot, settings.max_pose_age, timeout, DELAY)
+        self._judge = WayJudge(robot, settings.name, settings.watch_padding, settings.own_step, self._horizon)
+        self._publisher = Publisher("conflict", ConflictMsg, queue_size=10)
+        rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, self._horizon)
+
+    def run(self) -> None:
+        """Look again and again, in the main thread: what nobody foresaw ends the process, which is then started anew."""
+        rate = rospy.Rate(self._settings.rate)
+        while not rospy.is_shutdown():
+            began = time.monotonic()
+            self.look()
+            self._looks += 1
+            self._longest = max(self._longest, time.monotonic() - began)
+            rate.sleep()
+
+    def look(self) -> None:
+        """Judge the plan that is played and say so, then the one that waits."""
+        # a verdict is as old as what it goes by
+        stamp = rospy.Time.now()
+        try:
+            followed, started, waiting = self._own.plans()
+        except PlanUnknownError as error:
+            self._report(WARN, f"our own plan is not known: {error}", {})
+            return
+        others = self._others()
+        scene = self._own.scene
+        verdicts: dict[str, Judgement] = {}
+        if followed is not None:
+            verdict = self._verdict(
+                others and (lambda: self._judge.followed(followed, scene, others, started, self._poses()))
+            )
+            verdicts[followed.id] = verdict
+            self._publish(followed.id, verdict, stamp)
+        if waiting is not None:
+            verdict = self._verdict(others and (lambda: self._judge.waiting(waiting, scene, others)))
+            verdicts[waiting.id] = verdict
+            # one that has begun meanwhile is the next look's: what may not start yet need not stop
+            if not (verdict.blocked and self._has_begun(waiting.id)):
+                self._publish(waiting.id, verdict, stamp)
+        self._forget(verdicts)
+        self._sum_up(verdicts, others)
+
+    def _has_begun(self, plan_id: str) -> bool:
+        try:
+            followed = self._own.plans()[0]
+        except PlanUnknownError:
+            return False
+        return followed is not None and followed.id == plan_id
+
+    def _others(self) -> Others | None:
+        """Return the other arm; None where it cannot be told what it takes up."""
+        self._failure = ""
+        try:
+            obstacles = self._other.occupied(horizon=self._horizon)
+        except NeighbourUnknownError as error:
+            self._failure = str(error)
+            return None
+        return Others(obstacles, self._other.claim, self._other.unknown, self._other.complete)
+
+    def _verdict(self, judge: Callable[[], Judgement] | None) -> Judgement:
+        """Judge a plan; one that cannot be judged must not start, or not go on."""
+        if judge is not None:
+            try:
+                return judge()
+            except ConstructionTwinError as error:
+                self._failure = f"a plan cannot be compared with {self._settings.name}: {error}"
+        return Judgement(True, 0.0, self._failure)
+
+    def _poses(self) -> tuple[np.ndarray, ...]:
+        try:
+            return self._own.poses(self._settings.max_pose_age)
+        except (PoseUnknownError, PayloadError):
+            return ()
+
+    def _publish(self, plan_id: str, verdict: Judgement, stamp: rospy.Time) -> None:
+        message = ConflictMsg(
+            neighbour=self._settings.name,
+            plan_id=plan_id,
+            conflict=verdict.blocked,
+            time=verdict.time,
+            reason=verdict.sentence,
+        )
+        message.header.stamp = stamp
+        self._publisher.publish(message)
+        said = verdict.blocked, verdict.time < 0.0
+        if self._said.get(plan_id) != said:
+            self._said[plan_id] = said
+            (rospy.logwarn if verdict.blocked else rospy.loginfo)("plan %s: %s", plan_id, verdict.sentence)
+
+    def _forget(self, kept: dict) -> None:
+        self._judge.forget(kept)
+        self._said = {plan_id: said for plan_id, said in self._said.items() if plan_id in kept}
+
+    def _sum_up(self, verdicts: dict[str, Judgement], others: Others | None) -> None:
+        if self._failure or others is None:
+            self._report(ERROR, self._failure, {"obstacles": 0})
+            return
+        blocked = "; ".join(verdict.sentence for verdict in verdicts.values() if verdict.blocked)
+        sentence = blocked or others.unknown or f"{self._settings.name} is in nobody's way"
+        self._report(WARN if blocked or others.unknown else OK, sentence, {"obstacles": len(others.obstacles)})
+
+    def _report(self, level: int, sentence: str, values: dict) -> None:
+        known = {"looks": self._looks, "longest look": f"{self._longest:.4f}", "horizon": f"{self._horizon:.2f}"}
+        self._state = (level, sentence, known | values)
+
+
+def main() -> None:
+    """Run the node until shutdown."""
+    run_node("neighbour", NeighbourNode)

@@ -1,0 +1,237 @@
+"""ROS shell of the scene: edits in, the scene and its markers out; watches the twin's present pose. Moves nothing."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from typing import Annotated
+
+import pydantic
+import rosgraph
+import rospy
+import tf2_ros
+from std_srvs.srv import Trigger, TriggerResponse
+from visualization_msgs.msg import MarkerArray
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.edits import SceneFile
+from construction_twin.scene.objects import Scene, SceneObject, product, read_scene, relative
+from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.srv import (
+    AddObject,
+    AddObjectResponse,
+    AttachObject,
+    AttachObjectResponse,
+    DetachObject,
+    DetachObjectResponse,
+    RemoveObject,
+    RemoveObjectResponse,
+)
+
+#: Oldest pose of the twin that counts as its present one; longest wait for it and for a transform [s].
+_PATIENCE = 1.0
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters, given in launch/twin.launch.
+
+    Attributes
+    ----------
+    scene : str
+        YAML of the scene at the start; empty: no objects, no padding.
+    self_collision : str
+        YAML of the link pairs that are not checked.
+    tf_prefix : str
+        Of the twin's tf frames.
+    check_rate : float
+        How often the present pose is checked [Hz].
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    scene: str
+    self_collision: str
+    tf_prefix: str
+    check_rate: Annotated[float, pydantic.Field(gt=0.0, le=100.0)]
+
+
+class SceneNode:
+    """Services `add_object`, `remove_object`, `attach_object`, `detach_object`, `clear_scene`.
+
+    Latched topics `scene` and `scene_markers`; listens to `twin/joint_states` and tf.
+    """
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        self._robot = robot_from_parameters()
+        self._prefix = settings.tf_prefix.rstrip("/")
+        self._base_frame = tf_frame(self._prefix, self._robot.base_link)
+        start = read_scene(settings.scene) if settings.scene else Scene()
+        self._file = _scene_file(start)
+        scene = self._file.load()
+        if scene.hash != start.hash:
+            rospy.logwarn("scene %s: goes on after the edits of this run, from %s", scene.hash[:12], self._file.path)
+        self._world = CollisionWorld(self._robot, scene, read_self_collision(settings.self_collision, self._robot))
+        # one edit or check at a time: the world works in buffers of its own
+        self._busy = threading.Lock()
+        self._touching: dict[tuple[str, str], None] = {}
+        self._shown: set[str] = set()
+        self._state = (WARN, "the twin's present pose is not known yet", {})
+        self._edits = 0
+        self._diagnostics = NodeDiagnostics(self._robot.name, lambda: self._state)
+        self._tf = tf2_ros.Buffer()
+        self._tf_listener = tf2_ros.TransformListener(self._tf)
+        self._scene_publisher = Publisher("scene", SceneMsg, queue_size=1, latch=True)
+        self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
+        with self._busy:
+            self._publish_scene()
+        rospy.Service("add_object", AddObject, self._on_add)
+        rospy.Service("remove_object", RemoveObject, self._on_remove)
+        rospy.Service("attach_object", AttachObject, self._on_attach)
+        rospy.Service("detach_object", DetachObject, self._on_detach)
+        rospy.Service("clear_scene", Trigger, self._on_clear)
+        self._timer = rospy.Timer(rospy.Duration(1.0 / settings.check_rate), lambda _: self._check())
+
+    def _on_add(self, request):
+        return self._edit(lambda: self._add(request), AddObjectResponse)
+
+    def _on_remove(self, request):
+        def remove() -> tuple[Scene, str]:
+            return self._world.scene.remove(request.name), f"removed {request.name!r}"
+
+        return self._edit(remove, RemoveObjectResponse)
+
+    def _on_attach(self, request):
+        return self._edit(lambda: self._attach(request), AttachObjectResponse)
+
+    def _on_detach(self, request):
+        return self._edit(lambda: self._detach(request.name), DetachObjectResponse)
+
+    def _on_clear(self, _) -> TriggerResponse:
+        def clear() -> tuple[Scene, str]:
+            cleared = self._world.scene.clear()
+            gone = [name for name in self._world.scene.names if name not in cleared.names]
+            return cleared, f"removed {', '.join(gone) or 'nothing'}; fixed objects stay"
+
+        return self._edit(clear, lambda success, message, **_: TriggerResponse(success, message))
+
+    def _add(self, request) -> tuple[Scene, str]:
+        item = object_from_msg(request.object)
+        if item.link:
+            raise SceneError(f"object {item.name!r} link", item.link, "an empty one; attach it once it is in the scene")
+        if request.frame_id not in ("", self._base_frame):
+            item = item.moved(product(self._base_T(request.frame_id), item.pose))
+        known = item.name in self._world.scene.names
+        scene = self._world.scene.add(item, request.replace)
+        return scene, f"{'replaced' if known else 'added'} {item.shape} {item.name!r}"
+
+    def _attach(self, request) -> tuple[Scene, str]:
+        link = request.link or self._robot.tip_link
+        if request.use_pose:
+            pose = pose_from_msg(request.pose)
+        else:
+            q = self._twin.pose(_PATIENCE, _PATIENCE)
+            pose = relative(self._world.link_pose(q, link), self._world.object_pose(q, request.name))
+        return self._world.scene.attach(request.name, link, pose, request.touch), f"{link} carries {request.name!r}"
+
+    def _detach(self, name: str) -> tuple[Scene, str]:
+        item: SceneObject = self._world.scene.get(name)
+        if not item.link:  # refused with its own sentence, whether or not the twin's pose is known
+            return self._world.scene.detach(name, item.pose), ""
+        pose = self._world.object_pose(self._twin.pose(_PATIENCE, _PATIENCE), name)
+        return self._world.scene.detach(name, pose), f"put down {name!r}"
+
+    def _edit(self, change: Callable[[], tuple[Scene, str]], response: Callable):
+        """Change the scene as a whole or not at all; the one place where a failure becomes an answer."""
+        with self._busy:
+            try:
+                scene, sentence = change()
+                world = self._world.with_scene(scene)
+                # kept before anybody hears of it: a node that is started anew must not forget what others plan with
+                self._file.save(scene)
+                self._world = world
+            except ConstructionTwinError as error:
+                self._diagnostics.refuse(type(error).__name__, str(error))
+                return response(success=False, message=str(error), hash=self._world.scene.hash)
+            self._edits += 1
+            self._look()
+            self._publish_scene()
+            if self._touching:
+                sentence += f"; in contact (padding included) at the present pose: {self._contact_text()}"
+            rospy.loginfo("scene %s: %s", scene.hash[:12], sentence)
+            return response(success=True, message=sentence, hash=scene.hash)
+
+    def _base_T(self, frame: str) -> Pose:
+        """Return the latest pose of a tf frame in the base_link."""
+        try:
+            transform = self._tf.lookup_transform(self._base_frame, frame, rospy.Time(0), rospy.Duration(_PATIENCE))
+        except tf2_ros.TransformException as error:
+            expected = f"a tf frame connected to {self._base_frame!r} ({error})"
+            raise SceneError("frame_id", frame, expected) from error
+        return pose_from_transform_msg(transform.transform)
+
+    def _check(self) -> None:
+        """Look at the present pose; show it where a contact begins or ends."""
+        with self._busy:
+            before = self._touching
+            self._look()
+            if self._touching != before:
+                self._publish_markers()
+
+    def _look(self) -> None:
+        """Find what touches at the present pose, and what to say about it."""
+        values = {"scene": self._world.scene.hash, "objects": len(self._world.scene.objects), "edits": self._edits}
+        self._touching = {}
+        try:
+            q = self._twin.pose(_PATIENCE)
+        except (PoseUnknownError, PayloadError) as error:
+            self._state = (WARN, str(error), values)
+            return
+        self._touching = {contact.between: None for contact in self._world.contacts(q)}
+        clearance = self._world.clearance(q)
+        values |= {"clearance": f"{clearance.distance:.4f}", "clearance between": " and ".join(clearance.between)}
+        if self._touching:
+            self._state = (WARN, f"in contact (padding included) at the present pose: {self._contact_text()}", values)
+        else:
+            self._state = (OK, "the present pose is free of contact", values)
+
+    def _contact_text(self) -> str:
+        return ", ".join(f"{first} and {second}" for first, second in self._touching)
+
+    def _publish_scene(self) -> None:
+        self._scene_publisher.publish(scene_to_msg(self._world.scene, rospy.Time.now(), self._base_frame))
+        self._publish_markers()
+
+    def _publish_markers(self) -> None:
+        names = set(self._world.scene.names)
+        touching = {name for pair in self._touching for name in pair}
+        gone, self._shown = sorted(self._shown - names), names
+        markers = scene_markers(self._world.scene, gone, touching, self._robot.base_link, self._prefix)
+        self._marker_publisher.publish(markers)
+
+
+def _scene_file(start: Scene) -> SceneFile:
+    """Return the file of this run's edits: one per node and ROS master, so that two masters of one user do not meet in it."""
+    run = rospy.get_param("/run_id", "")
+    if not run:
+        raise ConfigurationError("/run_id", run, "the id of this run, as roscore and roslaunch set it")
+    name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
+    return SceneFile(ros_home() / f"{name}_edits.json", run, start)
+
+
+def main() -> None:
+    """Run the node until shutdown."""
+    run_node("scene", SceneNode)

@@ -1,0 +1,77 @@
+"""startup: tells the operator what a start waits for and what to do, and when everything is there."""
+
+from __future__ import annotations
+
+import time
+from typing import Literal
+
+import pydantic
+import rospy
+
+from construction_twin.msg import Feedback, Scene
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.views.startup import Deployment, Seen, StartUp
+
+#: How often it looks [s].
+PERIOD = 0.25
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters, given in launch/bringup.launch: see `startup.Deployment`."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    arm: Literal["mock", "real", "none"]
+    broker: str
+    rsi: str
+    gateway: bool
+
+
+class StartupNode:
+    """ROS around a StartUp."""
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        namespace = rospy.get_namespace().rstrip("/")
+        self._startup = StartUp(Deployment(namespace=namespace, **settings.model_dump()))
+        self._came: set[str] = set()
+        robot = robot_from_parameters()
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        self._listener = RobotListener(namespace, robot)
+        self._once = {
+            "feedback": rospy.Subscriber("physical/feedback", Feedback, self._on_first, callback_args="feedback"),
+            "twin": rospy.Subscriber("twin/joint_states", rospy.AnyMsg, self._on_first, callback_args="twin"),
+            "scene": rospy.Subscriber("scene", Scene, self._on_first, callback_args="scene"),
+        }
+        self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
+
+    def _on_first(self, _message, name: str) -> None:
+        self._came.add(name)
+
+    def _on_timer(self, _event) -> None:
+        for name in self._came & set(self._once):
+            self._once.pop(name).unregister()  # one message of a 250 Hz stream is enough
+        snapshot = self._listener.snapshot()
+        reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
+        # who fell silent is not there
+        words = {
+            name: (facts.text, facts.reason)
+            for name, facts in reports.items()
+            if facts is not None and name not in snapshot.silent
+        }
+        seen = Seen(**words, **{name: True for name in self._came})
+        for line in self._startup.update(seen, time.monotonic()):
+            waits = self._startup.missing is not None
+            (rospy.logwarn if waits else rospy.loginfo)("%s", line)
+
+    def _report(self) -> tuple[int, str, dict]:
+        missing = self._startup.missing
+        return (OK, "ready", {}) if missing is None else (WARN, str(missing), {})
+
+
+def main() -> None:
+    """Run the node."""
+    run_node("startup", StartupNode)

@@ -1,0 +1,60 @@
+"""static_frames: where the robot stands; world -> its base, once for twin, physical arm and preview, all the same place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pydantic
+import rospy
+from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
+from tf2_ros import StaticTransformBroadcaster
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.description import parse_urdf
+from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.messages.scene_convert import tf_frame
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.scene.cell import load_cell
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters, given in the launch file.
+
+    Frame that the robot stands in, and tf prefixes of its copies. Where it stands in it, the parameter ``cell`` says; without
+    one at its origin.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    parent: str = "world"
+    prefixes: list[str]
+
+
+class StaticFramesNode:
+    """Sends the static transforms once; they are latched."""
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        robot = robot_from_parameters()
+        cell = rospy.get_param("cell", None)
+        place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
+        self._broadcaster = StaticTransformBroadcaster()
+        # the URDF's root, which need not be the base of the chain: any other link has a parent already
+        base = parse_urdf(robot.urdf).get_root()
+        frames = [tf_frame(prefix, base) for prefix in settings.prefixes]
+        self._broadcaster.sendTransform([self._transform(settings.parent, frame, place) for frame in frames])
+
+    @staticmethod
+    def _transform(parent: str, child: str, place: Pose) -> TransformStamped:
+        message = TransformStamped(child_frame_id=child)
+        message.header.frame_id = parent
+        message.header.stamp = rospy.Time.now()
+        transform = message.transform
+        transform.translation = Vector3(*place.position)
+        transform.rotation = Quaternion(*rotation_to_quaternion(place.rotation))
+        return message
+
+
+def main() -> None:
+    """Run the node."""
+    run_node("static_frames", StaticFramesNode)

@@ -1,0 +1,123 @@
+"""sync_view: shows the monitor's state in rviz (`sync_markers`): the physical arm coloured by it, and why it is not in sync."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+import pydantic
+import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from construction_twin.monitor.states import SyncState
+from construction_twin.msg import Sync
+from construction_twin.ros.messages.scene_convert import tf_frame
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.views.sync_picture import COLOURS, Shape, headline, visual_shapes, worst_joint
+
+#: How often the picture is looked at [s]; it is published when it changes.
+PERIOD = 0.2
+#: Without a report for this long the monitor's state is not known [s].
+SILENCE = 1.0
+#: Where the text stands over the arm's base, above the text of a plan, and the height of a line [m].
+TEXT_AT, TEXT_SIZE = (0.4, 0.0, 3.5), 0.085
+_TYPES = {"mesh": Marker.MESH_RESOURCE, "box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
+_DARK = ColorRGBA(0.35, 0.0, 0.0, 1.0)
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters, given in launch/twin.launch.
+
+    Attributes
+    ----------
+    tf_prefix : str
+        Of the physical arm's frames.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    tf_prefix: str
+
+
+class SyncViewNode:
+    """ROS around `sync_picture`."""
+
+    def __init__(self):
+        self._prefix = read_parameters(Settings).tf_prefix
+        self._robot = robot_from_parameters()
+        self._shapes = visual_shapes(self._robot.urdf)
+        self._lock = threading.Lock()
+        self._last: Sync | None = None
+        self._heard = -math.inf
+        self._shown: tuple[SyncState, str] | None = None
+        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
+        self._markers = Publisher("sync_markers", MarkerArray, queue_size=2, latch=True)
+        rospy.Subscriber("sync", Sync, self._on_sync, queue_size=1)
+        self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
+
+    def _on_sync(self, message: Sync) -> None:
+        if message.state not in SyncState._value2member_map_:
+            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
+            return
+        with self._lock:
+            self._last, self._heard = message, time.monotonic()
+
+    def _on_timer(self, _event) -> None:
+        with self._lock:
+            last, silent = self._last, time.monotonic() - self._heard > SILENCE
+        if last is None or silent:
+            picture = SyncState.WAITING, headline(SyncState.WAITING, "no report on sync: is pca_monitor running?", "")
+        else:
+            state = SyncState(last.state)
+            worst = worst_joint(last.name, last.error, last.threshold, self._robot.linear)
+            picture = state, headline(state, last.reason, worst)
+        if picture != self._shown:
+            self._draw(*picture)
+
+    def _draw(self, state: SyncState, text: str) -> None:
+        self._shown = state, text
+        markers = arm_markers(self._shapes, state, self._prefix)
+        markers.append(text_marker(text, tf_frame(self._prefix, self._robot.base_link)))
+        self._markers.publish(MarkerArray(markers=markers))
+
+    def _report(self) -> tuple[int, str, dict]:
+        if self._shown is None:
+            return OK, "nothing shown yet", {}
+        state = self._shown[0]
+        return (OK if state is SyncState.IN_SYNC else WARN), f"shows {state.name}", {"shapes": len(self._shapes)}
+
+
+def arm_markers(shapes: tuple[Shape, ...], state: SyncState, tf_prefix: str) -> list[Marker]:
+    """Return the physical arm in the colour of a state: one marker per shape, in its link's frame."""
+    return [_arm_marker(number, shape, ColorRGBA(*COLOURS[state]), tf_prefix) for number, shape in enumerate(shapes)]
+
+
+def _arm_marker(number: int, shape: Shape, colour: ColorRGBA, tf_prefix: str) -> Marker:
+    marker = Marker(ns="physical", id=number, type=_TYPES[shape.kind], action=Marker.ADD, frame_locked=True)
+    marker.header.frame_id = tf_frame(tf_prefix, shape.link)
+    marker.mesh_resource = shape.mesh
+    marker.pose = Pose(Point(*shape.position), Quaternion(*shape.quaternion))
+    marker.scale, marker.color = Vector3(*shape.scale), colour
+    return marker
+
+
+def text_marker(text: str, frame: str) -> Marker:
+    """Return the text over the arm, or its removal when there is none."""
+    marker = Marker(ns="why", type=Marker.TEXT_VIEW_FACING, action=Marker.ADD if text else Marker.DELETE)
+    marker.header.frame_id = frame
+    marker.frame_locked = True
+    marker.text, marker.color = text, _DARK
+    marker.pose = Pose(Point(*TEXT_AT), Quaternion(0, 0, 0, 1))
+    marker.scale.z = TEXT_SIZE
+    return marker
+
+
+def main() -> None:
+    """Run the node."""
+    run_node("sync_view", SyncViewNode)

@@ -1,0 +1,282 @@
+"""The other arm, as its own topics describe it: what it takes up now and on the path that it follows. For planner and watch."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import numpy as np
+import pydantic
+import rospy
+
+from construction_twin.coordination.conflict import Claim
+from construction_twin.coordination.path_sweep import PathSweep
+from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
+from construction_twin.msg import Execution, Plan, Review, Scene
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan as PlanValue
+from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.params import NodeSettings, robot_from_parameters
+from construction_twin.ros.transport.joint_stream import from_time
+from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.scene.cell import load_cell
+from construction_twin.scene.neighbour import Neighbour, Obstacle
+from construction_twin.scene.objects import Scene as SceneValue
+
+Refuse = Callable[[str, str], None]
+_Length = Annotated[float, pydantic.Field(ge=0.01, le=1.0)]
+_Distance = Annotated[float, pydantic.Field(ge=0.0, le=10.0)]
+
+
+class NeighbourSettings(NodeSettings):
+    """Parameters ``neighbour/...`` of a robot that has another one beside it, explained in config/neighbour.yaml.
+
+    The node `neighbour` owns them, and its ``realtime_priority`` is among them; the planner reads them, too.
+
+    Attributes
+    ----------
+    name : str
+        Of the other robot: its namespace. Given in launch/twin.launch.
+    padding, watch_padding, step, own_step : float
+        [m]
+    rate : float
+        [Hz]
+    max_pose_age : float
+        [s]
+    """
+
+    name: Annotated[str, pydantic.Field(min_length=1)]
+    padding: _Distance
+    watch_padding: _Distance
+    step: _Length
+    own_step: _Length
+    rate: Annotated[float, pydantic.Field(gt=0.0, le=50.0)]
+    max_pose_age: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
+
+    @pydantic.model_validator(mode="after")
+    def _plans_may_start(self) -> NeighbourSettings:
+        if self.watch_padding + self.own_step / 2.0 > self.padding:
+            raise ValueError("watch_padding + own_step / 2 must not be more than padding")
+        return self
+
+
+def neighbour_settings() -> NeighbourSettings | None:
+    """Return the settings of the robot in this namespace; None for a robot alone.
+
+    Raises
+    ------
+    ConfigurationError
+        With the parameter's name, its value and what was expected.
+    """
+    values = rospy.get_param("neighbour", None)
+    if values is None:
+        return None
+    try:
+        return NeighbourSettings.model_validate(values)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        name = "/".join(["neighbour", *map(str, first["loc"])])
+        raise ConfigurationError(rospy.resolve_name(name), first.get("input"), first["msg"]) from error
+
+
+class ArmListener:
+    """What an arm's own topics say about it.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Its name is its namespace.
+    refused : callable
+        Called as ``refused(reason, sentence)`` for a message that is not used.
+    streams : bool
+        Listen to the poses all the time; otherwise only while somebody asks, which takes some 50 ms more and costs nothing
+        in between.
+    """
+
+    def __init__(self, robot: RobotModel, refused: Refuse, streams: bool):
+        self.robot = robot
+        self._space = f"/{robot.name}"
+        self._refused = refused
+        self._lock = threading.Lock()
+        self._book = PlanBook()
+        self._scene: SceneValue | None = None
+        self._streams = self._open() if streams else None
+        for topic, kind, callback in (
+            ("plan", Plan, self._on_plan),
+            ("execution", Execution, self._on_execution),
+            ("review", Review, self._on_review),
+            ("scene", Scene, self._on_scene),
+        ):
+            rospy.Subscriber(f"{self._space}/{topic}", kind, callback, queue_size=10)
+
+    @property
+    def scene(self) -> SceneValue | None:
+        """Its scene; None before the first."""
+        return self._scene
+
+    def plans(self) -> tuple:
+        """Return the plan that is followed, its first stamp [ns], and the plan that waits; raises like `PlanBook.followed`."""
+        with self._lock:
+            return self._book.followed(), self._book.started, self._book.waiting()
+
+    def poses(self, oldest: float, patience: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return the commanded and the measured pose; the same twice for a robot without a physical arm.
+
+        Raises
+        ------
+        PoseUnknownError, PayloadError
+            As of `LatestPose.pose`.
+        """
+        with self._open_streams() as streams:
+            twin, *physical = (np.array(stream.pose(oldest, patience)) for stream in streams)
+        return twin, physical[0] if physical else twin
+
+    @contextmanager
+    def _open_streams(self) -> Iterator[list[LatestPose]]:
+        if self._streams is not None:
+            yield self._streams
+            return
+        streams = self._open()
+        try:
+            yield streams
+        finally:
+            for stream in streams:
+                stream.close()
+
+    def _open(self) -> list[LatestPose]:
+        alone = rospy.get_param(f"{self._space}/executor/arm", "") == "none"
+        topics = ["twin/joint_states"] if alone else ["twin/joint_states", "physical/joint_states"]
+        return [LatestPose(f"{self._space}/{topic}", self.robot.joint_names) for topic in topics]
+
+    def _on_plan(self, message: Plan) -> None:
+        try:
+            plan = plan_from_msg(message)
+        except ConstructionTwinError as error:
+            self._refused("plan", f"{self._space}/plan: {error}")
+            return
+        with self._lock:
+            self._book.on_plan(plan)
+
+    def _on_execution(self, message: Execution) -> None:
+        with self._lock:
+            try:
+                self._book.on_execution(message.state, message.plan_id, from_time(message.plan_start))
+            except ValueError as error:
+                self._refused("execution", f"{self._space}/execution: {error}")
+
+    def _on_review(self, message: Review) -> None:
+        with self._lock:
+            self._book.on_verdict(message.plan_id, message.approved)
+
+    def _on_scene(self, message: Scene) -> None:
+        try:
+            self._scene = scene_from_msg(message)
+        except ConstructionTwinError as error:
+            self._scene = None
+            self._refused("scene", f"{self._space}/scene: {error}")
+
+
+class OtherArm:
+    """The other arm as obstacles in the world of ours.
+
+    Not for use from several threads at once.
+
+    Parameters
+    ----------
+    own : str
+        Name of our robot in the cell.
+    settings : NeighbourSettings
+    refused : callable
+        As of `ArmListener`.
+    streams : bool
+        As of `ArmListener`.
+
+    Raises
+    ------
+    ConfigurationError
+        If the other robot's description is missing, or the cell does not hold both.
+    """
+
+    def __init__(self, own: str, settings: NeighbourSettings, refused: Refuse, streams: bool):
+        self._settings = settings
+        self.robot = robot_from_parameters(f"/{settings.name}/")
+        cell = load_cell(rospy.get_param("cell", None))
+        self._bare = Neighbour(settings.name, self.robot, cell.root_T_root(own, settings.name), settings.step)
+        self._listener = ArmListener(self.robot, refused, streams)
+        self._carried_by = ""
+        self._shape = self._bare
+        self._sweeps: dict[str, PathSweep] = {}
+        self._at = "", 0
+        self.claim: Claim | None = None
+        self.unknown = ""
+        self.complete = True
+
+    def occupied(self, patience: float = 0.0, horizon: float = np.inf) -> tuple[Obstacle, ...]:
+        """Return all that the arm takes up: where it is, and what is left of the path that it follows.
+
+        `claim` goes with it; so does `unknown`, the sentence that says why the arm's whole reach is returned: nobody knows
+        where it is, or where it goes; and `complete`, whether the path is there to its end.
+
+        Parameters
+        ----------
+        patience : float, optional
+            How long to wait for what is not known yet [s].
+        horizon : float, optional
+            How far ahead the path must be known [s]. The rest follows section by section, as this is called again.
+
+        Raises
+        ------
+        NeighbourUnknownError
+            If it is not known what it carries: then nobody knows how far it reaches.
+        """
+        name = self._settings.name
+        self.claim, self.unknown, self.complete = None, "", True
+        try:
+            twin, physical = self._listener.poses(self._settings.max_pose_age, patience)
+            followed, started, waiting = self._listener.plans()
+        except (PoseUnknownError, PayloadError, PlanUnknownError) as error:
+            # after the wait: until then its scene may have come
+            self._take_carried()
+            self.unknown = str(NeighbourUnknownError(name, str(error)))
+            return self._shape.anywhere()
+        self._take_carried()
+        self.claim = None if followed is None else Claim(started, name)
+        self._prepare(followed, waiting if horizon < np.inf else None)
+        if followed is None:
+            return self._shape.between(physical, twin)
+        sweep = self._sweeps[followed.id]
+        known = self._at[1] if self._at[0] == followed.id else 0
+        rows = [sweep.row_of(twin, known), sweep.row_of(physical, known)]
+        sweep.grow(sweep.row_after(max(known if row is None else row for row in rows), horizon))
+        self.complete = sweep.complete
+        self._at = followed.id, min(known if row is None else row for row in rows)
+        # off the path, after a fault or by hand, it is somewhere between the two poses
+        off = () if None not in rows else self._shape.between(physical, twin)
+        return sweep.rest(self._at[1]) + off
+
+    def _take_carried(self) -> None:
+        name, scene = self._settings.name, self._listener.scene
+        if scene is None:
+            raise NeighbourUnknownError(name, "its scene, with what it carries, was not received")
+        if scene.hash != self._carried_by:
+            try:
+                self._shape = self._bare.carrying(scene.objects)
+            except SceneError as error:
+                raise NeighbourUnknownError(name, f"what it carries cannot be used: {error}") from error
+            self._carried_by, self._sweeps = scene.hash, {}
+
+    def _prepare(self, *plans: PlanValue | None) -> None:
+        """Make one more section of the first of some plans that is not complete; forget all other plans."""
+        wanted = [plan for plan in plans if plan is not None]
+        self._sweeps = {
+            plan.id: self._sweeps.get(plan.id) or PathSweep(self._shape, plan.trajectory) for plan in wanted
+        }
+        for sweep in self._sweeps.values():
+            if not sweep.complete:
+                sweep.grow()
+                return

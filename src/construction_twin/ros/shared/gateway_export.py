@@ -1,0 +1,77 @@
+"""From robot model and link settings to the gateway's configuration.
+
+Used by the exporter, and by the bridge, which compares hashes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.robot.description import RobotModel
+from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
+
+
+def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
+    """Return the configuration of the gateway of `robot`.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Its joint ranges are turned into ranges of the controller's axes (sign and offset).
+    settings : Mapping
+        The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `ethernet_xml`: the text
+        of the controller's Ethernet XML.
+
+    Returns
+    -------
+    config : GatewayConfig
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown key, or a value that does not fit: also a range that the joint string cannot carry.
+    EthernetXmlError
+        If the Ethernet XML does not fit the robot.
+    """
+    axes = tuple(axis.rsi for axis in robot.axes)
+    settings = dict(settings)
+    layout = None
+    if "ethernet_xml" in settings:
+        ethernet = read_ethernet_xml(settings.pop("ethernet_xml"), "Ethernet XML")
+        check_gateway(ethernet.layout, axes, ethernet.where)
+        layout = ethernet.layout
+    ends = [
+        sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
+        for axis, low, high in zip(robot.axes, robot.lower, robot.upper)
+    ]
+    try:
+        config = GatewayConfig(
+            robot=robot.name,
+            axes=axes,
+            lower=tuple(low for low, _ in ends),
+            upper=tuple(high for _, high in ends),
+            velocity=robot.velocity,
+            acceleration=robot.acceleration,
+            linear=tuple(axis.rsi for axis, linear in zip(robot.axes, robot.linear) if linear),
+            layout=layout,
+            **settings,
+        )
+    except TypeError as error:
+        raise ConfigurationError("gateway", settings, f"the keys of config/gateway.yaml ({error})") from error
+    _check_format(robot, config)
+    return config
+
+
+def _check_format(robot: RobotModel, config: GatewayConfig) -> None:
+    """Refuse what could be commanded, but not be sent."""
+    codec = JointStringCodec.of(robot, config.decimals)
+    for end, q in (("lower", robot.lower), ("upper", robot.upper)):
+        try:
+            codec.encode(q)
+        except PayloadError as error:
+            raise ConfigurationError(
+                f"{end} limits of {robot.name}", q, f"a range the wire can carry ({error})"
+            ) from error

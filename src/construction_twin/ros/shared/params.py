@@ -1,0 +1,83 @@
+"""Parameters read once at start, checked as a whole, into one immutable object."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TypeVar
+
+import pydantic
+import rospy
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.robot.description import RobotModel, load_robot
+
+Settings = TypeVar("Settings", bound=pydantic.BaseModel)
+
+
+class NodeSettings(pydantic.BaseModel):
+    """Private parameters of a node on the 250 Hz path.
+
+    Attributes
+    ----------
+    realtime_priority : int
+        SCHED_FIFO priority where the system permits it; 0: none.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    realtime_priority: int = pydantic.Field(0, ge=0, le=99)
+
+
+def read_parameters(model: type[Settings]) -> Settings:
+    """Read the node's private parameters into `model`.
+
+    Roslaunch leaves its own bookkeeping and other nodes' keys elsewhere, so everything under ``~`` must be known to the
+    model: a misspelt key is an error, not a silent default.
+
+    Parameters
+    ----------
+    model : type
+        A pydantic model with ``extra="forbid"``.
+
+    Returns
+    -------
+    settings : Settings
+
+    Raises
+    ------
+    ConfigurationError
+        With the resolved parameter name, its value and what was expected.
+    """
+    values = rospy.get_param("~", {})
+    try:
+        return model.model_validate(values)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        name = "/".join(str(part) for part in first["loc"])
+        raise ConfigurationError(rospy.resolve_name(f"~{name}"), first.get("input"), first["msg"]) from error
+
+
+def robot_from_parameters(namespace: str = "") -> RobotModel:
+    """Return the robot described by a namespace's ``robot_description`` (URDF) and ``robot`` (YAML) parameters.
+
+    Parameters
+    ----------
+    namespace : str, optional
+        ``/kr120/``; the node's own by default.
+
+    Raises
+    ------
+    ConfigurationError
+        If one is missing or does not make sense.
+    """
+    names = [namespace + name for name in ("robot_description", "robot")]
+    for name in names:
+        if not rospy.has_param(name):
+            raise ConfigurationError(rospy.resolve_name(name), None, "a robot, as launch/robot.launch loads it")
+    return load_robot(*map(rospy.get_param, names))
+
+
+def ros_home() -> Path:
+    """Return the folder for a node's own files: environment variable ROS_HOME, by default ``~/.ros`` (as roslaunch does)."""
+    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")

@@ -1,0 +1,207 @@
+"""Listens to one robot's reports and makes a `Snapshot` of them; used by command line, watch, marker and start-up."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.msg import Execution, Link, Plan, Review, Sync
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan as PlanValue
+from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
+
+#: Streams whose rates are counted, with short names.
+STREAMS = {"twin": "twin/joint_states", "physical": "physical/joint_states", "command": "command/joint_states"}
+#: A report that is older, and a node that has said nothing on /diagnostics for longer, is silent [s]. `execution` comes on change.
+SILENT = {"link": 3.0, "sync": 1.0}
+SILENT_NODE = 5.0
+_REPORTS = {"link": Link, "sync": Sync, "execution": Execution, "plan": Plan, "review": Review}
+
+
+class RobotListener:
+    """Keeps the newest of each report.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the robot, absolute: ``/kr120``.
+    robot : RobotModel
+    rates : bool, optional
+        Also count the 250 Hz streams, without unpacking them, and listen to `/diagnostics`.
+
+    Attributes
+    ----------
+    refused : str
+        Why the last plan that was received could not be read; empty when it could.
+    """
+
+    def __init__(self, namespace: str, robot: RobotModel, rates: bool = False):
+        self._namespace = namespace.rstrip("/")
+        self._robot = robot
+        self._news = threading.Condition()
+        self._newest: dict[str, object] = {}
+        self._plan: PlanValue | None = None
+        self.refused = ""
+        self._counts: Counter[str] = Counter()
+        self._counted: tuple[float, Counter[str]] = (time.monotonic(), Counter())
+        self._nodes: dict[str, tuple[float, NodeFacts]] = {}
+        self._heard: dict[str, float] = {}
+        self._subscribers = [self._subscribe(name, kind) for name, kind in _REPORTS.items()]
+        if rates:
+            self._subscribers += [self._count(name, topic) for name, topic in STREAMS.items()]
+            self._subscribers.append(rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics))
+
+    def wait(self, condition: Callable[[], object], timeout: float | None) -> bool:
+        """Wait until `condition`, asked after every report, holds; return whether it does. None waits without end."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        with self._news:
+            while not condition():
+                left = 0.5 if deadline is None else min(0.5, deadline - time.monotonic())
+                if left <= 0.0 or rospy.is_shutdown():
+                    return False
+                # in slices: a wait without end could not be interrupted
+                self._news.wait(left)
+        return True
+
+    def newest(self, name: str):
+        """Return the newest message of ``link``, ``sync``, ``execution``, ``plan`` or ``review``; None before the first."""
+        return self._newest.get(name)
+
+    def publishers(self, name: str) -> int:
+        """Return how many nodes publish a report now."""
+        return self._subscribers[list(_REPORTS).index(name)].get_num_connections()
+
+    def plan(self, plan_id: str) -> PlanValue | None:
+        """Return the newest plan if it is the one with this id."""
+        plan = self._plan
+        return plan if plan is not None and plan.id == plan_id else None
+
+    def under_review(self) -> PlanValue | None:
+        """Return the plan that waits for a verdict, as far as the topics tell; the executor decides."""
+        plan = self._plan
+        decided = {getattr(self._newest.get(name), "plan_id", None) for name in ("review", "execution")}
+        return None if plan is None or plan.id in decided else plan
+
+    def snapshot(self) -> Snapshot:
+        """Return what is known now; rates are those since the last call."""
+        with self._news:
+            newest = dict(self._newest)
+            plan = self.under_review()
+            now = time.monotonic()
+            nodes = tuple(_node_now(*self._nodes[name], now) for name in sorted(self._nodes))
+            ages = {name: now - self._heard.get(name, now) for name in SILENT}
+            silent = {name: age for name, age in ages.items() if age > SILENT[name]}
+        if "execution" in newest and not self.publishers("execution"):
+            silent["execution"] = now - self._heard["execution"]
+        return Snapshot(
+            robot=self._namespace.strip("/"),
+            now=rospy.get_time(),
+            joints=self._robot.joint_names,
+            linear=self._robot.linear,
+            link=link_facts(newest.get("link")),
+            sync=sync_facts(newest.get("sync")),
+            execution=execution_facts(newest.get("execution")),
+            plan=plan,
+            rates=self._rates(),
+            nodes=nodes,
+            silent=silent,
+        )
+
+    def _subscribe(self, name: str, kind: type) -> rospy.Subscriber:
+        return rospy.Subscriber(f"{self._namespace}/{name}", kind, self._receive, callback_args=name, queue_size=20)
+
+    def _receive(self, message, name: str) -> None:
+        plan, refused = None, ""
+        if name == "plan":
+            try:
+                plan = plan_from_msg(message)
+            except ConstructionTwinError as error:
+                refused = str(error)
+        with self._news:
+            self._newest[name], self._heard[name] = message, time.monotonic()
+            if name == "plan":
+                self._plan, self.refused = plan, refused
+            self._news.notify_all()
+
+    def _count(self, name: str, topic: str) -> rospy.Subscriber:
+        def receive(_message) -> None:
+            self._counts[name] += 1
+
+        return rospy.Subscriber(f"{self._namespace}/{topic}", rospy.AnyMsg, receive, queue_size=250, tcp_nodelay=True)
+
+    def _rates(self) -> dict[str, float]:
+        if len(self._subscribers) == len(_REPORTS):
+            return {}
+        now, counts = time.monotonic(), Counter(self._counts)
+        since, before = self._counted
+        self._counted = now, counts
+        return {name: (counts[name] - before[name]) / max(now - since, 1e-3) for name in STREAMS}
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            node = "/" + status.name.split(":")[0].strip().lstrip("/")
+            if node.startswith(self._namespace + "/"):
+                name = node.removeprefix(self._namespace + "/")
+                with self._news:
+                    self._nodes[name] = time.monotonic(), NodeFacts(name, status.level, status.message)
+                    self._news.notify_all()
+
+
+def _node_now(heard: float, facts: NodeFacts, now: float) -> NodeFacts:
+    if now - heard <= SILENT_NODE:
+        return facts
+    return NodeFacts(facts.name, 3, f"silent for {now - heard:.0f} s; the last was: {facts.sentence}")
+
+
+def link_facts(message: Link | None) -> LinkFacts | None:
+    """Return the bridge's report as values."""
+    if message is None:
+        return None
+    return LinkFacts(
+        text=message.text,
+        reason=message.reason,
+        gateway_state=message.gateway_state,
+        counters={pair.key: pair.value for pair in message.gateway_counters},
+        commands_refused=message.commands_refused,
+        states_refused=message.states_refused,
+    )
+
+
+def sync_facts(message: Sync | None) -> SyncFacts | None:
+    """Return the gate's report as values."""
+    if message is None:
+        return None
+    return SyncFacts(
+        text=message.text,
+        reason=message.reason,
+        policy=message.policy,
+        comparison=message.comparison,
+        errors=tuple(message.error),
+        thresholds=tuple(message.threshold),
+        round_trip=message.round_trip,
+        servo_lag=message.servo_lag,
+        violations=message.violations,
+    )
+
+
+def execution_facts(message: Execution | None) -> ExecutionFacts | None:
+    """Return the executor's report as values."""
+    if message is None:
+        return None
+    return ExecutionFacts(
+        text=message.text,
+        reason=message.reason,
+        plan_id=message.plan_id,
+        outcome=message.outcome,
+        start=message.plan_start.to_sec(),
+        duration=message.duration,
+        rate=message.rate,
+        speed_limit=message.speed_limit,
+    )

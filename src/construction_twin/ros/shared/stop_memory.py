@@ -1,0 +1,61 @@
+"""That the gate was STOPPED outlasts its process: on the parameter server, for the monitor that roslaunch starts in its place."""
+
+from __future__ import annotations
+
+import http.client
+import threading
+import xmlrpc.client
+from collections.abc import Callable
+
+import rospy
+
+from construction_twin.core.units import NANOSECONDS
+
+#: In the robot's namespace, not the node's own: there every name must be a setting. The launch file clears it.
+PARAMETER = "stopped_session"
+#: A write that failed is tried again after this time [ns].
+_AGAIN = NANOSECONDS
+
+
+class StopMemory:
+    """The command session in which the gate is STOPPED; empty when it is not.
+
+    Parameters
+    ----------
+    session : str
+        What is on the parameter server now.
+    write : callable
+        Puts a session there. It may take as long as the master does, so it is called in a thread of its own.
+
+    Attributes
+    ----------
+    problem : str
+        Why it could not be kept; empty when it could.
+    """
+
+    def __init__(self, session: str, write: Callable[[str], None]):
+        self.problem = ""
+        self._write = write
+        self._written = session
+        self._writer: threading.Thread | None = None
+        self._tried: int | None = None
+
+    def keep(self, session: str, now: int) -> None:
+        """Keep a session, empty for none; returns at once. To be called again and again, from one thread, `now` in ns."""
+        if session == self._written or (self._writer is not None and self._writer.is_alive()):
+            return
+        if self._tried is not None and self.problem and now - self._tried < _AGAIN:
+            return
+        self._tried = now
+        self._writer = threading.Thread(target=self._put, args=(session,), daemon=True)
+        self._writer.start()
+
+    def _put(self, session: str) -> None:
+        try:
+            self._write(session)
+        except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
+            self.problem = (
+                f"that the gate is STOPPED would not outlast this node: {PARAMETER} was not written ({error})"
+            )
+            return
+        self._written, self.problem = session, ""

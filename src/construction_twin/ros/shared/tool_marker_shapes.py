@@ -1,0 +1,100 @@
+"""How the marker at the tool looks in rviz: arrows, rings and a handle to grab, and beside it the verdict as colour and text.
+
+The verdict is drawn by markers of its own, because rviz takes a changed interactive marker for a new one in the middle of a drag.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Pose as PoseMsg
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import InteractiveMarker, InteractiveMarkerControl, Marker, MarkerArray
+
+from construction_twin.views.reachability import Reach
+
+#: Name of the interactive marker.
+NAME = "tool"
+#: Colours r, g, b, a of a verdict; None: not known.
+COLOURS = {
+    Reach.FREE: (0.1, 0.75, 0.25, 0.8),
+    Reach.CONTACT: (1.0, 0.55, 0.0, 0.9),
+    Reach.OUT: (0.9, 0.05, 0.05, 0.9),
+    None: (0.55, 0.57, 0.6, 0.8),
+}
+#: Readable before the sky, the floor and the arm.
+_TEXT_COLOUR = (0.1, 0.1, 0.15, 1.0)
+#: Height of a letter, distance of the text below the marker, where the arm seldom is, as shares of its size; characters of a line.
+_LETTER, _BELOW, _WIDTH = 0.1, 0.95, 45
+#: Size of the handle, and of the sphere in it that shows the verdict, as shares of the marker's. The handle is the outer one, a
+#: clear shell: rviz gives a click to what it meets first, and the verdict's sphere has no menu.
+_HANDLE, _SPHERE = 0.3, 0.25
+_HALF = math.sqrt(0.5)
+#: Orientation of a control whose axis is the marker's x, y, z.
+_AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0, _HALF, 0.0, _HALF)}
+
+
+def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
+    """Return the interactive marker: moves along and turns about its axes, and opens the menu.
+
+    Parameters
+    ----------
+    frame : str
+        tf frame of the pose. The stamp is 0: rviz then keeps the marker in this frame, and reports poses in it.
+    pose : geometry_msgs/Pose
+    scale : float
+        [m]
+    """
+    marker = InteractiveMarker(name=NAME, description="", pose=pose, scale=scale)
+    marker.header.frame_id = frame
+    handle = Marker(type=Marker.SPHERE, color=ColorRGBA(1.0, 1.0, 1.0, 0.2))
+    handle.scale = Vector3(*[_HANDLE * scale] * 3)
+    menu = InteractiveMarkerControl(name="menu", interaction_mode=InteractiveMarkerControl.MENU, always_visible=True)
+    menu.description = "plan, review, stop"
+    menu.markers.append(handle)
+    marker.controls.append(menu)
+    for axis, orientation in _AXES.items():
+        for name, mode in (
+            ("move", InteractiveMarkerControl.MOVE_AXIS),
+            ("turn", InteractiveMarkerControl.ROTATE_AXIS),
+        ):
+            control = InteractiveMarkerControl(name=f"{name}_{axis}", interaction_mode=mode)
+            control.orientation = Quaternion(*orientation)
+            marker.controls.append(control)
+    return marker
+
+
+def verdict_markers(frame: str, pose: PoseMsg, scale: float, reach: Reach | None, lines: list[str]) -> MarkerArray:
+    """Return the coloured sphere and the text.
+
+    Parameters
+    ----------
+    frame : str
+    pose : geometry_msgs/Pose
+        Of the interactive marker, in that frame.
+    scale : float
+        Of the interactive marker [m].
+    reach : Reach or None
+        None: not known.
+    lines : list of str
+        Wrapped where they are long.
+    """
+    sphere = Marker(ns="verdict", id=0, type=Marker.SPHERE, pose=pose, color=ColorRGBA(*COLOURS[reach]))
+    sphere.scale = Vector3(*[_SPHERE * scale] * 3)
+    text = _text("\n".join(textwrap.fill(line, _WIDTH) for line in lines if line), pose.position, scale)
+    for marker in (sphere, text):
+        # stamp 0: with the newest transform
+        marker.header.frame_id = frame
+        marker.frame_locked = True
+    return MarkerArray([sphere, text])
+
+
+def _text(text: str, at: Point, scale: float) -> Marker:
+    marker = Marker(ns="verdict", id=1, type=Marker.TEXT_VIEW_FACING, color=ColorRGBA(*_TEXT_COLOUR), text=text)
+    # rviz centres a text on its position, so that a longer one has its own further down
+    below = _BELOW + 0.6 * _LETTER * text.count("\n")
+    marker.pose = PoseMsg(Point(at.x, at.y, at.z - below * scale), Quaternion(w=1.0))
+    marker.scale.z = _LETTER * scale
+    return marker

@@ -1,0 +1,107 @@
+"""The monitor's changes of state for everybody: topic `transitions`, the log file, the node's own log and `/diagnostics`."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+import rospy
+
+from construction_twin.core.errors import TransitionLogError
+from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.monitor.transition_log import TransitionLog
+from construction_twin.msg import Transition as TransitionMsg
+from construction_twin.review.record import iso_time
+from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.transport.joint_stream import to_time
+from construction_twin.ros.transport.publisher import Publisher
+
+#: Transitions shown on `/diagnostics`, the newest first.
+SHOWN = 5
+#: Closed by a fault of somebody's; the rest is everyday life.
+_WARNED = (SyncState.HOLDING, SyncState.REPLANNING, SyncState.STALE)
+_SERIOUS = (SyncState.STOPPED, SyncState.FAULT)
+
+
+class TransitionReport:
+    """Publishes and records transitions.
+
+    Parameters
+    ----------
+    file : str
+        Log file: absolute, or relative to ROS_HOME.
+    names : tuple of str
+        Joint names.
+
+    Attributes
+    ----------
+    problem : str
+        Why the log cannot be written; empty when it can.
+
+    Raises
+    ------
+    ConfigurationError
+        When the log cannot be opened.
+    """
+
+    def __init__(self, file: str, names: tuple[str, ...]):
+        self.problem = ""
+        self.count = 0
+        self._names = names
+        self._log = TransitionLog(ros_home() / Path(file).expanduser(), names)
+        self._said = DeferredLog()
+        self._recent: deque[Transition] = deque(maxlen=SHOWN)
+        self._publisher = Publisher("transitions", TransitionMsg, queue_size=50, latch=True)
+        rospy.loginfo("transitions are recorded in %s", self._log.path)
+
+    def report(self, change: Transition) -> None:
+        """Publish a transition and keep it for both logs."""
+        self._log.defer(change)
+        self._recent.appendleft(change)
+        self.count += 1
+        self._publisher.publish(self._message(change))
+        self._said.add(_say(change.target), "%s", change)
+
+    def flush(self) -> None:
+        """Write what is kept to the logs; not for the path of the setpoints."""
+        self._said.flush()
+        try:
+            self._log.flush()
+        except TransitionLogError as error:
+            self.problem = str(error)
+            rospy.logerr_throttle(5.0, "%s", error)
+            return
+        self.problem = ""
+
+    def values(self) -> dict[str, str]:
+        """Return what `/diagnostics` shows."""
+        recent = {
+            f"transition {number}": f"{iso_time(change.at)} {change}"
+            for number, change in enumerate(tuple(self._recent), start=1)
+        }
+        log = {"transition log": str(self._log.path), "transitions lost to the log": str(self._log.lost)}
+        return {"transitions": str(self.count)} | recent | log
+
+    def _message(self, change: Transition) -> TransitionMsg:
+        message = TransitionMsg(
+            from_state=change.source.value,
+            to_state=change.target.value,
+            from_text=change.source.name,
+            to_text=change.target.name,
+            event=change.event.value,
+            reason=change.reason,
+            name=self._names,
+            held_stamp=to_time(change.held_stamp),
+        )
+        message.header.stamp = to_time(change.at)
+        if change.comparison is not None:
+            message.error, message.threshold = change.comparison.error, change.comparison.threshold
+        return message
+
+
+def _say(state: SyncState) -> Callable[..., None]:
+    if state in _SERIOUS:
+        return rospy.logerr
+    return rospy.logwarn if state in _WARNED else rospy.loginfo

@@ -1,0 +1,59 @@
+"""A 4 ms grid of nominal stamps, paced by absolute deadlines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import rospy
+
+from construction_twin.core.units import CYCLE_NS
+from construction_twin.ros.transport.joint_stream import now_ns
+
+#: Setpoints that are late by no more than this are sent one after the other, so that none is missing [ns]. Below the gateway's
+#: `silence` of 0.1 s: what the gateway bridges need not end a plan.
+CATCH_UP = 80_000_000
+
+
+class Cycles:
+    """A grid that starts on ROS time and advances with the monotonic clock: a wall clock that is set does not disturb it."""
+
+    def __init__(self):
+        self._stamp = now_ns() // CYCLE_NS * CYCLE_NS
+        self._offset = now_ns() - time.monotonic_ns()
+
+    def now(self) -> int:
+        """Return the grid's time [ns]."""
+        return time.monotonic_ns() + self._offset
+
+    def reach(self, stamp: int) -> int:
+        """Never lag behind a stamp that somebody else's grid has reached [ns], on a clock that was set since; return `now`."""
+        self._offset = max(self._offset, stamp - time.monotonic_ns())
+        return self.now()
+
+    def skip(self) -> None:
+        """Leave out the cycles that have passed: nobody wanted them."""
+        self._stamp = max(self._stamp, self.now() // CYCLE_NS * CYCLE_NS)
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """Wait for one cycle after the other until ROS shuts down.
+
+        Yields
+        ------
+        stamp : int
+            The cycle's nominal stamp [ns], a multiple of 4 ms.
+        stalled : int
+            0, or for how long the grid was interrupted because this process was not run for more than `CATCH_UP` [ns].
+        """
+        while not rospy.is_shutdown():
+            self._stamp += CYCLE_NS
+            remaining = self._stamp - self.now()
+            stalled = 0
+            if remaining > 0:
+                time.sleep(remaining / 1e9)
+            elif -remaining > CATCH_UP:
+                stalled = -remaining
+                # never back: on a clock that was set back meanwhile the grid would stand still until the clock has caught up
+                self._offset = max(self._offset, now_ns() - time.monotonic_ns())
+                self.skip()
+            yield self._stamp, stalled

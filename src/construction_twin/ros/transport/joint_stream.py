@@ -1,0 +1,164 @@
+"""Joint streams at 250 Hz on ROS topics: tuples of rad and integer stamps inside, `sensor_msgs/JointState` outside."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import genpy
+import rospy
+from sensor_msgs.msg import JointState
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.msg import Feedback
+from construction_twin.ros.transport.pose_message import PoseMessage
+from construction_twin.ros.transport.publisher import Publisher
+
+#: Messages a publisher keeps for a subscriber that is busy: one second of stream.
+QUEUE = 250
+
+
+def to_time(stamp: int) -> genpy.Time:
+    """Return a ROS time for a stamp in ns."""
+    return genpy.Time(*divmod(stamp, NANOSECONDS))
+
+
+def from_time(time: genpy.Time) -> int:
+    """Return the stamp in ns of a ROS time."""
+    return time.secs * NANOSECONDS + time.nsecs
+
+
+def now_ns() -> int:
+    """Return ROS time in ns."""
+    # of a wall clock without the objects that rospy makes of it
+    return time.time_ns() if rospy.rostime.is_wallclock() else from_time(rospy.Time.now())
+
+
+def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ...]:
+    """Return a joint state's positions in the order of `names`.
+
+    Parameters
+    ----------
+    message : sensor_msgs/JointState or construction_twin/Feedback
+    names : tuple of str
+        The robot's joint names.
+
+    Returns
+    -------
+    q : tuple, shape (n,)
+        [rad]
+
+    Raises
+    ------
+    PayloadError
+        ``names`` or ``values``, when it does not hold exactly these joints with finite positions.
+    """
+    if tuple(message.name) == names and len(message.position) == len(names):
+        q = tuple(message.position)
+    else:
+        if (
+            len(message.name) != len(message.position)
+            or set(message.name) != set(names)
+            or len(message.name) != len(names)
+        ):
+            found = f"joint state names {message.name}, {len(message.position)} positions"
+            raise PayloadError("names", f"{found}; expected {list(names)}")
+        by_name = dict(zip(message.name, message.position))
+        q = tuple(by_name[name] for name in names)
+    if not all(map(math.isfinite, q)):
+        raise _not_finite(q)
+    return q
+
+
+def _not_finite(q: tuple[float, ...]) -> PayloadError:
+    return PayloadError("values", f"joint state with positions {q}; expected finite numbers")
+
+
+class JointPublisher:
+    """Publishes poses of one robot on one topic.
+
+    Parameters
+    ----------
+    topic : str
+    names : tuple of str
+        The robot's joint names.
+    kind : type, optional
+        `sensor_msgs/JointState` or `construction_twin/Feedback`.
+    """
+
+    def __init__(self, topic: str, names: tuple[str, ...], kind: type = JointState):
+        self._publisher = Publisher(topic, kind, queue_size=QUEUE, tcp_nodelay=True)
+        self._message = PoseMessage(kind, names)
+
+    def publish(self, stamp: int, q: tuple[float, ...], seq: int = 0, command_stamp: int = 0) -> None:
+        """Publish a pose [rad] with its stamp [ns]; as feedback also with the gateway's counter and the command's stamp [ns]."""
+        self._publisher.publish(self._message.sent(stamp, q, seq, command_stamp))
+
+
+class JointSubscriber:
+    """Hands a topic's poses to a callback; counts what is refused.
+
+    Parameters
+    ----------
+    topic : str
+    names : tuple of str
+    callback : callable
+        Called as ``callback(stamp, q)`` with ns and rad; for feedback as ``callback(stamp, q, seq, command_stamp)``.
+    refused : callable
+        Called as ``refused(reason, sentence)`` for a message that is not used.
+    publisher : str, optional
+        Resolved name of the only node whose messages count (design, law 4).
+    queue_size : int, optional
+        Messages kept for a callback that is busy; of more the oldest are dropped.
+    kind : type, optional
+        `sensor_msgs/JointState` or `construction_twin/Feedback`.
+    pause : float, optional
+        How long to look away after each message [s]. With a `queue_size` of 1 the callback then gets the newest of what came in the
+        meantime, and nobody is woken up for the others.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        names: tuple[str, ...],
+        callback: Callable[..., None],
+        refused: Callable[[str, str], None],
+        publisher: str | None = None,
+        queue_size: int = QUEUE,
+        kind: type = JointState,
+        pause: float = 0.0,
+    ):
+        self._names = names
+        self._pause = pause
+        self._callback = callback
+        self._refused = refused
+        self._publisher = publisher
+        message = PoseMessage(kind, names).received
+        self._subscriber = rospy.Subscriber(topic, message, self._receive, queue_size=queue_size, tcp_nodelay=True)
+
+    def _receive(self, message) -> None:
+        caller = message._connection_header["callerid"]
+        if self._publisher is not None and caller != self._publisher:
+            topic = self._subscriber.resolved_name
+            self._refused("publisher", f"message from {caller}; only {self._publisher} may publish {topic}")
+            return
+        try:
+            # of another subscriber of this process, which was first, it has the class
+            content = getattr(message, "content", None) or self._read(message)
+            if not all(map(math.isfinite, content[1])):
+                raise _not_finite(content[1])
+        except PayloadError as error:
+            self._refused(error.reason, str(error))
+            return
+        self._callback(*content)
+        if self._pause:
+            # rospy reads on when this returns
+            time.sleep(self._pause)
+
+    def _read(self, message: JointState | Feedback) -> tuple:
+        content = from_time(message.header.stamp), joint_values(message, self._names)
+        if isinstance(message, Feedback):
+            return (*content, message.seq, from_time(message.command_stamp))
+        return content

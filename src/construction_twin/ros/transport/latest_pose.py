@@ -1,0 +1,84 @@
+"""The newest pose on a 250 Hz stream, for nodes that ask for it now and then."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+import rospy
+from sensor_msgs.msg import JointState
+
+from construction_twin.core.errors import PoseUnknownError
+from construction_twin.ros.transport.joint_stream import joint_values
+
+#: Between two looks at the socket while nobody asks [s]: of what has come in the meantime only the newest is kept.
+PAUSE = 0.1
+#: How long somebody who asks waits for what lies in the socket, or for the stream's next message [s].
+NEXT_MESSAGE = 0.01
+
+
+class LatestPose:
+    """Listens to a `sensor_msgs/JointState` topic, in bundles: waking up for every message would cost several times as much.
+
+    Parameters
+    ----------
+    topic : str
+    names : tuple of str
+        The robot's joint names.
+    """
+
+    def __init__(self, topic: str, names: tuple[str, ...]):
+        self._names = names
+        self._news = threading.Condition()
+        self._asked = threading.Event()
+        self._newest: tuple[float, rospy.AnyMsg] | None = None
+        self._looks = 0
+        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=1, tcp_nodelay=True)
+
+    def pose(self, oldest: float, patience: float = 0.0) -> tuple[float, ...]:
+        """Return the newest pose.
+
+        Parameters
+        ----------
+        oldest : float
+            Greatest age of its message, since reception [s].
+        patience : float, optional
+            How long to wait for one [s]: right after the start the first may still be on its way.
+
+        Returns
+        -------
+        q : tuple, shape (n,)
+            [rad], or [m] for linear joints, in the order of the names.
+
+        Raises
+        ------
+        PoseUnknownError
+            If there is none that is young enough.
+        PayloadError
+            If it does not hold exactly these joints with finite positions.
+        """
+        with self._news:
+            looks = self._looks
+            self._asked.set()
+            self._news.wait_for(lambda: self._looks > looks, NEXT_MESSAGE)
+            if not self._news.wait_for(lambda: self._age() <= oldest, patience):
+                raise PoseUnknownError(self._subscriber.resolved_name, self._age(), oldest)
+            _, message = self._newest
+        return joint_values(JointState().deserialize(message._buff), self._names)
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._subscriber.unregister()
+
+    def _receive(self, message: rospy.AnyMsg) -> None:
+        self._asked.clear()
+        with self._news:
+            self._newest = time.monotonic(), message
+            self._looks += 1
+            self._news.notify_all()
+        # rospy reads on when this returns
+        self._asked.wait(PAUSE)
+
+    def _age(self) -> float:
+        return math.inf if self._newest is None else time.monotonic() - self._newest[0]

@@ -1,0 +1,244 @@
+"""RSI telegrams as bytes, the gateway's side: reads `Rob` (controller to PC), writes `Sen` (PC to controller).
+
+The border where degrees and millimetres end: everything takes and returns rad and m. Axis values are in the order of the `axes`
+argument (wire names, "A1"..., "E1"...). Of a robot's joints nothing is known here; sign, offset and scale of an external axis are
+part of its `AxisUnit`. Telegrams are checked completely or refused: a value is never guessed. Standard library only, and fast
+enough for every 4 ms cycle: the gateway on the cell PC answers with it.
+
+The reasons of a refusal are listed in `telegram`; the other side of both is `controller_codec`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from construction_twin.core.errors import TelegramError
+from construction_twin.rsi.channels import (
+    attribute_template,
+    axis_units,
+    check_names,
+    check_values,
+    correction_channels,
+)
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, parse_sensor
+from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, AxisUnit, RsiLayout
+from construction_twin.rsi.telegram import (
+    MAX_TELEGRAM,
+    RobotTelegram,
+    SensorTelegram,
+    find_children,
+    is_number,
+    is_number_in_bytes,
+    read_count,
+    read_document,
+    read_ipoc,
+    read_number,
+)
+from construction_twin.rsi.telegram_cache import TelegramShape, is_count
+
+__all__ = [
+    "CORRECTION_DECIMALS", "MAX_TELEGRAM", "RobotDecoder", "RobotEncoder", "RobotTelegram", "SensorDecoder", "SensorEncoder",
+    "SensorTelegram", "parse_robot", "parse_sensor",
+]  # fmt: skip
+
+#: Decimals of a degree or mm in a correction, as every known driver sends them (rsi.md section 3).
+CORRECTION_DECIMALS = 6
+#: Telegrams between two looks for a shape. One whose text changes from telegram to telegram has none, and looking costs as
+#: much as reading it.
+LOOK_AGAIN = 250
+
+
+class RobotDecoder:
+    """Reads controller packets of one configuration.
+
+    Parameters
+    ----------
+    axes : tuple of str, length n
+        Axes to read, in the order wanted.
+    units : tuple of AxisUnit, length n, optional
+        Default: every axis turns, and is in the controller's own units.
+    """
+
+    def __init__(self, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()):
+        units = axis_units(axes, units)
+        self._scale = [(unit.reading_factor, unit.zero) for unit in units]
+        external = [axis in EXTERNAL_AXES for axis in axes]
+        self._measured_blocks = _blocks("AIPos", "EIPos", external)
+        self._setpoint_blocks = _blocks("ASPos", "ESPos", external)
+        #: Per axis: which of the blocks, and the attribute in it.
+        self._slots = [(int(out and not all(external)), axis) for out, axis in zip(external, axes)]
+        self._wanted = frozenset((*self._measured_blocks, *self._setpoint_blocks, "Delay", "IPOC"))
+        positions = [
+            (blocks[block], axis)
+            for blocks in (self._measured_blocks, self._setpoint_blocks)
+            for block, axis in self._slots
+        ]
+        self._in_shape = (*positions, ("Delay", "D"))
+        self._shape: TelegramShape | None = None
+        self._look_in = 0
+        self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
+
+    def parse(self, data: bytes) -> RobotTelegram:
+        """Read a controller packet.
+
+        The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal.
+
+        Parameters
+        ----------
+        data : bytes
+            One datagram.
+
+        Returns
+        -------
+        telegram : RobotTelegram
+            Positions in rad and m.
+
+        Raises
+        ------
+        TelegramError
+            With the reason (see `telegram`) when anything read is not as the protocol says.
+        """
+        known = self._shape and self._of_shape(data)
+        if known:
+            return known
+        found = find_children(read_document(data, "Rob"), self._wanted)
+        delay = found.get("Delay")
+        telegram = RobotTelegram(
+            read_ipoc(found),
+            self._positions(found, self._measured_blocks),
+            self._positions(found, self._setpoint_blocks),
+            None if delay is None else read_count(delay.get("D"), "Delay D", "number"),
+        )
+        if self._look_in:
+            self._look_in -= 1
+        else:
+            self._learn(data, telegram)
+        return telegram
+
+    def _learn(self, data: bytes, telegram: RobotTelegram) -> None:
+        self._look_in = LOOK_AGAIN
+        self._shape = TelegramShape.of(data, self._in_shape)
+        if self._shape and self._of_shape(data) != telegram:
+            # the same words stand elsewhere too, e.g. in an element of an element
+            self._shape = None
+
+    def _of_shape(self, data: bytes) -> RobotTelegram | None:
+        """Read a telegram that looks like the last one; None when it does not, or when it is to be refused."""
+        found = self._shape.read(data)
+        if found is None:
+            return None
+        ipoc, (*texts, delay) = found
+        if not is_count(delay) or not all(map(is_number_in_bytes, texts)):
+            return None
+        count = len(self._scale)
+        if texts[count:] != self._setpoint[0]:
+            # it is the same for as long as the controller is only corrected
+            self._setpoint = texts[count:], self._si(texts[count:])
+        return RobotTelegram(ipoc, self._si(texts[:count]), self._setpoint[1], int(delay))
+
+    def _si(self, texts: list) -> tuple[float, ...]:
+        return tuple([float(text) * factor - zero for text, (factor, zero) in zip(texts, self._scale)])
+
+    def _positions(self, found: dict, blocks: tuple[str, ...]) -> tuple[float, ...] | None:
+        elements = [found.get(block) for block in blocks]
+        if None in elements:
+            if elements.count(None) == len(elements):
+                return None
+            missing = blocks[elements.index(None)]
+            raise TelegramError("element", f"the telegram has no {missing}, but another block of the same kind")
+        texts = [elements[block].get(axis) for block, axis in self._slots]
+        for text in texts:
+            if text is None or not is_number(text):
+                for block, axis in self._slots:
+                    read_number(elements[block], axis)
+        return self._si(texts)
+
+
+def _blocks(robot: str, external: str, is_external: list[bool]) -> tuple[str, ...]:
+    if not any(is_external):
+        return (robot,)
+    return (external,) if all(is_external) else (robot, external)
+
+
+class SensorEncoder:
+    """Writes replies of one configuration; everything that stays the same is prepared once.
+
+    Parameters
+    ----------
+    sentype : str
+        The SENTYPE of the controller's Ethernet configuration.
+    axes : tuple of str, length n
+        Axis names, in the order of the corrections.
+    receive : tuple of str, optional
+        Channels in the order of the Ethernet XML, see `RsiLayout`; default: `AK` and `EK`, no `Stop`.
+    units : tuple of AxisUnit, length n, optional
+        Default: every axis turns, and is in the controller's own units.
+
+    Raises
+    ------
+    ConfigurationError
+        If a name cannot stand in a telegram, or the channels are not those of the axes.
+    """
+
+    def __init__(
+        self, sentype: str, axes: tuple[str, ...], receive: tuple[str, ...] = (), units: tuple[AxisUnit, ...] = ()
+    ):
+        receive = correction_channels(axes, receive)
+        check_names("SENTYPE", (sentype,))
+        self._count = len(axes)
+        order = [axes.index(channel.partition(".")[2]) for channel in receive if channel != STOP]
+        factors = [unit.correction_factor for unit in axis_units(axes, units)]
+        self._order = [(index, factors[index]) for index in order]
+        self._templates = {stop: _reply(sentype, receive, stop) for stop in (None, False, True)}
+
+    @classmethod
+    def of(cls, layout: RsiLayout, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()) -> SensorEncoder:
+        """Return the encoder for an Ethernet XML's replies."""
+        return cls(layout.sentype, axes, layout.receive, units)
+
+    def encode(self, correction: Sequence[float], ipoc: int, stop: bool | None = None) -> bytes:
+        """Write one reply.
+
+        Parameters
+        ----------
+        correction : sequence of float, length n
+            Axis corrections [rad] ([m] for a linear axis).
+        ipoc : int
+            IPOC of the packet being answered.
+        stop : bool, optional
+            Content of the `Stop` element. Default None: 0 where the element is declared, else no element.
+
+        Returns
+        -------
+        data : bytes
+            The datagram: fixed point, six decimals of a degree or mm, never ``-0.000000``.
+
+        Raises
+        ------
+        TelegramError
+            If a correction is missing or not finite.
+        """
+        check_values("correction", correction, self._count)
+        values = [correction[index] * factor for index, factor in self._order]
+        return (self._templates[stop] % (*values, ipoc)).replace(b'"-0.000000"', b'"0.000000"')
+
+
+def parse_robot(data: bytes, axes: tuple[str, ...]) -> RobotTelegram:
+    """Read one controller packet of a robot whose axes all turn; `RobotDecoder` is for every cycle."""
+    return RobotDecoder(axes).parse(data)
+
+
+def _reply(sentype: str, receive: tuple[str, ...], stop: bool | None) -> bytes:
+    """Return the template of a reply; the channels of one element stand together, where its first channel does."""
+    elements: dict[str, list[str]] = {}
+    if stop is not None and STOP not in receive:
+        elements[STOP] = []
+    for channel in receive:
+        element, _, axis = channel.partition(".")
+        elements.setdefault(element, []).append(axis)
+    flag = f"<{STOP}>{int(bool(stop))}</{STOP}>"
+    body = "".join(
+        flag if name == STOP else f"<{name} {attribute_template(axes, CORRECTION_DECIMALS)}/>"
+        for name, axes in elements.items()
+    )
+    return f'<Sen Type="{sentype}">{body}<IPOC>%d</IPOC></Sen>'.encode()

@@ -1,0 +1,96 @@
+"""Whether what the gateway really sent lies inside the limits: a check of its trace, cycle by cycle. Standard library only; rad.
+
+It judges the sequence of replies, not what the controller made of it: a reply that is lost or late is the network's doing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from construction_twin.core.limits import RANGE_SLACK, MotionLimits
+from construction_twin.core.units import CYCLE
+from construction_twin.gateway.states import State
+from construction_twin.gateway.trace import TraceEntry
+
+#: After more missed telegrams than one the gateway takes the arm to be standing, and begins from rest [ms].
+_STANDSTILL_MS = 8
+#: Room for the last bits of differences of floating point numbers, as a share of a limit.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Excess:
+    """A cycle in which a limit was left.
+
+    Attributes
+    ----------
+    index : int
+        Of the entry.
+    ipoc : int
+        [ms]
+    axis : str
+    kind : str
+        ``range``, ``velocity`` or ``acceleration``.
+    value, limit : float
+        [rad], [rad/s] or [rad/s^2]; the limit with the format's allowance.
+    """
+
+    index: int
+    ipoc: int
+    axis: str
+    kind: str
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        return f"entry {self.index}, IPOC {self.ipoc}: {self.axis} {self.kind} {self.value:.6g}; limit {self.limit:.6g}"
+
+
+#: States in which the gateway adds nothing to what the controller's own program does.
+_LED = (State.READY, State.ARMED)
+
+
+def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals: int) -> list[Excess]:
+    """Return every place where a trace leaves the limits; empty when it stays inside.
+
+    Each reply is one step from the one before. An RSI session begins at rest; so does what follows two or more unanswered
+    telegrams, because HOLDON has stopped the arm by then.
+
+    Parameters
+    ----------
+    entries : iterable of TraceEntry
+    limits : MotionLimits
+        Of the axes, in the trace's order.
+    decimals : int
+        Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
+    """
+    allowances = limits.allowances(decimals)
+    velocity = [v + allowance * CYCLE / 2 for v, allowance in zip(limits.velocity, allowances)]
+    acceleration = [a + allowance for a, allowance in zip(limits.acceleration, allowances)]
+    rest = (0.0,) * len(limits.names)
+    found: list[Excess] = []
+    last: TraceEntry | None = None
+    step = rest
+    for index, entry in enumerate(entries):
+        if last is None or entry.session != last.session:
+            last, step = entry, rest
+        if entry.ipoc - last.ipoc > _STANDSTILL_MS:
+            step = rest
+        new = tuple([q - before for q, before in zip(entry.position, last.position)])
+        if entry.state in _LED:
+            # the pose follows the controller's own motion: what it does, and what it does in a missed cycle, is not the gateway's
+            new = step = rest
+        for axis, q in enumerate(entry.position):
+            name = limits.names[axis]
+            if not limits.lower[axis] - RANGE_SLACK <= q <= limits.upper[axis] + RANGE_SLACK:
+                end = limits.upper[axis] if q > limits.upper[axis] else limits.lower[axis]
+                found.append(Excess(index, entry.ipoc, name, "range", q, end))
+            speed = new[axis] / CYCLE
+            if abs(speed) > velocity[axis] * (1 + _ROUNDING):
+                found.append(Excess(index, entry.ipoc, name, "velocity", speed, velocity[axis]))
+            change = (new[axis] - step[axis]) / CYCLE**2
+            if abs(change) > acceleration[axis] * (1 + _ROUNDING):
+                found.append(Excess(index, entry.ipoc, name, "acceleration", change, acceleration[axis]))
+        last, step = entry, new
+    return found

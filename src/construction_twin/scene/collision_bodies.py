@@ -1,0 +1,259 @@
+"""Bodies for the collision checks: a robot's links and a scene's objects as shapes of Pinocchio and Coal.
+
+Metres; poses in the root of the URDF's tree, where Pinocchio has its world (`RobotBodies.root_T_base` leads there).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import pinocchio
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.mesh_file import parse_mesh
+from construction_twin.scene.objects import SceneObject, read_mesh_file
+
+#: A closed mesh is convex when no vertex lies further outside one of its faces than this share of its size.
+_CONVEX_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Body:
+    """One shape, rigidly fixed to a joint.
+
+    Attributes
+    ----------
+    owner : str
+        Name of the link or of the scene object.
+    link : str
+        The link it belongs to or is carried by; empty: it stands in the world.
+    joint : int
+        Pinocchio's index of the joint that moves it; 0: nothing does.
+    placement : pinocchio.SE3
+        Of the shape in the joint's frame.
+    geometry : coal.CollisionGeometry
+    item : SceneObject, optional
+        None for a link of the robot.
+    """
+
+    owner: str
+    link: str
+    joint: int
+    placement: pinocchio.SE3
+    geometry: coal.CollisionGeometry
+    item: SceneObject | None = None
+
+
+class RobotBodies:
+    """A robot's joints and collision shapes. Joints outside ``robot.joint_names`` are locked at zero.
+
+    Parameters
+    ----------
+    robot : RobotModel
+
+    Attributes
+    ----------
+    robot : RobotModel
+    model : pinocchio.Model
+    order : array of int, shape (n,)
+        Place of each of ``robot.joint_names`` in Pinocchio's configuration.
+    bodies : tuple of Body
+    root_T_base : pinocchio.SE3
+    link_joints : dict of str to int
+        The joint that moves each link; 0: nothing does.
+    strokes : array, shape (n,)
+        Largest absolute value of each joint, Pinocchio's order [rad] or [m].
+
+    Raises
+    ------
+    ConfigurationError
+        If Pinocchio cannot read the URDF or one of its meshes.
+    """
+
+    def __init__(self, robot: RobotModel):
+        self.robot = robot
+        try:
+            full = pinocchio.buildModelFromXML(robot.urdf)
+            shapes = pinocchio.buildGeomFromUrdfString(full, robot.urdf, pinocchio.GeometryType.COLLISION)
+        except (ValueError, RuntimeError) as error:
+            raise ConfigurationError(
+                "robot_description", str(error), "a URDF with readable collision shapes"
+            ) from error
+        wanted = set(robot.joint_names)
+        locked = [index for index, name in enumerate(full.names) if index and name not in wanted]
+        self.model, shapes = pinocchio.buildReducedModel(full, shapes, locked, pinocchio.neutral(full))
+        self.order = np.array([self.model.joints[self.model.getJointId(name)].idx_q for name in robot.joint_names])
+        self.strokes = np.zeros(len(self.order))
+        self.strokes[self.order] = np.maximum(np.abs(robot.lower), np.abs(robot.upper))
+        frames = self.model.frames
+        self.link_joints = {frame.name: frame.parentJoint for frame in frames if frame.type == pinocchio.FrameType.BODY}
+        base = frames[self.model.getFrameId(robot.base_link)]
+        self.root_T_base = base.placement
+        self.bodies = tuple(
+            Body(frames[shape.parentFrame].name, frames[shape.parentFrame].name, shape.parentJoint, shape.placement, shape.geometry)
+            for shape in shapes.geometryObjects
+        )  # fmt: skip
+
+    def link_pose(self, q: Sequence[float], link: str) -> Pose:
+        """Return a link's pose in the base_link.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            [rad] or [m], order of ``robot.joint_names``.
+        link : str
+
+        Raises
+        ------
+        SceneError
+            If the robot has no such link.
+        """
+        if link not in self.link_joints:
+            raise SceneError("a link's name", link, f"a link of the robot: {sorted(self.link_joints)}")
+        values = np.zeros(len(self.order))
+        values[self.order] = q
+        data = self.model.createData()
+        pinocchio.framesForwardKinematics(self.model, data, values)
+        frame = data.oMf[self.model.getFrameId(link, pinocchio.FrameType.BODY)]
+        base_T_link = self.root_T_base.inverse() * frame
+        return Pose(base_T_link.translation.copy(), base_T_link.rotation.copy())
+
+    def place(self, item: SceneObject, objects: Collection[str] = ()) -> Body:
+        """Return the body of a scene object.
+
+        Parameters
+        ----------
+        item : SceneObject
+        objects : collection of str, optional
+            Names of the objects of its scene, which it may name in `touch`.
+
+        Raises
+        ------
+        SceneError
+            If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
+        """
+        links = sorted(self.link_joints)
+        if item.link and item.link not in links:
+            raise SceneError(f"object {item.name!r} link", item.link, f"a link of the robot: {links}")
+        others = sorted(set(objects) - {item.name})
+        for name in item.touch:
+            if name not in links and name not in others:
+                expected = f"a link of the robot: {links}, or another object of the scene: {others}"
+                raise SceneError(f"object {item.name!r} touch", name, expected)
+        if item.name in self.link_joints:
+            raise SceneError("an object's name", item.name, "a name that no link of the robot has")
+        pose = pinocchio.SE3(item.pose.rotation, item.pose.position)
+        geometry = scene_geometry(item)
+        if not item.link:
+            return Body(item.name, "", 0, self.root_T_base * pose, geometry, item)
+        frame = self.model.frames[self.model.getFrameId(item.link, pinocchio.FrameType.BODY)]
+        return Body(item.name, item.link, frame.parentJoint, frame.placement * pose, geometry, item)
+
+
+def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
+    """Return the shape of a scene object, centred in the object's frame.
+
+    A closed convex mesh is solid. Any other mesh is a surface: an arm wholly inside of it is not seen.
+
+    Raises
+    ------
+    SceneError
+        If its mesh file has changed since the object was made, or cannot be used: see `mesh_file.parse_mesh`.
+    """
+    if item.shape == "box":
+        return coal.Box(*item.size)
+    if item.shape == "cylinder":
+        return coal.Cylinder(*item.size)
+    if item.shape == "sphere":
+        return coal.Sphere(*item.size)
+    return _mesh(item)
+
+
+def _mesh(item: SceneObject) -> coal.CollisionGeometry:
+    where = f"object {item.name!r} mesh"
+    contents = read_mesh_file(item.name, item.mesh)
+    if hashlib.sha256(contents).hexdigest() != item.mesh_digest:
+        raise SceneError(
+            where, item.mesh, "the file that the object was made with; it has changed, add the object again"
+        )
+    vertices, triangles = parse_mesh(where, item.mesh, contents, item.size)
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), len(vertices))
+    mesh.addVertices(vertices)
+    mesh.addTriangles(triangles)
+    mesh.endModel()
+    if is_convex(*mesh_triangles(mesh)):
+        try:
+            mesh.buildConvexHull(True, "Qt")
+        except RuntimeError as error:
+            # Qhull's own message is about its source
+            raise SceneError(where, item.mesh, "a closed convex mesh that has a volume") from error
+        return mesh.convex
+    return mesh
+
+
+def mesh_triangles(mesh: coal.BVHModelBase) -> tuple[np.ndarray, np.ndarray]:
+    """Return a mesh's vertices, shape (v, 3) [m], and triangles, shape (t, 3): equal vertices are one."""
+    vertices, merged = np.unique(np.round(mesh.vertices(), 9), axis=0, return_inverse=True)
+    triangles = np.array(
+        [[triangle[0], triangle[1], triangle[2]] for triangle in map(mesh.tri_indices, range(mesh.num_tris))]
+    )
+    return vertices, merged.reshape(-1)[triangles]
+
+
+def is_convex(vertices: np.ndarray, triangles: np.ndarray) -> bool:
+    """Return whether triangles make a closed convex body.
+
+    Parameters
+    ----------
+    vertices : array, shape (v, 3)
+        [m]
+    triangles : array of int, shape (t, 3)
+    """
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, uses = np.unique(edges, axis=0, return_counts=True)
+    if not (uses == 2).all():
+        return False
+    size = np.ptp(vertices, axis=0).max()
+    first, second, third = (vertices[triangles[:, corner]] for corner in range(3))
+    normals = np.cross(second - first, third - first)
+    lengths = np.linalg.norm(normals, axis=1)
+    real = lengths > _CONVEX_TOLERANCE * size**2
+    normals, first = normals[real] / lengths[real, None], first[real]
+    # one side of every face is empty; which one depends on how the file turns its triangles
+    offsets = np.einsum("ij,ij->i", normals, first)
+    for start in range(0, len(normals), 256):
+        sides = normals[start : start + 256] @ vertices.T - offsets[start : start + 256, None]
+        if (np.minimum(sides.max(axis=1), -sides.min(axis=1)) > _CONVEX_TOLERANCE * size).any():
+            return False
+    return True
+
+
+def shape_contents(geometry: coal.CollisionGeometry) -> list:
+    """Return a shape's kind and numbers, rounded to 1e-9, for a hash.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is a kind that no URDF can hold.
+    """
+    if isinstance(geometry, coal.Box):
+        numbers = geometry.halfSide
+    elif isinstance(geometry, (coal.Cylinder, coal.Capsule)):
+        numbers = (geometry.radius, geometry.halfLength)
+    elif isinstance(geometry, coal.Sphere):
+        numbers = (geometry.radius,)
+    elif isinstance(geometry, coal.BVHModelBase):
+        numbers = geometry.vertices().ravel()
+    else:
+        raise ConfigurationError(
+            "robot_description collision shape", type(geometry).__name__, "a box, cylinder, sphere or mesh"
+        )
+    return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]

@@ -1,0 +1,322 @@
+"""Does the arm touch itself or anything in the scene, and how far is it from doing so? Pinocchio and Coal.
+
+Joint values in rad (m for linear joints), in the order of ``robot.joint_names``; points in the robot's base_link [m].
+A world answers for the scene it was built from; a changed scene needs a new one (`CollisionWorld.with_scene`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Clearance
+from construction_twin.scene.collision_bodies import Body, RobotBodies
+from construction_twin.scene.distance_bounds import body_levers, levers, smallest
+from construction_twin.scene.neighbour import Obstacle
+from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.self_collision import SelfCollision
+
+#: Pinocchio's broad phases: every box against every box is the fastest for few bodies, a tree for many.
+_FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
+_MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
+_MANY_BODIES = 128
+#: With another arm in the world most bodies stand still: one box for all that moves together comes first.
+_WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Two bodies that touch, or are closer than the padding.
+
+    Attributes
+    ----------
+    between : tuple of str, length 2
+        A link or a carried object first, then a link or an object.
+    """
+
+    between: tuple[str, str]
+
+
+class CollisionWorld:
+    """A robot among the objects of a scene.
+
+    Checked are: links against links, without the pairs that `self_collision` leaves out (contact: distance 0 or less);
+    moving links against objects, and carried objects against standing ones (contact: distance within the scene's padding
+    plus the larger padding of the objects); carried objects against links, without those that move with them. Not
+    checked are an object and what it names in `touch`. Links and objects that do not move are not checked against each
+    other: the pedestal stands on the floor.
+
+    Not for use from several threads at once: it works in buffers of its own.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    scene : Scene
+    self_collision : SelfCollision
+        The pairs of links that are not checked.
+
+    Attributes
+    ----------
+    robot : RobotModel
+    scene : Scene
+    self_collision : SelfCollision
+
+    Raises
+    ------
+    ConfigurationError
+        If the robot's shapes cannot be read.
+    SceneError
+        If the scene names links or objects that do not exist, or a mesh cannot be used.
+    """
+
+    def __init__(self, robot: RobotModel, scene: Scene, self_collision: SelfCollision):
+        self._build(RobotBodies(robot), scene, self_collision)
+
+    def with_scene(self, scene: Scene) -> CollisionWorld:
+        """Return a world with the same robot in another scene; quicker than to build it anew."""
+        world = object.__new__(CollisionWorld)
+        world._build(self._robot_bodies, scene, self.self_collision)
+        return world
+
+    def with_neighbour(self, obstacles: Iterable[Obstacle]) -> CollisionWorld:
+        """Return a world with the same robot and scene, and another arm in it; the scene's version stays the same.
+
+        Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
+        obstacle's); what stands in the world is not.
+
+        Parameters
+        ----------
+        obstacles : iterable of Obstacle
+            Replace those of before.
+        """
+        world = object.__new__(CollisionWorld)
+        world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles))
+        return world
+
+    def _build(
+        self,
+        robot_bodies: RobotBodies,
+        scene: Scene,
+        self_collision: SelfCollision,
+        own: tuple[Body, ...] | None = None,
+        obstacles: tuple[Obstacle, ...] = (),
+    ) -> None:
+        self.robot = robot_bodies.robot
+        self.scene = scene
+        self.self_collision = self_collision
+        self._robot_bodies = robot_bodies
+        if own is None:
+            own = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
+        self._own = own
+        met, met_pairs = self._meetings(own, obstacles)
+        self._bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in met)
+        self._pairs = pairs = checked_pairs(own, scene.padding, self_collision) + met_pairs
+        self._names = [(self._bodies[first].owner, self._bodies[second].owner) for first, second, _ in pairs]
+        self._model = robot_bodies.model
+        self._geometry = pinocchio.GeometryModel()
+        for index, body in enumerate(self._bodies):
+            shape = pinocchio.GeometryObject(f"{index}", body.joint, body.placement, body.geometry)
+            self._geometry.addGeometryObject(shape)
+        for first, second, _ in pairs:
+            self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
+        self._data = self._model.createData()
+        self._geometry_data = self._geometry.createData()
+        _forget_past_answers(self._geometry_data)
+        for request, (_, _, margin) in zip(self._geometry_data.collisionRequests, pairs):
+            request.security_margin = margin
+        order = robot_bodies.order
+        self._q = np.zeros(len(order))
+        # the usual order needs no index list, which would cost as much as a check of a few pairs
+        self._order = slice(None) if (order == np.arange(len(order))).all() else order
+        # whole configurations in, one call per question: boxes around the bodies first, shapes only where the boxes meet
+        manager = _WITH_NEIGHBOUR if met else _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
+        self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
+
+    def _meetings(
+        self, own: tuple[Body, ...], obstacles: tuple[Obstacle, ...]
+    ) -> tuple[list[Obstacle], list[tuple[int, int, float]]]:
+        """Return the obstacles that any moving body can reach, and the pairs that can meet, as of `checked_pairs`."""
+        if not obstacles:
+            return [], []
+        _, reaches = body_levers(self._robot_bodies, own, self._robot_bodies.strokes)
+        moving = np.array([body.joint > 0 for body in own])
+        paddings = self.scene.padding + np.array([body.item.padding if body.item is not None else 0.0 for body in own])
+        met, pairs = [], []
+        for item in obstacles:
+            margins = paddings + item.padding
+            near = np.flatnonzero(moving & (item.distance <= np.array(reaches) + margins))
+            pairs += [(int(first), len(own) + len(met), float(margins[first])) for first in near]
+            met += [item] if len(near) else []
+        return met, pairs
+
+    def is_free(self, q: Sequence[float]) -> bool:
+        """Return whether nothing touches: the fast question, it ends at the first contact.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            [rad] or [m]; an array is the fastest. Not checked against the ranges.
+        """
+        self._q[self._order] = q
+        return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
+
+    def contact(self, q: Sequence[float]) -> Contact | None:
+        """Return a pair that touches, or None where `is_free`; parameters as there."""
+        for result in self._geometry_data.collisionResults:
+            result.clear()
+        if self.is_free(q):
+            return None
+        for names, result in zip(self._names, self._geometry_data.collisionResults):
+            if result.isCollision():
+                return Contact(names)
+        raise AssertionError("a contact without a pair")
+
+    def contacts(self, q: Sequence[float]) -> list[Contact]:
+        """Return every pair of names that touches; slower than `contact`; parameters as there."""
+        self._q[self._order] = q
+        pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
+        results = zip(self._names, self._geometry_data.collisionResults)
+        return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
+
+    def object_pose(self, q: Sequence[float], name: str) -> Pose:
+        """Return an object's pose in the base_link, at joint values `q` when a link carries it.
+
+        Raises
+        ------
+        SceneError
+            If the scene has no such object.
+        """
+        item = self.scene.get(name)
+        return product(self.link_pose(q, item.link), item.pose) if item.link else item.pose
+
+    def link_pose(self, q: Sequence[float], link: str) -> Pose:
+        """Return a link's pose in the base_link; see `RobotBodies.link_pose`."""
+        return self._robot_bodies.link_pose(q, link)
+
+    def all_free(self, qs: np.ndarray) -> int | None:
+        """Return the first row that is in contact, None when none is.
+
+        Parameters
+        ----------
+        qs : array, shape (m, n)
+            [rad] or [m]
+        """
+        for row, q in enumerate(qs):
+            if not self.is_free(q):
+                return row
+        return None
+
+    def clearance(self, q: Sequence[float]) -> Clearance:
+        """Return the smallest distance of a checked pair, the padding not taken off.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            [rad] or [m]
+
+        Returns
+        -------
+        clearance : Clearance
+            Negative where two bodies are in each other; inf when no pair is checked.
+        """
+        if not self._pairs:
+            return Clearance(np.inf)
+        return self._clearance(self._measure(q))
+
+    def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, int]:
+        """Return the smallest distance over many poses, and the row where it is.
+
+        Neighbouring rows should be close to each other: then only few distances need to be measured, see `sweep`.
+
+        Parameters
+        ----------
+        qs : array, shape (m, n)
+            m >= 1; [rad] or [m]
+
+        Returns
+        -------
+        clearance : Clearance
+            As of `clearance`, within 1e-6 m; its time is 0.
+        row : int
+        """
+        if not self._pairs:
+            return Clearance(np.inf), 0
+        rows = np.empty(np.shape(qs))
+        rows[:, self._order] = qs
+        factors = levers(self._robot_bodies, self._bodies, self._pairs, np.abs(rows).max(axis=0))
+        steps = np.abs(np.diff(rows, axis=0)) @ factors
+        travel = np.vstack([np.zeros(len(self._pairs)), np.cumsum(steps, axis=0)])
+
+        def measure(row: int, pair: int) -> float:
+            pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, rows[row])
+            return pinocchio.computeDistance(self._geometry, self._geometry_data, pair).min_distance
+
+        row, pair = smallest(travel, lambda row: self._distances(qs[row]), measure)
+        measure(row, pair)
+        return self._clearance(pair), row
+
+    def _measure(self, q: Sequence[float]) -> int:
+        """Measure every pair; return the closest one."""
+        self._q[self._order] = q
+        return pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, self._q)
+
+    def _distances(self, q: Sequence[float]) -> np.ndarray:
+        self._measure(q)
+        return np.array([result.min_distance for result in self._geometry_data.distanceResults])
+
+    def _clearance(self, pair: int) -> Clearance:
+        """Return what was measured last for a pair."""
+        result = self._geometry_data.distanceResults[pair]
+        point = self._robot_bodies.root_T_base.actInv(result.getNearestPoint1())
+        return Clearance(float(result.min_distance), self._names[pair], tuple(map(float, point)))
+
+
+def _forget_past_answers(data: pinocchio.GeometryData) -> None:
+    """Start no search where the last one ended: an answer depends on the pose alone, not on those asked for before."""
+    with warnings.catch_warnings():
+        # the replacement of this switch has no effect while it is on, and it is on by default
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for request in (*data.collisionRequests, *data.distanceRequests):
+            request.enable_cached_gjk_guess = False
+
+
+def checked_pairs(
+    bodies: Sequence[Body], padding: float, self_collision: SelfCollision
+) -> list[tuple[int, int, float]]:
+    """Return the pairs of bodies that must not touch, and the distance below which they do.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        A robot's, then a scene's.
+    padding : float
+        The scene's [m].
+    self_collision : SelfCollision
+
+    Returns
+    -------
+    pairs : list of (int, int, float)
+        Indices into `bodies`, the one named first in reports first; margin [m].
+    """
+    pairs = []
+    for second, other in enumerate(bodies):
+        for first, one in enumerate(bodies[:second]):
+            if one.joint == other.joint:
+                continue
+            if other.item is None:
+                if not self_collision.ignores(one.owner, other.owner):
+                    pairs.append((first, second, 0.0))
+            elif one.item is None:
+                if one.owner not in other.item.touch:
+                    pair = (second, first) if other.link else (first, second)
+                    pairs.append((*pair, padding + other.item.padding))
+            elif not ({other.owner, other.link} & set(one.item.touch) or {one.owner, one.link} & set(other.item.touch)):
+                pair = (first, second) if one.link else (second, first)
+                pairs.append((*pair, padding + max(one.item.padding, other.item.padding)))
+    return pairs

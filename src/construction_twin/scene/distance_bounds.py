@@ -1,0 +1,137 @@
+"""The smallest of many distances without measuring them all: between two poses a distance cannot change by more than the
+bodies move. Metres and radians; rows of joint values in Pinocchio's order.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from construction_twin.scene.collision_bodies import Body, RobotBodies
+
+#: How far a measured distance may be off [m]: Coal's own tolerance.
+TOLERANCE = 1e-6
+#: Rows between two that are measured for every pair before the search begins.
+_STRIDE = 64
+
+
+def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], strokes: np.ndarray) -> np.ndarray:
+    """Return how far the bodies of a pair can move against each other when a joint moves by one unit.
+
+    Parameters
+    ----------
+    robot : RobotBodies
+    bodies : sequence of Body
+    pairs : sequence of tuple
+        Their first two entries are indices into `bodies`.
+    strokes : array, shape (n,)
+        Largest absolute value of each joint, Pinocchio's order; used for the linear ones [m].
+
+    Returns
+    -------
+    levers : array, shape (n, p)
+        [m/rad], or 1 for linear joints; Pinocchio's order.
+    """
+    model = robot.model
+    per_body, _ = body_levers(robot, bodies, strokes)
+    ancestors = [_joints_below(robot, body) for body in bodies]
+    result = np.zeros((model.nq, len(pairs)))
+    for column, (first, second, *_) in enumerate(pairs):
+        # a joint below both bodies moves them together
+        between = sorted(ancestors[first] ^ ancestors[second])
+        result[between, column] = per_body[between, first] + per_body[between, second]
+    return result
+
+
+def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """Return how far any point of a body can move when a joint moves by one unit, and how far from the root it can be.
+
+    Parameters
+    ----------
+    robot : RobotBodies
+    bodies : sequence of Body
+    strokes : array, shape (n,)
+        As of `levers`.
+
+    Returns
+    -------
+    levers : array, shape (n, b)
+        [m/rad], or 1 for linear joints; Pinocchio's order. 0 for a joint that does not move the body.
+    reaches : list of float, length b
+        Largest distance of any point of it from the root, whatever the joints do [m].
+    """
+    model = robot.model
+    per_body = np.zeros((model.nq, len(bodies)))
+    reaches = []
+    for column, body in enumerate(bodies):
+        body.geometry.computeLocalAABB()
+        centre = body.placement.act(np.array(body.geometry.aabb_center))
+        distance = float(np.linalg.norm(centre)) + body.geometry.aabb_radius
+        joint = body.joint
+        while joint:
+            index = model.joints[joint].idx_q
+            linear = model.joints[joint].shortname().startswith("JointModelP")
+            per_body[index, column] = 1.0 if linear else distance
+            distance += float(np.linalg.norm(model.jointPlacements[joint].translation)) + linear * strokes[index]
+            joint = model.parents[joint]
+        reaches.append(distance)
+    return per_body, reaches
+
+
+def _joints_below(robot: RobotBodies, body: Body) -> set[int]:
+    """Return the places, in Pinocchio's configuration, of the joints that move a body."""
+    model, joint, places = robot.model, body.joint, set()
+    while joint:
+        places.add(model.joints[joint].idx_q)
+        joint = model.parents[joint]
+    return places
+
+
+def smallest(
+    travel: np.ndarray, measure_row: Callable[[int], np.ndarray], measure: Callable[[int, int], float]
+) -> tuple[int, int]:
+    """Find the smallest distance of all pairs in all rows.
+
+    Parameters
+    ----------
+    travel : array, shape (m, p)
+        For each pair how far its bodies have moved against each other, at most, from the first row to each [m].
+    measure_row : callable
+        Returns the distances of all pairs in a row, shape (p,) [m].
+    measure : callable
+        Returns the distance of one pair in one row [m]: ``measure(row, pair)``.
+
+    Returns
+    -------
+    row, pair : int
+        Where it is. No other is smaller by more than `TOLERANCE`.
+    """
+    rows = np.unique(np.linspace(0, len(travel) - 1, 1 + -(-len(travel) // _STRIDE)).astype(int))
+    known = np.array([measure_row(int(row)) for row in rows])
+    at, pair = np.unravel_index(np.argmin(known), known.shape)
+    best, best_row, best_pair = known[at, pair], int(rows[at]), int(pair)
+    # what a pair's distance can be between two measured rows, at least
+    bounds = (known[:-1] + known[1:] - np.diff(travel[rows], axis=0)) / 2
+    heap = [
+        (bounds[gap, pair], int(rows[gap]), int(rows[gap + 1]), int(pair), known[gap, pair], known[gap + 1, pair])
+        for gap, pair in np.argwhere(bounds < best - TOLERANCE)
+    ]
+    heapq.heapify(heap)
+    while heap and heap[0][0] < best - TOLERANCE:
+        _, low, high, pair, at_low, at_high = heapq.heappop(heap)
+        if high - low < 2:
+            continue
+        moved = travel[:, pair]
+        # the row where the bounds from both ends meet
+        meet = (moved[low] + moved[high] + at_low - at_high) / 2
+        row = int(np.searchsorted(moved[low + 1 : high - 1], meet)) + low + 1
+        distance = measure(row, pair)
+        if distance < best:
+            best, best_row, best_pair = distance, row, pair
+        for start, end, first, second in ((low, row, at_low, distance), (row, high, distance, at_high)):
+            bound = (first + second - (moved[end] - moved[start])) / 2
+            if bound < best - TOLERANCE:
+                heapq.heappush(heap, (bound, start, end, pair, first, second))
+    return best_row, best_pair

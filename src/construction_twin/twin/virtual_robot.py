@@ -1,0 +1,119 @@
+"""The kinematic twin: executes commands exactly, after it has taken over the arm's pose.
+
+Pure; angles in rad, linear joints in m, stamps in ns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from construction_twin.core.limits import MotionLimits, outside_tolerance
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.twin.mirror import MirrorTwin
+
+#: The first command may differ this much from the pose taken over (design, law 5): joints that turn [rad], linear ones [m].
+START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
+#: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
+SILENCE = NANOSECONDS // 4
+
+
+class VirtualRobot:
+    """A robot that is where it was told to be.
+
+    Parameters
+    ----------
+    home : tuple, shape (n,) or None
+        Pose to start at [rad], [m]; None waits for `take_over`, so that a twin of a physical arm never shows a pose it made up.
+    linear : sequence of bool, shape (n,), optional
+        Which joints are linear; default: none.
+    """
+
+    def __init__(self, home: tuple[float, ...] | None, linear: Sequence[bool] = ()):
+        tolerances = tuple(START_TOLERANCE_LINEAR if slides else START_TOLERANCE for slides in linear)
+        self._tolerance = tolerances if any(linear) else START_TOLERANCE
+        self.pose: tuple[float, ...] | None = home
+        self.stamp = 0
+        self._executing = False
+        self._mirror: MirrorTwin | None = None
+
+    @property
+    def mirrors(self) -> bool:
+        """True while the arm leads and the twin follows it."""
+        return self._mirror is not None
+
+    def restart(self) -> None:
+        """Forget the pose and wait for the next `take_over`."""
+        self.pose, self.stamp, self._executing, self._mirror = None, 0, False, None
+
+    def begin_mirror(self, limits: MotionLimits) -> None:
+        """Follow the arm from the present pose on; nothing while no pose is held. Commands are refused until the end."""
+        if self.pose is not None and self._mirror is None:
+            self._mirror, self._executing = MirrorTwin(limits, self.pose), False
+
+    def end_mirror(self) -> None:
+        """Stand still at the present pose; commands count again."""
+        self._mirror = None
+
+    def follow(self, stamp: int, q: tuple[float, ...]) -> bool:
+        """Follow the arm's measured pose [rad] with its stamp [ns]; return whether the twin took a step; only while it mirrors."""
+        pose = self._mirror and self._mirror.follow(stamp, q)
+        if not pose:
+            return False
+        self.pose = pose
+        return True
+
+    def take_over(self, q: tuple[float, ...]) -> bool:
+        """Take the physical arm's pose [rad] if none is held; return whether it was taken."""
+        if self.pose is not None:
+            return False
+        self.pose = q
+        return True
+
+    def execute(self, stamp: int, q: tuple[float, ...]) -> bool:
+        """Execute a command; return whether it was executed.
+
+        Refused is a command while no pose is held, one that is not newer than the last, and a first one away from the pose taken
+        over: it belongs to the stream before the restart, still on its way.
+        """
+        if self.pose is None or stamp <= self.stamp or self._mirror is not None:
+            return False
+        if not self._executing and outside_tolerance(q, self.pose, self._tolerance) is not None:
+            return False
+        self.pose, self.stamp, self._executing = q, stamp, True
+        return True
+
+
+class TwinClock:
+    """Decides which stamps the twin's poses are published with: those of its commands, and the clock's while there are none.
+
+    Stamps always increase. A command whose stamp is not newer than what was published (it was delayed by more than `SILENCE`)
+    is executed, but its stamp belongs to the past and is not published.
+    """
+
+    def __init__(self):
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything; the clock may be another."""
+        self._published = 0
+        self._heard: int | None = None
+
+    def on_command(self, stamp: int, now: int) -> bool:
+        """Take a command that was executed, by stamp and reception [ns]; return whether to publish its pose with its stamp."""
+        self._heard = now
+        return self._is_newer(stamp)
+
+    def on_cycle(self, now: int) -> bool:
+        """Return whether to publish the held pose with the stamp `now` [ns]: no command came yet, or the stream fell silent."""
+        return (self._heard is None or now - self._heard >= SILENCE) and self._is_newer(now)
+
+    def idle(self, now: int) -> int:
+        """Return for how long `on_cycle` says no, unless all is forgotten meanwhile [ns]; at most `SILENCE`."""
+        return 0 if self._heard is None else min(max(self._heard + SILENCE - now, 0), SILENCE)
+
+    def _is_newer(self, stamp: int) -> bool:
+        if stamp <= self._published:
+            return False
+        self._published = stamp
+        return True

@@ -1,0 +1,186 @@
+"""The words of the command line `twin`: its commands, options and exit codes. Angles in deg and lengths in mm, as people say them.
+
+Standard library only, so that the shell's completion costs nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import enum
+import math
+
+from construction_twin.views.completion import bash_completion
+
+#: How long a service or a topic may stay silent before the command gives up [s].
+TIMEOUT = 5.0
+
+
+class Exit(enum.IntEnum):
+    """What the command's exit code says; `docs/interface.md` lists them for scripts."""
+
+    DONE = 0
+    #: The system has refused; its sentence is on standard error.
+    REFUSED = 1
+    #: The command line does not make sense.
+    USAGE = 2
+    #: No ROS master, no robot of this name, or a node that does not answer.
+    SILENT = 3
+    #: `--wait`: the motion ended, but not at its goal.
+    NOT_FINISHED = 4
+    #: `approve`: the person said no, or there is nobody to ask.
+    NOT_CONFIRMED = 5
+    #: The command was interrupted; a motion goes on.
+    INTERRUPTED = 130
+
+
+def parser(robot: str) -> argparse.ArgumentParser:
+    """Return the parser of the whole command line.
+
+    Parameters
+    ----------
+    robot : str
+        Namespace of the robot when none is given.
+    """
+    root = argparse.ArgumentParser(
+        prog="twin",
+        description="Plan, review and watch the motions of one robot and its twin. Angles in deg, lengths in mm.",
+        epilog="exit codes: 0 done, 1 refused, 2 usage, 3 no system answers, 4 motion not finished, 5 not confirmed",
+    )
+    root.add_argument("--completion", choices=["bash"], action=_Completion, help="print the shell's completion and end")
+    common = argparse.ArgumentParser(add_help=False)
+    # given before or after the command; only the first of the two has a default
+    for target, default, seconds in ((root, robot, TIMEOUT), (common, argparse.SUPPRESS, argparse.SUPPRESS)):
+        target.add_argument("--robot", default=default, metavar="NAMESPACE", help=f"which robot [{robot}]")
+        target.add_argument(
+            "--timeout",
+            default=seconds,
+            type=_positive,
+            metavar="S",
+            help=f"wait so long for the system [{TIMEOUT:g} s]",
+        )
+    commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        return commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", parents=[common])
+
+    _add_plan(command("plan", "have a motion planned for review; nothing moves"))
+    _add_pace(command("home", "have a motion to the home pose planned for review; nothing moves"))
+    command("show", "show the plan under review")
+    preview = command("preview", "let the ghost play the plan under review")
+    preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
+    _add_approve(command("approve", "approve the plan under review: it starts"))
+    reject = command("reject", "reject the plan under review")
+    _add_reviewer(reject)
+    command("stop", "brake on the path and take the plan off the desk")
+    command("pause", "rest on the path")
+    command("resume", "go on along the path after a pause")
+    command("reset", "after a fault: new session, the twin takes the arm's pose")
+    status = command("status", "say what link, gate and executor do")
+    status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
+    _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
+    return root
+
+
+def _add_plan(plan: argparse.ArgumentParser) -> None:
+    goal = plan.add_mutually_exclusive_group(required=True)
+    goal.add_argument(
+        "--joints", type=_finite, nargs="+", metavar="VALUE", help="joint values, A1 first [deg; mm for a linear joint]"
+    )
+    goal.add_argument(
+        "--pose",
+        type=_finite,
+        nargs=6,
+        metavar=("X", "Y", "Z", "A", "B", "C"),
+        help="pose of tool0: position [mm] and KUKA's angles [deg]",
+    )
+    goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
+    plan.add_argument("--line", action="store_true", help="with --pose: move the tool on a straight line")
+    plan.add_argument(
+        "--frame", default="", metavar="FRAME", help="with --pose: tf frame of the pose [the robot's base]"
+    )
+    plan.add_argument(
+        "--configuration", default="", metavar="WORDS", help='with --pose, without --line: e.g. "front up positive"'
+    )
+    plan.add_argument("--tool-speed", type=_positive, metavar="MM_S", help="with --line: speed of the tool [mm/s]")
+    _add_pace(plan)
+
+
+def _add_pace(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--speed", type=_share, metavar="PERCENT", help="share of the velocity limits [the planner's]")
+    command.add_argument("--duration", type=_positive, metavar="S", help="duration [as short as the speed allows]")
+
+
+def _add_reviewer(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "plan_id", nargs="?", default="", help="id of the plan, or its beginning [the one under review]"
+    )
+    command.add_argument("--reviewer", default="", metavar="NAME", help="who decides [the user's name]")
+    command.add_argument("--reason", default="", metavar="TEXT", help="kept with the verdict")
+
+
+def _add_approve(approve: argparse.ArgumentParser) -> None:
+    _add_reviewer(approve)
+    approve.add_argument("--yes", action="store_true", help="do not ask")
+    approve.add_argument("--wait", action="store_true", help="wait until the motion has ended")
+
+
+def _add_watch(watch: argparse.ArgumentParser) -> None:
+    watch.add_argument("--once", action="store_true", help="print one picture and end")
+    watch.add_argument("--rate", type=_rate, default=4.0, metavar="HZ", help="pictures per second, at most 10 [4]")
+
+
+def check(options: argparse.Namespace) -> str:
+    """Return what does not fit together in a parsed `plan`, as a sentence; empty when it fits."""
+    if options.command != "plan":
+        return ""
+    for name in ("line", "frame", "configuration"):
+        if getattr(options, name) and not options.pose:
+            return f"--{name} belongs to --pose"
+    if options.tool_speed and not options.line:
+        return "--tool-speed belongs to --line"
+    if options.configuration and options.line:
+        return "--configuration does not go with --line: the tool goes on in the arm's present configuration"
+    if options.duration and (options.line or options.csv):
+        return f"--duration does not go with {'--line' if options.line else '--csv'}"
+    return ""
+
+
+class _Completion(argparse.Action):
+    """Prints the completion of the parser it belongs to, and ends."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        print(bash_completion(parser), end="")
+        parser.exit(Exit.DONE)
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _finite(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
+    return value
+
+
+def _percent(text: str) -> float:
+    """Return a speed as a factor."""
+    return _positive(text) / 100.0
+
+
+def _share(text: str) -> float:
+    value = _percent(text)
+    if value > 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is above 100 percent")
+    return value
+
+
+def _rate(text: str) -> float:
+    value = _positive(text)
+    if value > 10.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is above 10 per second")
+    return value

@@ -1,0 +1,173 @@
+"""What a reviewer sees of a plan before approving it: a ghost that plays it, its tool path, and what was measured on it.
+
+Pure; joint values in rad (m for a linear joint), times in s on any clock that never runs back, points in the robot's base
+frame [m].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.core.errors import ReviewError
+from construction_twin.robot.plan import Plan
+
+#: How long a ghost that plays again and again rests at the goal [s].
+LOOP_REST = 0.5
+#: Spacing of the points of the drawn tool path [s], and the most of them.
+PATH_SPACING = 0.02
+PATH_POINTS = 1000
+#: How far above the tool path the text begins [m].
+TEXT_HEIGHT = 1.25
+
+
+class Preview:
+    """Which plan is shown, and where the ghost is.
+
+    A ghost that is not asked to play hides inside the twin. One that has reached the goal stays there until the plan is decided.
+
+    Attributes
+    ----------
+    plan : Plan or None
+        The plan that is shown: under review, or approved and not at its end.
+    """
+
+    def __init__(self):
+        self.plan: Plan | None = None
+        self._twin: tuple[float, ...] | None = None
+        self._playing: tuple[float, float, bool] | None = None
+        self._approved: set[str] = set()
+        self._over: set[str] = set()
+
+    @property
+    def under_review(self) -> Plan | None:
+        """The plan that can be played."""
+        return None if self.plan is None or self.plan.id in self._approved else self.plan
+
+    def on_plan(self, plan: Plan) -> None:
+        """Show a plan in place of the one before, unless it was decided already."""
+        if plan.id not in self._over and (self.plan is None or self.plan.id != plan.id):
+            self.plan, self._playing = plan, None
+
+    def on_verdict(self, plan_id: str, approved: bool) -> None:
+        """Take a verdict: an approved plan stays drawn until its execution ends, any other disappears."""
+        if not approved:
+            self.on_ending(plan_id)
+            return
+        self._approved.add(plan_id)
+        if self.plan is not None and self.plan.id == plan_id:
+            self._playing = None
+
+    def on_ending(self, plan_id: str) -> None:
+        """Take the end of a plan: it is no longer shown."""
+        self._over.add(plan_id)
+        if self.plan is not None and self.plan.id == plan_id:
+            self.plan = self._playing = None
+
+    def on_twin(self, q: tuple[float, ...]) -> None:
+        """Take the twin's pose [rad]."""
+        self._twin = q
+
+    def play(self, speed: float, loop: bool, now: float) -> str:
+        """Let the ghost play the plan under review from its start; return one sentence.
+
+        Parameters
+        ----------
+        speed : float
+            1: as fast as the plan; 0 ends the preview.
+        loop : bool
+            Play it again and again.
+        now : float
+            [s]
+
+        Raises
+        ------
+        ReviewError
+            When the speed makes no sense or no plan is under review.
+        """
+        if not 0.0 <= speed < math.inf:
+            raise ReviewError(f"a preview at speed {speed} was asked for; expected a positive number, or 0 to end it")
+        if speed == 0.0:
+            self._playing = None
+            return "the preview has ended"
+        plan = self.under_review
+        if plan is None:
+            raise ReviewError("no plan is under review; plan first, then preview it")
+        self._playing = now, speed, loop
+        again = ", again and again" if loop else ""
+        return f"the ghost plays plan {plan.id} in {plan.trajectory.duration / speed:.3f} s{again}; nothing moves"
+
+    def pose(self, now: float) -> tuple[float, ...] | None:
+        """Return where the ghost is at `now` [s]; None while not even the twin's pose is known."""
+        if self._playing is None:
+            return self._twin
+        began, speed, loop = self._playing
+        trajectory, elapsed = self.plan.trajectory, now - began
+        if loop:
+            elapsed %= trajectory.duration / speed + LOOP_REST
+        return tuple(trajectory.sample(min(max(elapsed * speed, 0.0), trajectory.duration))[0].tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class PlanPicture:
+    """What is drawn of a plan.
+
+    Attributes
+    ----------
+    path : array, shape (m, 3)
+        Positions of the tool.
+    closest : tuple of float, length 3, or None
+        Where the arm comes closest to anything; None when there is nothing to touch.
+    text : str
+        Some lines for the reviewer.
+    text_at : tuple of float, length 3
+    """
+
+    path: np.ndarray
+    closest: tuple[float, float, float] | None
+    text: str
+    text_at: tuple[float, float, float]
+
+
+def picture(plan: Plan, tool_position: Callable[[np.ndarray], np.ndarray]) -> PlanPicture:
+    """Return what is to be drawn of a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    tool_position : callable
+        Returns the tool's position, shape (3,), for joint values, shape (n,).
+
+    Returns
+    -------
+    picture : PlanPicture
+    """
+    trajectory = plan.trajectory
+    points = min(max(math.ceil(trajectory.duration / PATH_SPACING) + 1, 2), PATH_POINTS)
+    poses = trajectory.sample_many(np.linspace(0.0, trajectory.duration, points))[0]
+    path = np.array([tool_position(q) for q in poses])
+    top = path[np.argmax(path[:, 2])]
+    clearance = plan.report.clearance
+    closest = clearance.point if math.isfinite(clearance.distance) else None
+    return PlanPicture(path, closest, describe(plan), (float(top[0]), float(top[1]), float(top[2]) + TEXT_HEIGHT))
+
+
+def describe(plan: Plan) -> str:
+    """Return the plan's duration, closest clearance and largest shares of the limits, some lines of text."""
+    clearance, shares = plan.report.clearance, plan.report.shares
+    lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
+    if math.isfinite(clearance.distance):
+        where = ", ".join(f"{value:.2f}" for value in clearance.point)
+        between = " to ".join(clearance.between)
+        lines.append(f"closest {clearance.distance:.3f} m, {between}, after {clearance.time:.2f} s at ({where}) m")
+    else:
+        lines.append("nothing to touch")
+    lines.append("largest share of velocity / acceleration / jerk:")
+    rows = zip(plan.trajectory.joint_names, shares.velocity, shares.acceleration, shares.jerk)
+    lines += [
+        f"{joint}: {velocity:.0%} / {acceleration:.0%} / {jerk:.0%}" for joint, velocity, acceleration, jerk in rows
+    ]
+    return "\n".join(lines)

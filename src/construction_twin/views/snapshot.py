@@ -1,0 +1,149 @@
+"""What the command line knows of one robot at one moment; values only, so that every text and picture can be made without ROS.
+
+SI; joint tuples in the order of `Snapshot.joints`. None stands for "not reported".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from construction_twin.robot.plan import Plan
+
+#: States in which a plan could be approved.
+READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
+
+
+@dataclass(frozen=True)
+class LinkFacts:
+    """The bridge's report; see Link.msg.
+
+    Attributes
+    ----------
+    text, reason, gateway_state : str
+    counters : Mapping of str to str
+        The gateway's, and what it says of its playout.
+    commands_refused, states_refused : int
+    """
+
+    text: str
+    reason: str
+    gateway_state: str = ""
+    counters: Mapping[str, str] = field(default_factory=dict)
+    commands_refused: int = 0
+    states_refused: int = 0
+
+
+@dataclass(frozen=True)
+class SyncFacts:
+    """The gate's report; see Sync.msg.
+
+    Attributes
+    ----------
+    text, reason, policy, comparison : str
+    errors, thresholds : tuple of float, length n
+        [rad], [m] for linear joints; empty while nothing is compared.
+    round_trip, servo_lag : float
+        [s]; nan when unknown.
+    violations : int
+    """
+
+    text: str
+    reason: str
+    policy: str = ""
+    comparison: str = ""
+    errors: tuple[float, ...] = ()
+    thresholds: tuple[float, ...] = ()
+    round_trip: float = float("nan")
+    servo_lag: float = float("nan")
+    violations: int = 0
+
+
+@dataclass(frozen=True)
+class ExecutionFacts:
+    """The executor's report; see Execution.msg.
+
+    Attributes
+    ----------
+    text, reason, plan_id, outcome : str
+    start, duration : float
+        Nominal time of the plan's first setpoint, 0 for none; its length [s].
+    rate, speed_limit : float
+        Share of the planned speed now, and the share that is allowed.
+    """
+
+    text: str
+    reason: str
+    plan_id: str = ""
+    outcome: str = ""
+    start: float = 0.0
+    duration: float = 0.0
+    rate: float = 0.0
+    speed_limit: float = 1.0
+
+    def progress(self, now: float) -> float | None:
+        """Return how much of a plan's time is over at `now` [s], 0 to 1; None while none is played at its own pace."""
+        if self.text != "PLAYING" or not self.start or self.duration <= 0.0:
+            return None
+        return min(1.0, max(0.0, (now - self.start) / self.duration))
+
+
+@dataclass(frozen=True)
+class NodeFacts:
+    """What a node says on `/diagnostics`: its name, the level (0 good, 1 warning, 2 error, 3 silent), one sentence."""
+
+    name: str
+    level: int
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One robot at one moment.
+
+    Attributes
+    ----------
+    robot : str
+        Namespace, without slashes.
+    now : float
+        ROS time [s].
+    joints : tuple of str, length n
+    linear : tuple of bool, length n
+    link, sync, execution : facts or None
+    plan : Plan or None
+        Under review.
+    rates : Mapping of str to float or None
+        Messages per second on the 250 Hz topics.
+    nodes : tuple of NodeFacts
+    silent : Mapping of str to float
+        How long ``link``, ``sync``, ``execution`` have been silent [s], of those that should have spoken.
+    """
+
+    robot: str
+    now: float
+    joints: tuple[str, ...]
+    linear: tuple[bool, ...]
+    link: LinkFacts | None = None
+    sync: SyncFacts | None = None
+    execution: ExecutionFacts | None = None
+    plan: Plan | None = None
+    rates: Mapping[str, float | None] = field(default_factory=dict)
+    nodes: tuple[NodeFacts, ...] = ()
+    silent: Mapping[str, float] = field(default_factory=dict)
+
+    def not_ready(self) -> list[str]:
+        """Return why no plan could be approved now, one sentence per reason; empty when one could.
+
+        A system without an arm (`arm:=none`) has no link, and needs none.
+        """
+        lacking = []
+        for name, wanted in READY.items():
+            facts = getattr(self, name)
+            if facts is None:
+                if name != "link":
+                    lacking.append(f"{name} is silent; expected {wanted}")
+            elif name in self.silent:
+                lacking.append(f"{name} has been silent for {self.silent[name]:.0f} s; expected {wanted}")
+            elif facts.text != wanted:
+                lacking.append(f"{name} is {facts.text}, expected {wanted}: {facts.reason}")
+        return lacking

@@ -1,0 +1,138 @@
+"""What rviz shows of the monitor: the physical arm's shapes in a colour by sync state, and a text when it is not in sync.
+
+Pure; metres, rad in, degrees and mm in the text for people.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.spatial.transform import Rotation
+from urdf_parser_py.urdf import Box, Cylinder, Mesh, Sphere
+
+from construction_twin.monitor.states import SyncState
+from construction_twin.robot.description import parse_urdf
+
+#: Red, green, blue, alpha of the physical arm by state. Fainter while it agrees: then the twin is what one looks at.
+COLOURS = {
+    SyncState.WAITING: (0.45, 0.5, 0.6, 0.35),
+    SyncState.IN_SYNC: (0.1, 0.75, 0.25, 0.2),
+    SyncState.HOLDING: (1.0, 0.8, 0.0, 0.6),
+    SyncState.REPLANNING: (0.55, 0.25, 0.95, 0.55),
+    SyncState.STALE: (0.25, 0.45, 0.95, 0.55),
+    SyncState.STOPPED: (0.9, 0.05, 0.1, 0.6),
+    SyncState.FAULT: (0.9, 0.05, 0.1, 0.6),
+}
+#: Longest line of the text.
+LINE_LENGTH = 70
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One visual shape of a link.
+
+    Attributes
+    ----------
+    link : str
+        Its pose is in this link's frame.
+    kind : str
+        ``mesh``, ``box``, ``cylinder`` or ``sphere``.
+    mesh : str
+        URI, for a mesh.
+    scale : tuple of float, length 3
+        Of the mesh, or the shape's extent along its axes [m].
+    position : tuple of float, length 3
+        [m]
+    quaternion : tuple of float, length 4
+        x, y, z, w
+    """
+
+    link: str
+    kind: str
+    mesh: str
+    scale: tuple[float, float, float]
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+def visual_shapes(urdf: str) -> tuple[Shape, ...]:
+    """Return a robot's visual shapes, in the order of the URDF.
+
+    Raises
+    ------
+    ConfigurationError
+        If the text is not a URDF.
+    """
+    return tuple(_shape(link.name, visual) for link in parse_urdf(urdf).links for visual in link.visuals)
+
+
+def _shape(link: str, visual) -> Shape:
+    geometry, origin = visual.geometry, visual.origin
+    position = (0.0, 0.0, 0.0) if origin is None else tuple(map(float, origin.xyz))
+    quaternion = (
+        (0.0, 0.0, 0.0, 1.0) if origin is None else tuple(Rotation.from_euler("xyz", origin.rpy).as_quat().tolist())
+    )
+    kind, mesh, scale = _geometry(geometry)
+    return Shape(link, kind, mesh, scale, position, quaternion)
+
+
+def _geometry(geometry: Mesh | Box | Cylinder | Sphere) -> tuple[str, str, tuple[float, float, float]]:
+    if isinstance(geometry, Mesh):
+        return "mesh", geometry.filename, tuple(map(float, geometry.scale or (1.0, 1.0, 1.0)))
+    if isinstance(geometry, Box):
+        return "box", "", tuple(map(float, geometry.size))
+    if isinstance(geometry, Cylinder):
+        return "cylinder", "", (2 * geometry.radius, 2 * geometry.radius, float(geometry.length))
+    return "sphere", "", (2 * geometry.radius,) * 3
+
+
+def headline(state: SyncState, reason: str, worst: str) -> str:
+    """Return the text above the arm; empty while twin and arm are in sync.
+
+    Parameters
+    ----------
+    state : SyncState
+    reason : str
+        `Sync.reason`.
+    worst : str
+        Of `worst_joint`; may be empty.
+    """
+    if state is SyncState.IN_SYNC:
+        return ""
+    return "\n".join([state.name.replace("_", " "), *_wrapped(reason), *([worst] if worst else [])])
+
+
+def worst_joint(
+    names: Sequence[str], errors: Sequence[float], thresholds: Sequence[float], linear: Sequence[bool]
+) -> str:
+    """Return which joint uses most of its threshold, and how much; empty when nothing was measured.
+
+    Parameters
+    ----------
+    names : sequence of str, length n
+    errors, thresholds : sequence of float, length n
+        Of `Sync` [rad], [m] for linear joints.
+    linear : sequence of bool, length n
+    """
+    rows = [
+        (error / threshold, name, error, threshold, straight)
+        for name, error, threshold, straight in zip(names, errors, thresholds, linear)
+        if threshold > 0 and math.isfinite(error)
+    ]
+    if not rows:
+        return ""
+    _, name, error, threshold, straight = max(rows)
+    unit, factor = ("mm", 1e3) if straight else ("deg", 180 / math.pi)
+    return f"{name} differs by {error * factor:.3f} {unit}, allowed {threshold * factor:.3f}"
+
+
+def _wrapped(text: str) -> list[str]:
+    lines: list[str] = []
+    for word in text.split():
+        if lines and len(lines[-1]) + 1 + len(word) <= LINE_LENGTH:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines

@@ -1,0 +1,97 @@
+"""Texts for people: plans, states and joint values, in deg and mm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+from construction_twin.views.snapshot import Snapshot
+
+
+def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
+    """Return a joint's value [rad, or m] with its unit for people: deg, or mm."""
+    return f"{value * 1e3:.{decimals}f} mm" if linear else f"{math.degrees(value):.{decimals}f} deg"
+
+
+def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
+    """Return what a reviewer has to know of a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    linear : sequence of bool, length n
+        Which joints are linear, in the plan's order.
+    """
+    trajectory, clearance = plan.trajectory, plan.report.clearance
+    names = trajectory.joint_names
+    goal = ", ".join(
+        f"{name} {joint_value(value, line)}" for name, value, line in zip(names, trajectory.positions[-1], linear)
+    )
+    closest = "nothing to touch"
+    if math.isfinite(clearance.distance):
+        between = " to ".join(clearance.between)
+        closest = f"{clearance.distance * 1e3:.0f} mm, {between}, after {clearance.time:.2f} s"
+    return [
+        f"plan       {plan.id}",
+        f"hash       {plan.hash}",
+        f"asked by   {plan.source}, made by {plan.planner} in {plan.planning_time:.2f} s",
+        f"duration   {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints",
+        f"clearance  {closest}",
+        f"limits     {_shares(plan)}",
+        f"goal       {goal}",
+    ]
+
+
+def _shares(plan: Plan) -> str:
+    shares, names = plan.report.shares, plan.trajectory.joint_names
+    parts = []
+    for quantity in ("velocity", "acceleration", "jerk"):
+        values = getattr(shares, quantity)
+        if values:
+            largest = max(range(len(values)), key=values.__getitem__)
+            parts.append(f"{quantity} {values[largest]:.0%} ({names[largest]})")
+    return "largest shares: " + ", ".join(parts) if parts else "not measured"
+
+
+def status_lines(snapshot: Snapshot) -> list[str]:
+    """Return the robot's states, one line each, and the plan under review."""
+    lines = [f"robot      {snapshot.robot}"]
+    for name in ("link", "sync", "execution"):
+        facts = getattr(snapshot, name)
+        lines.append(f"{name:10} {'no report' if facts is None else f'{facts.text}{because(facts.reason)}'}")
+    if snapshot.execution is not None and snapshot.execution.plan_id:
+        execution = snapshot.execution
+        lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or 'under way')}")
+    lines.append(f"review     {under_review(snapshot.plan)}")
+    lines += [f"{node.name}: {node.sentence}" for node in snapshot.nodes if node.level > 0]
+    return lines
+
+
+def under_review(plan: Plan | None) -> str:
+    """Return one line about the plan under review."""
+    if plan is None:
+        return "no plan waits"
+    return f"plan {plan.id} of {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
+
+
+def because(reason: str) -> str:
+    """Return a reason as the rest of a line; nothing for none."""
+    return f": {reason}" if reason else ""
+
+
+def range_sentence(joint: str, value: float, robot: RobotModel) -> str:
+    """Return how far a joint would have to go beyond its range, for people.
+
+    Parameters
+    ----------
+    joint : str
+    value : float
+        What it would have to be [rad, or m].
+    robot : RobotModel
+    """
+    number = robot.joint_names.index(joint)
+    linear = robot.linear[number]
+    needed, lower, upper = (joint_value(each, linear, 1) for each in (value, robot.lower[number], robot.upper[number]))
+    return f"{joint} would have to be {needed}; its range is {lower} to {upper}"

@@ -1,0 +1,77 @@
+"""A mock controller and a PC that answers as told, on a simulated clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from construction_twin.core.units import radians
+from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.servo import IdealServo
+from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
+from construction_twin.rsi.layout import RsiLayout
+
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+
+
+HOME = radians((0, -90, 90, 0, 90, 0))
+
+
+CONFIG = MockConfig(
+    axes=AXES,
+    start_pose=HOME,
+    lower=radians((-185, -140, -120, -350, -125, -350)),
+    upper=radians((185, -5, 155, 350, 125, 350)),
+    velocity=radians((123, 115, 120, 179, 172, 219)),
+    acceleration=radians((155.8, 134.2, 368.7, 998.8, 518.0, 492.1)),
+)
+
+
+ZERO = (0.0,) * 6
+
+
+PLAIN = RsiLayout.plain(AXES)
+
+
+NO_HOLDON = dataclasses.replace(PLAIN, holdon=(False,) * 6)
+
+
+WITH_STOP = dataclasses.replace(PLAIN, receive=("Stop", *PLAIN.receive), holdon=(False, *PLAIN.holdon))
+
+
+def forward_kinematics(angles):
+    """Stand-in with the right shape: the tool is where the first three axes say."""
+    return angles[:3], angles[3:]
+
+
+class Cell:
+    """A mock controller and a PC that answers as told."""
+
+    def __init__(self, servo=None, **changes):
+        self.config = dataclasses.replace(CONFIG, **changes)
+        self.mock = MockController(self.config, servo or IdealServo(3), forward_kinematics)
+        self.encoder = SensorEncoder.of(self.config.layout, AXES)
+        self.packets = []
+
+    def cycle(self, correction=None, ipoc_offset=0, encoder=None):
+        """Run one cycle; `correction` [rad] None: no reply. Returns the packet or None."""
+        data = self.mock.begin_cycle()
+        if data is None:
+            return None
+        packet = parse_robot(data, AXES)
+        self.packets.append(packet)
+        if correction is not None:
+            self.mock.receive((encoder or self.encoder).encode(correction, packet.ipoc + ipoc_offset))
+        return packet
+
+    def cycles(self, count, correction=ZERO):
+        return [self.cycle(correction) for _ in range(count)]
+
+
+def step(axis, degrees):
+    return tuple(math.radians(degrees) if index == axis else 0.0 for index in range(6))
+
+
+def assert_stopped(cell, reason):
+    assert cell.cycle(ZERO) is None
+    assert not cell.mock.running and cell.mock.reason.startswith(reason), cell.mock.reason

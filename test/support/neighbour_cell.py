@@ -1,0 +1,76 @@
+"""Two KR 120 beside each other, for the tests of the neighbour."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio
+from planning_cell import HOME, ROBOT, SELF_COLLISION
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.planning.timing import time_path
+from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.neighbour import Neighbour
+from construction_twin.scene.objects import Scene, SceneObject
+
+#: Of the other arm's root in ours: to the left, within reach of each other.
+BESIDE = Pose(np.array([0.0, 2.6, 0.0]), np.eye(3))
+#: Far beyond the reach of both.
+FAR = Pose(np.array([0.0, 12.0, 0.0]), np.eye(3))
+STEP = 0.2
+#: The other arm stretched out towards us, and turned away.
+TOWARDS = HOME + np.radians([90, 40, -40, 0, 0, 0])
+AWAY = HOME + np.radians([-90, 0, 0, 0, 0, 0])
+#: Our arm reaching to the other's side (A1 turns as KUKA's does, clockwise from above), and turned away.
+NEAR, CLEAR = HOME + np.radians([-60, 20, -20, 0, 0, 0]), HOME + np.radians([90, 40, -40, 0, 0, 0])
+#: The other arm, low and stretched out between A1 -20 deg and A1 -100 deg of ours.
+STRETCHED = HOME + np.radians([45, 75, -60, 0, 0, 0])
+
+
+@cache
+def other(place: str = "beside", step: float = STEP) -> Neighbour:
+    """Return the other arm."""
+    return Neighbour("other", ROBOT, {"beside": BESIDE, "far": FAR}[place], step)
+
+
+def line(start: np.ndarray, end: np.ndarray, count: int = 400) -> np.ndarray:
+    """Return a straight joint path, shape (count, n)."""
+    return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
+
+
+def empty_world(*objects: SceneObject) -> CollisionWorld:
+    return CollisionWorld(ROBOT, Scene(objects, 0.0), SELF_COLLISION)
+
+
+def body_points(place: Pose, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return points on the other arm's shapes in our root, by owner: made without the code that is tested."""
+    bodies = RobotBodies(ROBOT)
+    data = bodies.model.createData()
+    pinocchio.forwardKinematics(bodies.model, data, np.asarray(q)[np.argsort(bodies.order)])
+    root = pinocchio.SE3(place.rotation, place.position)
+    points: dict[str, list] = {}
+    for body in bodies.bodies:
+        body.geometry.computeLocalAABB()
+        pose = root * data.oMi[body.joint] * body.placement
+        points.setdefault(f"other/{body.owner}", []).append(pose.act(np.array(body.geometry.aabb_center)))
+    return {owner: np.array(found) for owner, found in points.items()}
+
+
+def plan(start: np.ndarray, end: np.ndarray, plan_id: str = "p1", duration: float = 4.0) -> Plan:
+    """Return a straight plan, checked against nothing."""
+    trajectory = time_path(np.array([start, end]), ROBOT, duration, 1.0, None, None)
+    shares = LimitShares(*([(0.5,) * 6] * 3))
+    return Plan(
+        plan_id,
+        trajectory.content_hash(),
+        "test",
+        "direct",
+        "0" * 64,
+        1,
+        0.1,
+        trajectory,
+        PlanReport(Clearance(1.0), shares, 0.1),
+    )

@@ -1,0 +1,29 @@
+"""Plans for tests: a trajectory in everything that a planner adds to it."""
+
+from __future__ import annotations
+
+import math
+
+from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.robot.trajectory import Trajectory
+
+
+def make_report(joints: int) -> PlanReport:
+    """Return what would be measured where there is nothing to touch; the shares differ from joint to joint."""
+    shares = [tuple(scale * (joint + 1) / joints for joint in range(joints)) for scale in (0.5, 0.6, 0.7)]
+    return PlanReport(Clearance(math.inf), LimitShares(*shares), 0.01)
+
+
+def make_plan(trajectory: Trajectory, plan_id: str = "p", scene: str = "s", created_ns: int = 0) -> Plan:
+    """Return a plan for a trajectory, as if checked against the scene with hash `scene` at `created_ns` [ns]."""
+    return Plan(
+        id=plan_id,
+        hash=trajectory.content_hash(),
+        source="test",
+        planner="none",
+        scene=scene,
+        created_ns=created_ns,
+        planning_time=0.0,
+        trajectory=trajectory,
+        report=make_report(len(trajectory.joint_names)),
+    )

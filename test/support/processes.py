@@ -1,0 +1,49 @@
+"""Real processes for tests: a broker on a free port, and waiting for conditions."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def wait_until(condition, timeout: float = 10.0, what: str = "the condition"):
+    """Return the first true value of `condition()`; fail after `timeout` [s]."""
+    deadline = time.monotonic() + timeout
+    while True:
+        value = condition()
+        if value:
+            return value
+        assert time.monotonic() < deadline, f"{what} did not come true within {timeout} s"
+        time.sleep(0.005)
+
+
+def listens(port: int) -> bool:
+    """Return whether somebody accepts TCP connections on this port of the loopback interface."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+class BrokerProcess:
+    """Debian's mosquitto with the project's configuration on a free port of the loopback interface."""
+
+    def __init__(self):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self._process = None
+
+    def start(self) -> None:
+        command = ["/usr/sbin/mosquitto", "-c", str(ROOT / "config" / "mosquitto.conf"), "-p", str(self.port)]
+        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        wait_until(lambda: listens(self.port), what="mosquitto listening")
+
+    def kill(self) -> None:
+        """End it as a power cut would."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait(5.0)
+            self._process = None

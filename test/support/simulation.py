@@ -1,0 +1,275 @@
+"""The whole chain in one process on a simulated clock: exact, reproducible, as fast as the processor allows.
+
+Executor, gate, twin, bridge, gateway and mock controller are the same objects that the nodes run; only sockets and clocks are
+replaced, by a queue of events in integer nanoseconds. This is where exact figures are asserted (design, law 6).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections import Counter
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import StateCheck
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
+from construction_twin.execution.approval import Approval
+from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.gateway import Gateway
+from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.mock.controller import MockController
+from construction_twin.mock.faults import FaultBoard
+from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
+from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import CommandProperties, StateProperties
+from construction_twin.review.queue import Verdict
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
+from construction_twin.twin.virtual_robot import VirtualRobot
+
+#: Simulated time begins here [ns]: stamps as large as real ones, so that rounding is as real.
+EPOCH = 1_790_000_000 * NANOSECONDS
+#: The supervisor is asked this often [ns], as in the bridge.
+POLL = 20_000_000
+#: The bridge's `max_state_age` [s].
+MAX_STATE_AGE = 0.1
+
+
+@dataclass(frozen=True)
+class SimulatedLink:
+    """Delays of the simulated network and the controller's phase.
+
+    Attributes
+    ----------
+    command_delay, state_delay : callable
+        Return the travel time of the next message [ns]. A command does not overtake another: MQTT runs over TCP.
+    phase : int
+        Offset of the controller's clock against the executor's grid [ns].
+    drift_ppm : float
+        By how much the executor's clock is faster than the controller's.
+    """
+
+    command_delay: Callable[[], int] = lambda: 300_000
+    state_delay: Callable[[], int] = lambda: 300_000
+    phase: int = 1_700_000
+    drift_ppm: float = 0.0
+
+
+class SimulatedChain:
+    """One robot, its twin and everything between them.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    config : GatewayConfig
+    controller : MockController
+    gate : GateSettings
+    link : SimulatedLink
+    planner : callable, optional
+        Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        config: GatewayConfig,
+        controller: MockController,
+        gate: GateSettings = GateSettings(),
+        link: SimulatedLink = SimulatedLink(),
+        planner: Callable[[tuple[float, ...], tuple[float, ...]], Plan] | None = None,
+    ):
+        self.robot = robot
+        self.now = EPOCH
+        self.controller = controller
+        #: The arm's faults; those of its network have no effect here, where a link has no datagrams.
+        self.faults = FaultBoard(controller, 0)
+        self.gateway = Gateway(config, "simulation")
+        self.executor = Executor(robot)
+        self.verdicts: list[Verdict] = []
+        self.codec = JointStringCodec.of(robot, config.decimals)
+        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH)
+        #: Changes of the gate's state, oldest first.
+        self.transitions: list[Transition] = []
+        self.planner = planner
+        self.twin = VirtualRobot(None, robot.linear)
+        ids = map(str, itertools.count(1))
+        self.supervisor = LinkSupervisor.of(config, lambda: next(ids))
+        #: What the gateway answered [rad]: (IPOC, correction).
+        self.corrections: list[tuple[int, tuple[float, ...]]] = []
+        self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
+        self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
+        #: Where the arm really was at the beginning of each of the controller's cycles [rad].
+        self.measured: list[tuple[int, tuple[float, ...]]] = []
+        self.commands_sent = 0
+        self.state_check = StateCheck(MAX_STATE_AGE)
+        self.states_refused: Counter[str] = Counter()
+        self._link = link
+        self._decoder = RobotDecoder(config.axes, config.units)
+        self._sensor = SensorEncoder.of(config.layout, config.axes, config.units)
+        self._session = ""
+        self._command_arrival = 0
+        self._first_cycle = EPOCH + CYCLE_NS + link.phase
+        self._controller_cycles = 0
+        self._events: list[tuple[int, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self.supervisor.on_connection(True)
+        self._at(EPOCH + CYCLE_NS, self._execute)
+        self._at(self._first_cycle, self._control)
+        self._at(EPOCH, self._supervise)
+
+    def run_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Let simulated time pass until `condition` holds; return False when it did not within `timeout` [s]."""
+        deadline = self.now + round(timeout * NANOSECONDS)
+        while not condition():
+            if self.now > deadline:
+                return False
+            self.now, _, action = heapq.heappop(self._events)
+            action()
+        return True
+
+    def run_for(self, duration: float) -> None:
+        """Let `duration` [s] of simulated time pass."""
+        end = self.now + round(duration * NANOSECONDS)
+        self.run_until(lambda: self.now >= end, duration + 1.0)
+
+    @property
+    def ready(self) -> bool:
+        """True when commands flow and the executor waits for a plan."""
+        return self.supervisor.state is LinkState.ARMED and self.executor.state is ExecutorState.IDLE
+
+    def play(self, plan: Plan) -> None:
+        """Put a plan on the desk and approve it, in the scene it was made for."""
+        self.executor.on_scene(plan.scene)
+        self.executor.offer(plan)
+        approval = Approval(self.executor, self.verdicts.append, nullcontext())
+        approval.review(plan.id, plan.hash, True, "simulation")
+
+    def recording(self) -> Recording:
+        """Return what a bag of this run would hold."""
+        stamps, poses = map(np.array, zip(*self.twin_poses))
+        received, measured, seq, command_stamps = map(np.array, zip(*self.feedback))
+        plan, names = self.executor.plan, self.robot.joint_names
+        played = (
+            ()
+            if plan is None
+            else (PlayedPlan(plan.id, self.executor.plan_start, plan.trajectory.duration, self.executor.outcome),)
+        )
+        return Recording(
+            robot=f"/{self.robot.name}",
+            joint_names=names,
+            twin=Stream(stamps, poses, stamps),
+            physical=Stream(received, measured, received),
+            feedback=FeedbackStream(received, measured, received, seq, command_stamps),
+            plans=played,
+        )
+
+    # -- events
+
+    def _at(self, time: int, action: Callable[[], None]) -> None:
+        heapq.heappush(self._events, (time, next(self._order), action))
+
+    def _execute(self) -> None:
+        """One cycle of executor, gate, twin and the bridge's sending half."""
+        stamp = self.now
+        self._at(stamp + CYCLE_NS, self._execute)
+        gate = self.gate
+        self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
+        theta_next = self.executor.step(stamp, stamp)
+        command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
+        self._note_transitions()
+        if command is not None and self.twin.execute(stamp, command):
+            self._send(stamp, command)
+        if self.twin.pose is not None:
+            self.twin_poses.append((stamp, self.twin.pose))
+            self.executor.on_twin(stamp, self.twin.pose, stamp)
+            self.gate.on_twin(stamp, self.twin.pose)
+
+    def _note_transitions(self) -> None:
+        """What the monitor does about each change: note it, and ask for a new plan, which then waits for review."""
+        for change in self.gate.take_transitions():
+            self.transitions.append(change)
+            asked = change.source is SyncState.IN_SYNC and self.executor.state is ExecutorState.PLAYING
+            if asked and self.gate.policy == REPLAN and self.planner is not None:
+                goal = tuple(self.executor.plan.trajectory.positions[-1].tolist())
+                if self.gate.on_replan("the planner was asked", self.now):
+                    self.executor.offer(self.planner(self.gate.held, goal))
+                    self.transitions += self.gate.take_transitions()
+
+    def _send(self, stamp: int, command: tuple[float, ...]) -> None:
+        if not self.supervisor.on_command(command, stamp):
+            return
+        self.commands_sent += 1
+        payload = self.codec.encode(command)
+        properties = CommandProperties(self.supervisor.session, self.commands_sent, stamp)
+        arrival = max(stamp + self._link.command_delay(), self._command_arrival)
+        self._command_arrival = arrival
+        self._at(arrival, lambda: self.gateway.on_command(payload, properties, arrival))
+
+    def _control(self) -> None:
+        """One cycle of the controller, and the gateway's answer to it."""
+        self._controller_cycles += 1
+        elapsed = round(self._controller_cycles * CYCLE_NS * (1.0 + self._link.drift_ppm * 1e-6))
+        self._at(self._first_cycle + elapsed, self._control)
+        self.faults.tick()
+        packet = self.controller.begin_cycle()
+        self.measured.append((self.now, self.controller.measured))
+        self.gateway.poll(self.now)
+        if packet is None:
+            return
+        telegram = self._decoder.parse(packet)
+        correction = self.gateway.on_telegram(telegram, "controller", self.now)
+        if correction is not None:
+            self.corrections.append((telegram.ipoc, correction))
+            self.controller.receive(self._sensor.encode(correction, telegram.ipoc, True if self.gateway.ends else None))
+        message = self.gateway.state_message(self.now)
+        if message is not None:
+            self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))
+
+    def _receive(self, payload: bytes, properties: StateProperties) -> None:
+        try:
+            self.state_check.accept(properties.seq, properties.stamp, self.now)
+        except PayloadError as error:
+            self.states_refused[error.reason] += 1
+            return
+        q = self.codec.decode(payload)
+        if not self.twin.follow(self.now, q):
+            self.twin.take_over(q)
+        self.supervisor.on_pose(q, self.now)
+        self.gate.on_physical(q, properties.command_stamp, self.now)
+        self._note_transitions()
+        self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
+
+    def _supervise(self) -> None:
+        self._at(self.now + POLL, self._supervise)
+        self.gate.watch(self.now)
+        self._note_transitions()
+        self.supervisor.on_status(self.gateway.status(), self.now)
+        control = self.supervisor.poll(self.now)
+        if control is not None:
+            ok, reason = self.gateway.on_control(control, self.now)
+            self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
+        if self.supervisor.session != self._session:
+            if self._session:
+                self.executor.restart("new command session", self.now)
+                self.gate.restart("new command session", self.now)
+                self._note_transitions()
+                if self.supervisor.state is not LinkState.MIRROR:
+                    self.twin.restart()
+            self._session = self.supervisor.session
+        mirrors = self.supervisor.state is LinkState.MIRROR
+        self.gate.mirror(mirrors, self.now)
+        if mirrors:
+            self.twin.begin_mirror(MotionLimits.of(self.robot))
+        else:
+            self.twin.end_mirror()
+        self.executor.on_link(self.supervisor.state is LinkState.ARMED, self.supervisor.reason)

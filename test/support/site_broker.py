@@ -1,0 +1,98 @@
+"""A site as make_site makes it, and the real mosquitto with its configuration, for the tests of security."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from paho.mqtt import client as paho
+from processes import ROOT, listens, wait_until
+
+from construction_twin.broker.access import Site
+from construction_twin.broker.make_site import SiteFolder
+from construction_twin.mqtt.account import Account, load_account
+from construction_twin.mqtt.client import Broker, make_client, unique_id
+
+HOSTS = ("localhost", "127.0.0.1")
+ROBOTS = ("one", "two")
+
+
+def free_ports() -> int:
+    """Return a port that is free together with the one above it."""
+    while True:
+        with socket.socket() as low, socket.socket() as high:
+            low.bind(("127.0.0.1", 0))
+            port = low.getsockname()[1]
+            if port < 65535 and high.connect_ex(("127.0.0.1", port + 1)):
+                try:
+                    high.bind(("127.0.0.1", port + 1))
+                except OSError:
+                    continue
+                return port
+
+
+class SiteBroker:
+    """A site in a folder, and its broker."""
+
+    def __init__(self, folder: Path, **changes):
+        self.folder = folder
+        settings = {"hosts": HOSTS, "robots": ROBOTS, "plc": True, "certificates": True, "listen": "127.0.0.1"}
+        self.site = Site(**(settings | {"port": free_ports(), "folder": str(folder / "broker")} | changes))
+        self.said = SiteFolder(folder).make(self.site)
+        self._process = None
+
+    def start(self) -> None:
+        command = [sys.executable, str(ROOT / "nodes/broker"), "--config", str(self.folder / "broker/mosquitto.conf")]
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for port in (self.site.port, self.site.port + 1)[: 1 + self.site.certificates]:
+            wait_until(lambda port=port: listens(port), what=f"mosquitto listening on {port}")
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait(5.0)
+            self._process = None
+
+    def account(self, name: str, kind: str = "account") -> Account:
+        return load_account(self.folder / "accounts" / name / f"{kind}.json")
+
+    def broker(self, account: Account | None, host: str = "localhost", **changes) -> Broker:
+        """Return where a client finds this broker, on the port for its kind of account."""
+        certificate = account is not None and bool(account.cert_file)
+        return Broker(host, self.site.port + certificate, account=account, **changes)
+
+
+class Listener:
+    """A client of the package's own make, served by paho's thread; keeps what it hears and how its publishes were answered."""
+
+    def __init__(self, broker: Broker, subscribe: str, name: str = "test"):
+        self.messages: list[tuple[str, bytes]] = []
+        self.answers: dict[int, object] = {}
+        self._ready = threading.Event()
+        self.client = make_client(broker, unique_id(name, "listener"), f"unused/{name}")
+        self.client.on_connect = lambda client, *_: client.subscribe(subscribe, 1)
+        self.client.on_subscribe = lambda *_: self._ready.set()
+        self.client.on_message = self._on_message
+        self.client.on_publish = self._on_publish
+        self.client.connect(broker.host, broker.port, broker.keepalive)
+        self.client.loop_start()
+        assert self._ready.wait(10.0), f"{name}: no answer to the subscription"
+
+    def _on_message(self, client, userdata, message: paho.MQTTMessage) -> None:
+        self.messages.append((message.topic, message.payload))
+
+    def _on_publish(self, client, userdata, mid, reason_code, properties) -> None:
+        self.answers[mid] = reason_code
+
+    def publish(self, topic: str, payload: bytes, retain: bool = False):
+        """Publish and return the broker's answer, a reason code."""
+        info = self.client.publish(topic, payload, qos=1, retain=retain)
+        wait_until(lambda: info.mid in self.answers, what=f"the broker's answer to a message on {topic}")
+        return self.answers.pop(info.mid)
+
+    def close(self) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()

@@ -1,0 +1,102 @@
+"""A LinkSupervisor with a scripted gateway, arm and command stream around it, on one simulated clock."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+
+from construction_twin.core.units import NANOSECONDS, last_digit
+from construction_twin.link.supervisor import LinkState, LinkSupervisor
+
+HASH, DECIMALS, RUN = "cafe", 3, "run1"
+TOLERANCE = math.radians(0.05)
+POSE = (0.1, 0.2)
+POLL = NANOSECONDS // 50
+FAULT = "refused: joint_a1: velocity check failed"
+SILENCE = "silence: no command for 0.104 s"
+STOP = "stop: asked for by somebody"
+
+
+def moved(distance: float) -> tuple[float, ...]:
+    return (POSE[0] + distance, POSE[1])
+
+
+class Bench:
+    """A supervisor, its clock, and what the world around it does in every poll."""
+
+    def __init__(self, mirrors: bool = False):
+        ids = map(str, itertools.count(1))
+        self.supervisor = LinkSupervisor(
+            HASH, DECIMALS, (TOLERANCE,) * len(POSE), (last_digit(DECIMALS),) * len(POSE), lambda: next(ids), mirrors
+        )
+        self.now = 100 * NANOSECONDS
+        self.gateway = {"state": "ready", "reason": "", "session": "", "run": RUN, "hash": HASH, "decimals": DECIMALS}
+        self.pose: tuple[float, ...] | None = POSE
+        self.command: tuple[float, ...] | None = POSE
+        self.answering = True
+        self.speaking = True
+        self.sent = []
+        self.forwarded = False
+        self.supervisor.on_connection(True)
+
+    @property
+    def state(self) -> LinkState:
+        return self.supervisor.state
+
+    def set_gateway(self, state: str, reason: str = "", **other) -> None:
+        self.gateway |= {"state": state, "reason": reason} | other
+
+    def poll(self):
+        self.now += POLL
+        if self.speaking:
+            self.supervisor.on_status(dict(self.gateway), self.now)
+        if self.pose is not None:
+            self.supervisor.on_pose(self.pose, self.now)
+        if self.command is not None:
+            self.forwarded = self.supervisor.on_command(self.command, self.now)
+        control = self.supervisor.poll(self.now)
+        if control is not None:
+            self.sent.append(control)
+            self._carry_out(control)
+        return control
+
+    def run(self, seconds: float) -> Bench:
+        for _ in range(round(seconds * 50)):
+            self.poll()
+        return self
+
+    def _carry_out(self, control) -> None:
+        """What the real gateway does with these verbs when nothing moves."""
+        if control.verb == "arm":
+            self.set_gateway("armed", "armed", session=control.session)
+        elif control.verb == "reset":
+            self.set_gateway("ready", "reset", session="", fault=False)
+        if self.answering:
+            self.answer(control)
+
+    def answer(self, control, ok: bool = True, reason: str = "") -> None:
+        self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
+
+    def refuse(self, control, reason: str) -> None:
+        self.answer(control, False, reason)
+
+    @property
+    def verbs(self) -> list[str]:
+        return [control.verb for control in self.sent]
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.fixture
+def armed(bench) -> Bench:
+    bench.run(1.0)
+    assert bench.state is LinkState.ARMED
+    bench.set_gateway("following", "stream began")
+    bench.run(1.0)
+    bench.sent.clear()
+    return bench

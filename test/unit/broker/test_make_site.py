@@ -1,0 +1,367 @@
+"""make_site: what one run makes, and that the next one replaces only what it is asked to."""
+
+from __future__ import annotations
+
+import json
+import re
+import ssl
+import stat
+import subprocess
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from construction_twin.broker import certificates
+from construction_twin.broker.certificates import Authority, expiry
+from construction_twin.broker.make_site import main
+from construction_twin.core.errors import ConfigurationError, SiteError
+from construction_twin.mqtt.account import load_account
+
+ROBOT = ["--robot", "kr120"]
+HOST = ["--host", "broker.example"]
+
+
+def make(folder: Path, *arguments: str) -> None:
+    assert main([str(folder), *arguments]) == 0
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    folder = tmp_path / "site"
+    make(folder, *HOST, "--host", "192.168.7.10", *ROBOT, "--certificates")
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def names_of(folder: Path) -> set[str]:
+    return {path.name for path in (folder / "accounts").iterdir()}
+
+
+def serial(certificate: Path) -> str:
+    command = ["openssl", "x509", "-in", certificate, "-noout", "-serial"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_makes_everything_a_site_needs(folder):
+    broker = {path.name for path in (folder / "broker").iterdir()}
+    assert broker == {"mosquitto.conf", "access.acl", "passwords", "ca.crt", "server.crt", "server.key"}
+    assert names_of(folder) == {"kr120-bridge", "kr120-gateway", "kr120-tablet", "kr120-viewer"}
+    assert {path.name for path in (folder / "accounts/kr120-bridge").iterdir()} == {
+        "account.json", "certificate.json", "ca.crt", "client.crt", "client.key", "password"
+    }  # fmt: skip
+
+
+def test_nobody_but_the_owner_may_look(folder):
+    for path in (folder, *folder.rglob("*")):
+        assert stat.S_IMODE(path.stat().st_mode) == (0o700 if path.is_dir() else 0o600), path
+
+
+def test_every_account_can_be_used_at_once(folder):
+    for path in (folder / "accounts").glob("*/*.json"):
+        account = load_account(path)
+        assert account.context().check_hostname
+        if account.user:
+            assert (account.user, len(account.password()) >= 32) == (path.parent.name, True)
+
+
+def test_no_two_passwords_are_the_same_and_the_broker_gets_none(folder):
+    passwords = [path.read_text().strip() for path in (folder / "accounts").glob("*/password")]
+    assert len(set(passwords)) == len(passwords) == 4
+    kept = "".join(path.read_text() for path in (folder / "broker").iterdir())
+    assert not any(password in kept for password in passwords)
+
+
+def test_no_secret_is_on_a_command_line_or_printed(tmp_path, monkeypatch, capsys):
+    lines = []
+    run = subprocess.run
+    monkeypatch.setattr(
+        certificates.subprocess, "run", lambda command, **o: (lines.append(command), run(command, **o))[1]
+    )
+    make(tmp_path / "site", *HOST, *ROBOT)
+    shown = capsys.readouterr().out + str(lines)
+    passwords = [path.read_text().strip() for path in (tmp_path / "site/accounts").glob("*/password")]
+    assert lines and len(passwords) == 4 and not any(password in shown for password in passwords)
+
+
+def test_a_second_run_changes_no_secret_and_no_certificate(folder):
+    before = contents(folder)
+    make(folder)
+    assert contents(folder) == before
+
+
+def test_a_robot_is_added_and_the_others_keep_what_they_have(folder):
+    before = contents(folder)
+    make(folder, "--robot", "kr121", "--plc")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"broker/access.acl", "broker/passwords", "site.json"}
+    assert names_of(folder) == {
+        *(
+            f"{robot}-{role}"
+            for robot in ("kr120", "kr121")
+            for role in ("bridge", "gateway", "tablet", "viewer", "plc")
+        )
+    }
+    assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
+
+
+def test_a_name_is_added_to_the_broker_s_certificate_but_its_key_stays(folder):
+    before = contents(folder)
+    make(folder, "--host", "broker-2.example")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"broker/server.crt", "site.json"}
+    text = subprocess.run(
+        ["openssl", "x509", "-in", folder / "broker/server.crt", "-noout", "-ext", "subjectAltName"],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    assert "DNS:broker.example, IP Address:192.168.7.10, DNS:broker-2.example" in text
+
+
+def test_renewing_signs_the_same_keys_anew(folder):
+    before = contents(folder)
+    old = serial(folder / "broker/server.crt")
+    make(folder, "--renew", "--days", "30")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"broker/server.crt", *(f"accounts/{name}/client.crt" for name in names_of(folder))}
+    assert serial(folder / "broker/server.crt") != old
+    left = expiry(folder / "broker/server.crt") - datetime.now(UTC)
+    assert timedelta(days=29, hours=23) < left <= timedelta(days=30)
+
+
+def test_a_lost_tablet_gets_a_new_password_and_key_alone(folder, capsys):
+    before = contents(folder)
+    make(folder, "--replace", "kr120-tablet")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {
+        "broker/passwords", *(f"accounts/kr120-tablet/{name}" for name in ("password", "client.crt", "client.key"))
+    }  # fmt: skip
+    assert "the old certificate of kr120-tablet opens the broker until" in capsys.readouterr().out
+
+
+def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder, capsys):
+    hashed = (folder / "broker/passwords").read_text()
+    for path in (folder / "accounts/kr120-viewer").iterdir():
+        path.unlink()
+    (folder / "accounts/kr120-viewer").rmdir()
+    capsys.readouterr()
+    make(folder, "--renew")
+    assert (folder / "broker/passwords").read_text() == hashed and "kr120-viewer" not in names_of(folder)
+    assert capsys.readouterr().out.count("not renewed: kr120-viewer") == 1
+
+
+def test_people_get_tablets_of_their_own(tmp_path):
+    make(tmp_path / "site", *HOST, *ROBOT, "--tablet", "anna", "--tablet", "ben")
+    assert {name for name in names_of(tmp_path / "site") if "tablet" in name} == {
+        "kr120-tablet-anna",
+        "kr120-tablet-ben",
+    }
+
+
+def test_the_tablet_that_nobody_owns_by_name_outlives_the_first_person(folder, capsys):
+    before = contents(folder)
+    capsys.readouterr()
+    make(folder, "--tablet", "ada")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"broker/access.acl", "broker/passwords", "site.json"}
+    assert names_of(folder) == {f"kr120-{role}" for role in ("bridge", "gateway", "tablet", "tablet-ada", "viewer")}
+    assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
+    # the same rights as before, word for word
+    assert all(line in after["broker/access.acl"].splitlines() for line in before["broker/access.acl"].splitlines())
+    assert capsys.readouterr().out.count("kept kr120-tablet, which is nobody's by name; --replace shuts out") == 1
+    # and whatever comes later: another run, a person, a robot, which has none
+    make(folder)
+    assert contents(folder) == after
+    make(folder, "--tablet", "ben", "--robot", "kr121")
+    assert {name for name in names_of(folder) if "tablet" in name} == {
+        "kr120-tablet",
+        *(f"{robot}-tablet-{person}" for robot in ("kr120", "kr121") for person in ("ada", "ben")),
+    }
+    assert set(after["broker/passwords"].splitlines()) < set(contents(folder)["broker/passwords"].splitlines())
+    assert "kept " not in capsys.readouterr().out
+
+
+def test_a_site_of_before_there_was_such_a_choice_is_read(folder):
+    settings = json.loads((folder / "site.json").read_text())
+    del settings["shared"]
+    (folder / "site.json").write_text(json.dumps(settings))
+    make(folder, "--tablet", "ada")
+    assert "kr120-tablet:" in (folder / "broker/passwords").read_text()
+
+
+def test_what_is_taken_out_of_the_settings_is_taken_away_and_named(folder, capsys):
+    make(folder, "--tablet", "ada")
+    settings = json.loads((folder / "site.json").read_text())
+    (folder / "site.json").write_text(json.dumps(settings | {"shared": []}))
+    capsys.readouterr()
+    make(folder)
+    assert "took the password of kr120-tablet away: it is not in site.json" in capsys.readouterr().out
+    for file in ("passwords", "access.acl"):
+        text = (folder / "broker" / file).read_text()
+        assert "kr120-tablet-ada" in text and not re.search(r"kr120-tablet\b(?!-)", text)
+
+
+def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
+    make(
+        tmp_path / "site",
+        *HOST,
+        *ROBOT,
+        "--broker-folder",
+        "/etc/mosquitto/site",
+        "--port",
+        "9000",
+        "--listen",
+        "10.0.0.1",
+    )
+    text = (tmp_path / "site/broker/mosquitto.conf").read_text()
+    assert "password_file /etc/mosquitto/site/passwords" in text and "\nlistener 9000 10.0.0.1\n" in text
+    assert "allow_anonymous false" in text and "set_tcp_nodelay true" in text and "$" not in text
+    assert "listener 9001" not in text and str(tmp_path) not in text
+
+
+def test_when_everything_ends_is_told(folder, capsys):
+    make(folder)
+    said = capsys.readouterr().out
+    for name in ("ca/ca.crt", "broker/server.crt", "accounts/kr120-tablet/client.crt"):
+        assert f"{name} expires 20" in said
+
+
+def test_a_ca_that_ends_before_what_it_signs_is_warned_of(folder, capsys):
+    capsys.readouterr()
+    make(folder)
+    assert "warning" not in capsys.readouterr().out
+    make(folder, "--renew", "--days", str(certificates.CA_DAYS + 1))
+    end = expiry(folder / "ca/ca.crt")
+    assert f"warning: the CA ends on {end:%Y-%m-%d}, and with it every certificate" in capsys.readouterr().out
+    # told every time, until there is another site
+    make(folder)
+    assert "warning: the CA ends on" in capsys.readouterr().out
+
+
+def test_the_certificates_chain_up_and_carry_their_purpose(folder):
+    def verify(certificate: str, purpose: str) -> int:
+        command = ["openssl", "verify", "-x509_strict", "-purpose", purpose, "-CAfile", folder / "ca/ca.crt"]
+        return subprocess.run([*command, folder / certificate], capture_output=True, check=False).returncode
+
+    assert verify("broker/server.crt", "sslserver") == verify("accounts/kr120-bridge/client.crt", "sslclient") == 0
+    assert (
+        verify("broker/server.crt", "sslclient") != 0 and verify("accounts/kr120-bridge/client.crt", "sslserver") != 0
+    )
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        ([], "--host"),
+        (HOST, "--robot"),
+        ([*HOST, "--robot", "a/b"], "a/b"),
+        (["--host", "300.1.2.3", *ROBOT], "300.1.2.3"),
+        (["--host", "a,b", *ROBOT], "a,b"),
+        ([*HOST, *ROBOT, "--replace", "nobody"], "nobody"),
+        ([*HOST, *ROBOT, "--days", "0"], "--days"),
+        ([*HOST, *ROBOT, "--templates", "/nowhere"], "/nowhere/bridge.acl"),
+    ],
+)
+def test_what_cannot_work_is_one_sentence(tmp_path, capsys, arguments, said):
+    assert main([str(tmp_path / "site"), *arguments]) == 1
+    text = capsys.readouterr().out
+    assert text.startswith("make_site: ") and text.count("\n") == 1 and said in text
+
+
+@pytest.mark.parametrize("program, package", [("openssl", "openssl"), ("mosquitto_passwd", "mosquitto")])
+def test_a_program_that_is_missing_is_named(tmp_path, monkeypatch, capsys, program, package):
+    which = certificates.shutil.which
+    monkeypatch.setattr(certificates.shutil, "which", lambda name: None if name == program else which(name))
+    assert main([str(tmp_path / "site"), *HOST, *ROBOT]) == 1
+    assert f"{program} is not installed; on Debian: apt-get install {package}" in capsys.readouterr().out
+
+
+def test_a_tool_that_fails_is_told_with_its_last_words(tmp_path):
+    with pytest.raises(SiteError, match="openssl x509 failed with 1: .+"):
+        expiry(tmp_path / "missing")
+
+
+def test_half_a_ca_is_not_mended_by_making_another(folder):
+    (folder / "ca/ca.key").unlink()
+    with pytest.raises(SiteError, match="only one of ca.key and ca.crt"):
+        Authority(folder / "ca", "x")
+
+
+def test_settings_that_cannot_be_read_stop_the_run(folder, capsys):
+    (folder / "site.json").write_text("{")
+    assert main([str(folder)]) == 1 and "site.json cannot be read" in capsys.readouterr().out
+
+
+# -- the account file
+
+
+def account_file(tmp_path: Path, **document) -> Path:
+    path = tmp_path / "account.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+@pytest.mark.parametrize(
+    "document, said",
+    [
+        ({"user": "x"}, "password_file"),
+        ({"password_file": "x"}, "user"),
+        ({"ca_file": "ca", "cert_file": "x"}, "key_file"),
+        ({"cert_file": "x", "key_file": "y"}, "needs TLS"),
+        ({"user": "x", "password": "secret"}, "no other keys"),
+        ({"user": 5, "password_file": "x"}, "texts as values"),
+    ],
+)
+def test_an_account_file_that_makes_no_sense_is_refused(tmp_path, document, said):
+    with pytest.raises(ConfigurationError, match=said):
+        load_account(account_file(tmp_path, **document))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "user=x", "\x00", "x" * 70000])
+def test_a_file_that_is_no_account_is_refused(tmp_path, text):
+    path = tmp_path / "account.json"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=r"account\.json"):
+        load_account(path)
+
+
+def test_files_that_are_missing_or_not_what_they_should_be_are_named(tmp_path):
+    account = load_account(account_file(tmp_path, user="x", password_file="pw", ca_file="ca.crt"))
+    with pytest.raises(ConfigurationError, match="/pw: "):
+        account.password()
+    with pytest.raises(ConfigurationError, match=r"/ca\.crt: "):
+        account.context()
+    (tmp_path / "ca.crt").write_text("no certificate")
+    with pytest.raises(ConfigurationError, match=r"/ca\.crt: .*PEM"):
+        account.context()
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604])
+def test_a_secret_that_others_may_read_is_refused(folder, mode):
+    account = load_account(folder / "accounts/kr120-bridge/account.json")
+    Path(account.password_file).chmod(mode)
+    with pytest.raises(ConfigurationError, match="chmod 600"):
+        account.password()
+    account = load_account(folder / "accounts/kr120-bridge/certificate.json")
+    Path(account.key_file).chmod(mode)
+    with pytest.raises(ConfigurationError, match="chmod 600"):
+        account.context()
+
+
+def test_a_key_of_somebody_else_does_not_fit_the_certificate(folder):
+    key = folder / "accounts/kr120-bridge/client.key"
+    key.write_bytes((folder / "accounts/kr120-viewer/client.key").read_bytes())
+    with pytest.raises(ConfigurationError, match="fits its key"):
+        load_account(folder / "accounts/kr120-bridge/certificate.json").context()
+
+
+def test_old_tls_is_not_spoken(folder):
+    context = load_account(folder / "accounts/kr120-bridge/account.json").context()
+    assert context.minimum_version >= ssl.TLSVersion.TLSv1_2 and context.verify_mode is ssl.CERT_REQUIRED

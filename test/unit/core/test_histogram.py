@@ -1,0 +1,64 @@
+"""The histogram of reply times."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from construction_twin.core.histogram import Histogram
+
+
+def test_an_empty_histogram_has_no_percentiles():
+    summary = Histogram.of_microseconds().summary()
+    assert (summary["p50"], summary["p99"], summary["p99_9"], summary["max"]) == (None, None, None, 0.0)
+
+
+def test_a_value_on_an_edge_belongs_to_the_bin_below():
+    histogram = Histogram([10, 20])
+    for value in (10, 10.1, 20, 20.1):
+        histogram.add(value)
+    assert histogram.counts == [1, 2, 1]
+
+
+def test_values_above_the_last_edge_are_counted_and_give_the_true_largest():
+    histogram = Histogram([10, 20])
+    for value in (5, 500, 7000):
+        histogram.add(value)
+    assert histogram.counts == [1, 0, 2]
+    assert histogram.percentile(0.99) == histogram.largest == 7000
+
+
+def test_a_percentile_never_exceeds_the_largest_value():
+    histogram = Histogram([10, 20])
+    histogram.add(12)
+    assert histogram.percentile(0.5) == 12
+
+
+def test_one_outlier_in_a_thousand_shows_beyond_p99_9_only():
+    histogram = Histogram.of_microseconds()
+    for _ in range(1999):
+        histogram.add(100)
+    histogram.add(50_000)
+    summary = histogram.summary()
+    assert summary["p99_9"] < 120
+    assert summary["max"] == 50_000
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.9, 0.99, 0.999, 1.0])
+def test_percentiles_are_at_most_one_bin_above_the_exact_ones(share):
+    rng = random.Random(7)
+    values = sorted(rng.lognormvariate(5.5, 0.8) for _ in range(5000))
+    histogram = Histogram.of_microseconds()
+    for value in values:
+        histogram.add(value)
+    exact = values[math.ceil(share * len(values)) - 1]
+    assert exact <= histogram.percentile(share) <= max(exact * 1.1 + 1, histogram.edges[0])
+
+
+def test_bins_reach_from_some_10_us_to_100_ms_in_steps_of_a_tenth():
+    edges = Histogram.of_microseconds().edges
+    assert edges[0] < 20
+    assert 9e4 < edges[-1] < 1.2e5
+    assert all(1.0 < high / low < 1.15 for low, high in zip(edges, edges[1:]))

@@ -1,0 +1,181 @@
+"""Reading a rosbag, and the command line on it."""
+
+from __future__ import annotations
+
+import json
+
+import genpy
+import numpy as np
+import pytest
+import rosbag
+from construction_twin.msg import Execution, Feedback, Link, Plan
+from diagnostic_msgs.msg import KeyValue
+from evaluation_samples import BASE, JOINTS, link, run
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header, String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.core.errors import EvaluationError
+from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.commands.evaluate import main
+
+STATUS = {"state": "running", "counters": {}, "config": {"servo": "realistic"}}
+
+
+def at(stamp) -> genpy.Time:
+    return genpy.Time(0, int(stamp))
+
+
+def write_joints(bag, topic, stream, names=JOINTS):
+    columns = [JOINTS.index(name) for name in names]
+    for stamp, position, received in zip(stream.stamps, stream.positions, stream.received):
+        message = JointState(header=Header(stamp=at(stamp)), name=list(names), position=position[columns].tolist())
+        bag.write(topic, message, at(received))
+
+
+def write_extras(bag, recording, namespace):
+    feedback, plan = recording.feedback, recording.plans[0]
+    for row in zip(feedback.stamps, feedback.positions, feedback.received, feedback.seq, feedback.command_stamps):
+        stamp, position, received, seq, command = row
+        message = Feedback(Header(stamp=at(stamp)), list(JOINTS), position.tolist(), int(seq), at(command))
+        bag.write(f"{namespace}/physical/feedback", message, at(received))
+    write_joints(bag, f"{namespace}/command/joint_states", recording.command)
+    trajectory = JointTrajectory(points=[JointTrajectoryPoint() for _ in range(200)])
+    bag.write(f"{namespace}/plan", Plan(id=plan.plan_id, trajectory=trajectory), at(BASE + 1))
+    execution = Execution(
+        plan_id=plan.plan_id, plan_start=at(plan.start), duration=plan.duration, state=Execution.PLAYING
+    )
+    bag.write(f"{namespace}/execution", execution, at(plan.start))
+    execution.state, execution.outcome = Execution.IDLE, "finished"
+    bag.write(f"{namespace}/execution", execution, at(plan.end))
+    for report in recording.links:
+        message = Link(session=report.session, commands_sent=report.commands_sent)
+        message.gateway_counters = [KeyValue(key, value) for key, value in report.counters.items()]
+        message.reply_us_bins, message.reply_us_counts = report.reply_bins, report.reply_counts
+        bag.write(f"{namespace}/link", message, at(report.received))
+    bag.write(f"{namespace}/mock_rsi/status", String(json.dumps(STATUS)), at(BASE + 2))
+
+
+def write_robot(bag, recording, namespace="/kr120", physical_names=JOINTS):
+    write_joints(bag, f"{namespace}/twin/joint_states", recording.twin)
+    write_joints(bag, f"{namespace}/physical/joint_states", recording.physical, physical_names)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return run(duration=3.0, decimals=3, links=[link(0.5, 1), link(5.5, 2, lost=4, counts=(9, 8, 7, 6))])
+
+
+@pytest.fixture(scope="module")
+def full_bag(recording, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / "full.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        write_robot(bag, recording)
+        write_extras(bag, recording, "/kr120")
+    return path
+
+
+def test_everything_written_is_read_back_unchanged(recording, full_bag):
+    read = read_recording(full_bag)
+    assert (read.robot, read.joint_names) == ("/kr120", JOINTS)
+    for name in ("twin", "physical", "command", "feedback"):
+        for key, value in vars(getattr(recording, name)).items():
+            np.testing.assert_array_equal(getattr(getattr(read, name), key), value)
+    assert read.plans == recording.plans and read.waypoints == {"p1": 200}
+    assert read.links == recording.links and read.mock == STATUS
+
+
+def test_bag_gives_the_same_figures_as_the_run_itself(recording, full_bag):
+    expected = summarise(evaluate(recording))
+    expected |= {"servo": "realistic", "mock": {"servo": "realistic"}}
+    assert summarise(evaluate(read_recording(full_bag))) == expected
+    assert expected["lag_s"] == pytest.approx(0.012, abs=1e-9)
+
+
+def test_bag_of_the_two_joint_topics_is_enough_for_instant(recording, tmp_path):
+    with rosbag.Bag(str(tmp_path / "user.bag"), "w") as bag:
+        write_robot(bag, recording, "/cell/kr120")
+    read = read_recording(tmp_path / "user.bag")
+    tables = summarise(evaluate(read))["tables"]
+    assert read.robot == "/cell/kr120"
+    assert tables["by_command"] is None and tables["lag_removed"] is None and set(tables["instant"]) == set(JOINTS)
+
+
+def test_physical_joints_in_another_order_and_fewer_are_matched_by_name(recording, tmp_path):
+    with rosbag.Bag(str(tmp_path / "subset.bag"), "w") as bag:
+        write_robot(bag, recording, physical_names=("joint_a4", "joint_a2"))
+    read = read_recording(tmp_path / "subset.bag")
+    assert read.joint_names == ("joint_a2", "joint_a4")
+    np.testing.assert_array_equal(read.physical.positions, recording.physical.positions[:, [1, 3]])
+
+
+def test_two_robots_need_a_choice(recording, tmp_path):
+    path = tmp_path / "two.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        write_robot(bag, recording, "/left")
+        write_robot(bag, recording, "/right")
+    with pytest.raises(EvaluationError, match="holds the robots /left, /right"):
+        read_recording(path)
+    assert read_recording(path, "right/").robot == "/right"
+    with pytest.raises(EvaluationError, match="no robot /middle; it holds /left, /right"):
+        read_recording(path, "/middle")
+
+
+def write_bag(path, topic=None, message=None):
+    with rosbag.Bag(str(path), "w") as bag:
+        if topic:
+            bag.write(topic, message, at(BASE))
+
+
+def test_bags_that_cannot_be_used_say_why(tmp_path):
+    path = tmp_path / "x.bag"
+    with pytest.raises(EvaluationError, match="cannot be read as a rosbag"):
+        read_recording(path)
+    path.write_text("not a bag")
+    with pytest.raises(EvaluationError, match="cannot be read as a rosbag"):
+        read_recording(path)
+    write_bag(path)
+    with pytest.raises(EvaluationError, match="holds no topic .../twin/joint_states"):
+        read_recording(path)
+    write_bag(path, "/a/twin/joint_states", JointState(name=["j"], position=[0.0]))
+    with pytest.raises(EvaluationError, match="no messages on /a/physical/joint_states"):
+        read_recording(path)
+    write_bag(path, "/a/twin/joint_states", String("x"))
+    with pytest.raises(EvaluationError, match="is a std_msgs/String; expected a sensor_msgs/JointState"):
+        read_recording(path)
+
+
+def test_inconsistent_messages_say_so(tmp_path):
+    good = JointState(name=["j"], position=[0.0])
+    foreign, empty = JointState(name=["k"], position=[0.0]), JointState(name=["j"])
+    for bad, sentence in ((foreign, "lacks j"), (empty, "0 positions for 1")):
+        with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
+            for topic in ("twin", "physical"):
+                bag.write(f"/a/{topic}/joint_states", good, at(BASE))
+            bag.write("/a/physical/joint_states", bad, at(BASE + 1))
+        with pytest.raises(EvaluationError, match=sentence):
+            read_recording(tmp_path / "x.bag")
+
+
+def test_bag_that_was_not_closed_names_the_remedy(full_bag, tmp_path):
+    cut = tmp_path / "cut.bag.active"
+    bag = rosbag.Bag(str(cut), "w")
+    bag.write("/a/twin/joint_states", JointState(), at(BASE))
+    bag.flush()
+    with pytest.raises(EvaluationError, match="rosbag reindex"):
+        read_recording(cut)
+    bag.close()
+
+
+def test_command_line_writes_the_report_and_prints_it(full_bag, tmp_path, capsys):
+    assert main([str(full_bag), "--output", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    assert "lag_removed: " in printed and str(tmp_path / "out" / "figure8.png") in printed.replace("\n", "")
+    assert json.loads((tmp_path / "out/summary.json").read_text())["samples"] > 700
+
+
+def test_command_line_answers_an_error_with_one_sentence(tmp_path, capsys):
+    assert main([str(tmp_path / "none.bag")]) == 1
+    captured = capsys.readouterr()
+    assert captured.err.startswith("evaluate: ") and captured.err.count("\n") == 1 and captured.out == ""

@@ -1,0 +1,178 @@
+"""Figures of summary.json and table1.csv, what is printed, and the files of a report."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from evaluation_samples import JOINTS, link, run
+from rich.console import Console
+
+from construction_twin.core.histogram import percentile
+from construction_twin.evaluation import paper, report, tables
+from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.robot.description import read_robot_files
+
+KEYS = [
+    "waypoints", "samples", "duration_s", "decimals", "servo", "lag_s", "tables", "commands_sent", "commands_lost",
+    "late_replies", "reply_us", "round_trip_ms", "rate_hz", "final_error_rad",
+]  # fmt: skip
+MOCK = {
+    "state": "running",
+    "correction_lower_deg": [-185.0],
+    "counters": {},
+    "config": {"servo": "ideal", "timeout": 100, "correction_lower_deg": []},
+}
+
+
+def printed(summary) -> str:
+    console = Console(file=io.StringIO(), width=80, highlight=False)
+    tables.render_tables(summary, console)
+    return console.file.getvalue()
+
+
+@pytest.fixture(scope="module")
+def full_summary():
+    links = [
+        link(0.1, 100),
+        link(0.9, 300, lost=1, counts=(10, 0, 0, 0)),
+        link(5.0, 1300, lost=2, late=1, counts=(900, 90, 0, 0)),
+        link(11.5, 2900, lost=3, late=4, counts=(999, 3, 1, 0)),
+        link(12.5, 3300, lost=3, late=5, counts=(1010, 990, 9, 1)),
+    ]
+    return summarise(evaluate(run(links=links, mock=MOCK)))
+
+
+def test_summary_has_the_promised_keys_in_their_order(full_summary):
+    assert list(full_summary)[: len(KEYS)] == KEYS
+    json.dumps(full_summary, allow_nan=False)
+
+
+def test_summary_of_a_known_run(full_summary):
+    assert full_summary["waypoints"] == 200
+    assert full_summary["duration_s"] == pytest.approx(10.0)
+    assert full_summary["samples"] == pytest.approx(2510, abs=2)
+    assert full_summary["lag_s"] == pytest.approx(0.012, abs=1e-9)
+    assert full_summary["servo"] == "ideal" and full_summary["decimals"] == 3
+    assert full_summary["mock"] == {"servo": "ideal", "timeout": 100, "correction_lower_deg": [-185.0]}
+    assert full_summary["round_trip_ms"] == pytest.approx({"p50": 23.0, "p99": 23.0, "p99_9": 23.0, "max": 23.0})
+    assert full_summary["rate_hz"] == pytest.approx({"twin": 250.0, "physical": 250.0, "command": 250.0})
+    assert max(full_summary["final_error_rad"].values()) == 0.0
+
+
+def test_counters_are_differences_between_the_reports_around_the_window(full_summary):
+    assert full_summary["commands_sent"] == 3300 - 300
+    assert full_summary["commands_lost"] == 3 - 1
+    assert full_summary["late_replies"] == 5
+
+
+def test_reply_times_are_bin_edges_of_the_windows_own_replies(full_summary):
+    # 1000 x <= 50, 990 x <= 100, 9 x <= 200 and one beyond: p99.9 of 2000 is the 1998th
+    assert full_summary["reply_us"] == {"p50": 50, "p99": 100, "p99_9": 200, "max": 431.5}
+
+
+def test_what_the_recording_does_not_tell_is_null():
+    summary = summarise(evaluate(run(plans=False, feedback=False)))
+    for key in ("waypoints", "decimals", "servo", "lag_s", "commands_sent", "commands_lost", "late_replies", "mock"):
+        assert summary[key] is None
+    assert summary["tables"]["by_command"] is None and summary["tables"]["lag_removed"] is None
+    assert set(summary["tables"]["instant"]) == set(JOINTS)
+    nothing = {"p50": None, "p99": None, "p99_9": None, "max": None}
+    assert summary["reply_us"] == nothing and summary["round_trip_ms"] == nothing
+
+
+def test_counts_across_two_sessions_or_a_restarted_gateway_are_null():
+    links = [link(0.5, 500, lost=7, counts=(5, 0, 0, 0)), link(12.5, 900, lost=2, session="s2")]
+    summary = summarise(evaluate(run(links=links)))
+    assert summary["commands_sent"] is None and summary["commands_lost"] is None
+    assert summary["reply_us"]["p50"] is None
+
+
+def test_a_counter_appears_with_its_first_use():
+    first, last = link(0.5, 0), link(12.5, 3000, lost=2)
+    del first.counters["commands_lost"], last.counters["late_replies"]
+    summary = summarise(evaluate(run(links=[first, last])))
+    assert summary["commands_lost"] == 2 and summary["late_replies"] is None
+
+
+def test_what_was_never_counted_is_zero_once_the_gateway_reports():
+    first, last = link(0.5, 0), link(12.5, 3000)
+    del first.counters["commands_lost"], last.counters["commands_lost"]
+    assert summarise(evaluate(run(links=[first, last])))["commands_lost"] == 0
+
+
+@pytest.mark.parametrize(
+    "counts, share, expected",
+    [
+        ((1, 0, 0), 0.5, 10),
+        ((50, 50, 0), 0.5, 10),
+        ((50, 50, 0), 0.51, 20),
+        ((999, 1, 0), 0.999, 10),
+        ((998, 2, 0), 0.999, 20),
+        ((0, 0, 5), 0.5, None),
+        ((0, 0, 0), 0.5, None),
+    ],
+)
+def test_percentile_of_a_histogram(counts, share, expected):
+    assert percentile((10, 20), counts, share) == expected
+
+
+def test_percentiles_of_values():
+    figures = tables.percentiles(np.arange(1.0, 1002.0))
+    assert figures == pytest.approx({"p50": 501.0, "p99": 991.0, "p99_9": 1000.0, "max": 1001.0})
+
+
+def test_csv_has_a_row_per_alignment_and_joint_beside_the_papers(full_summary):
+    rows = list(csv.DictReader(io.StringIO(tables.table_csv(full_summary["tables"]))))
+    assert [(r["alignment"], r["joint"]) for r in rows] == [(a, j) for a in tables.ALIGNMENTS for j in JOINTS]
+    row = rows[2]
+    assert float(row["avg_rad"]) == full_summary["tables"]["by_command"]["joint_a3"]["avg_rad"]
+    assert float(row["paper_max_rad"]) == 2.0717e-05
+    assert float(row["max_ratio"]) == pytest.approx(float(row["max_rad"]) / 2.0717e-05)
+
+
+def test_csv_leaves_unknown_alignments_and_foreign_joints_empty():
+    table = {"rail": {"avg_rad": 1e-6, "max_rad": 2e-6}}
+    rows = list(csv.DictReader(io.StringIO(tables.table_csv({"instant": table, "by_command": None}))))
+    assert [row["avg_rad"] for row in rows] == ["", "1e-06", ""]
+    assert rows[1]["paper_avg_rad"] == "" and rows[1]["avg_ratio"] == ""
+
+
+def test_papers_inconsistent_columns_are_named():
+    assert [axis for axis, error in paper.TABLE_1.items() if not error.consistent] == ["A3", "A6"]
+    assert paper.paper_error("joint_a4").average == 2.2993e-07
+    assert paper.paper_error("rail") is None
+
+
+def test_printed_tables_follow_the_figures(full_summary):
+    text = printed(full_summary)
+    assert all(f"{name}: " in text for name in tables.ALIGNMENTS)
+    assert f"{full_summary['tables']['instant']['joint_a6']['max_rad']:.4e}" in text
+    assert "…" not in text, "a narrow terminal cuts figures off"
+    assert "2.2334e-05" in text and "A3 and A6" in text
+    assert "12.000000 ms" in text and "This is a simulation" in text
+    assert "round trip [ms]: p50 23.000" in text and "RSI reply time [us]: p50 50" in text
+
+
+def test_printed_tables_say_what_is_missing():
+    text = printed(summarise(evaluate(run(feedback=False))))
+    assert "by_command: not available" in text and "lag: unknown" in text and "simulation" not in text
+
+
+def test_report_writes_every_file(tmp_path):
+    robot = read_robot_files("urdf/kr120r2500.urdf.xacro", "config/kr120.yaml")
+    links = [link(0.5, 1), link(12.5, 2, counts=(30, 20, 5, 1))]
+    written = report.write_report(run(links=links), robot, tmp_path / "results" / "now")
+    names = ["figure8.png", "figure9.png", "report.html", "summary.json", "table1.csv", "timing.png"]
+    assert [path.name for path in written.files] == names
+    assert json.loads((tmp_path / "results/now/summary.json").read_text()) == written.summary
+    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written.files if path.suffix == ".png")
+    assert written.summary["environment"]["cpus"] >= 1
+
+
+def test_report_without_a_robot_has_no_tool_path(tmp_path):
+    written = report.write_report(run(duration=1.0, feedback=False, plans=False), None, tmp_path)
+    assert "figure8.png" not in [path.name for path in written.files]

@@ -1,0 +1,309 @@
+"""What an approval covers: one execution of one path, from one pose, in one scene; and that each is recorded first."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
+
+from construction_twin.core.errors import RecordError, ReviewError
+from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.start_pose import START_TOLERANCE
+from construction_twin.monitor.gate import SyncState
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench().ready()
+
+
+class TestApproval:
+    def test_nothing_moves_without_it(self, bench):
+        bench.executor.offer(make_plan())
+        assert set(bench.run(1000)) == {ROBOT.home} and bench.executor.plan is None
+
+    def test_starts_the_plan_with_the_next_cycle_and_records_who_approved(self, bench):
+        plan = make_plan()
+        assert "2.000 s" in bench.approve(plan)
+        assert bench.state is ExecutorState.PLAYING
+        bench.step()
+        assert bench.executor.plan_start == bench.stamp
+        (verdict,) = bench.records
+        assert (verdict.plan_id, verdict.plan_hash, verdict.verdict, verdict.reviewer) == (
+            "p",
+            plan.hash,
+            "approved",
+            "Ada",
+        )
+        assert verdict.plan is plan
+
+    def test_covers_one_execution(self, bench):
+        plan = make_plan(motion=reach(goal=ROBOT.home))
+        bench.approve(plan)
+        bench.run_until_idle()
+        with pytest.raises(ReviewError, match="decided already"):
+            bench.approve(plan)
+        assert bench.state is ExecutorState.IDLE
+
+    def test_a_rejected_plan_is_not_played_and_cannot_be_approved(self, bench):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        bench.review("p", plan.hash, False, "Ada", "too close to the wall")
+        assert [(v.verdict, v.reason) for v in bench.records] == [("rejected", "too close to the wall")]
+        with pytest.raises(ReviewError, match="decided already"):
+            bench.approve(plan)
+        assert set(bench.run(10)) == {ROBOT.home}
+
+    @pytest.mark.parametrize("joint", range(6))
+    @pytest.mark.parametrize("share, accepted", [(0.99, True), (1.01, False), (-1.01, False)])
+    def test_only_from_the_pose_it_was_planned_from(self, bench, joint, share, accepted):
+        start = tuple(q + share * START_TOLERANCE * (i == joint) for i, q in enumerate(ROBOT.home))
+        plan = make_plan(motion=reach(start=start))
+        if accepted:
+            bench.approve(plan)
+            assert bench.state is ExecutorState.PLAYING
+            return
+        with pytest.raises(ReviewError, match=ROBOT.joint_names[joint]):
+            bench.approve(plan)
+        assert bench.state is ExecutorState.IDLE and bench.executor.desk.plan is plan
+
+    def test_only_with_the_hash_that_was_looked_at(self, bench):
+        bench.executor.offer(make_plan())
+        with pytest.raises(ReviewError, match="hash"):
+            bench.review("p", "0" * 64, True, "Ada")
+        assert bench.state is ExecutorState.IDLE
+
+    @pytest.mark.parametrize("sync", [state for state in SyncState if state is not SyncState.IN_SYNC])
+    def test_only_in_sync(self, bench, sync):
+        bench.executor.on_sync(sync, True)
+        with pytest.raises(ReviewError, match=sync.name):
+            bench.approve(make_plan())
+        bench.executor.on_sync(SyncState.IN_SYNC, True)
+        bench.review("p", "", True, "Ada")
+        assert bench.state is ExecutorState.PLAYING
+
+    def test_only_while_the_arm_is_armed(self, bench):
+        bench.executor.on_link(False, "gateway is holding")
+        with pytest.raises(ReviewError, match="gateway is holding"):
+            bench.approve(make_plan())
+        bench.executor.on_link(True, "session 2")
+        bench.review("p", "", True, "Ada")
+        assert bench.state is ExecutorState.PLAYING
+
+    def test_not_while_another_plan_is_played(self, bench):
+        bench.approve(make_plan())
+        bench.run(10)
+        with pytest.raises(ReviewError, match="PLAYING"):
+            bench.approve(make_plan("q", reach(start=bench.twin)))
+        assert bench.executor.plan.id == "p"
+
+    def test_not_before_twin_and_arm_agree(self):
+        with pytest.raises(ReviewError, match="WAITING"):
+            Bench().approve(make_plan())
+
+    def test_a_refused_approval_is_recorded_with_the_reason(self, bench):
+        plan = make_plan(motion=reach(start=GOAL, goal=ROBOT.home))
+        for plan_id, reviewer in (("p", "Ada"), ("unknown", "Ada"), ("p", "")):
+            bench.executor.offer(plan)
+            with pytest.raises(ReviewError) as error:
+                bench.review(plan_id, plan.hash, True, reviewer)
+            record = bench.records.pop()
+            assert (record.verdict, record.plan_id, record.reviewer) == ("refused", plan_id, reviewer)
+            assert record.reason == str(error.value)
+            assert record.plan is (plan if plan_id == "p" else None)
+
+    def test_a_refused_rejection_leaves_no_record(self, bench):
+        with pytest.raises(ReviewError, match="not under review"):
+            bench.review("p", "", False, "Ada")
+        assert bench.records == []
+
+    def test_what_was_changed_after_its_hash_was_made_is_refused(self, bench):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        velocities = plan.trajectory.velocities.copy()
+        velocities[0, 0] = 1e-12
+        object.__setattr__(plan.trajectory, "velocities", velocities)
+        with pytest.raises(ReviewError, match="no longer what its hash"):
+            bench.review("p", "", True, "Ada")
+        assert set(bench.run(50)) == {ROBOT.home}
+
+
+class TestRecordFirst:
+    @staticmethod
+    def refuse(_record):
+        raise RecordError("/full/reviews.jsonl", "no space left on device")
+
+    @pytest.mark.parametrize("approve", [True, False])
+    def test_a_verdict_that_cannot_be_recorded_changes_nothing(self, bench, approve):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        bench.approval._record = self.refuse
+        with pytest.raises(RecordError, match="nothing is approved without a record"):
+            bench.review("p", plan.hash, approve, "Ada")
+        assert set(bench.run(100)) == {ROBOT.home}
+        assert bench.executor.desk.plan is plan and bench.executor.plan is None
+
+    def test_a_hold_while_the_record_is_written_keeps_it_from_starting_and_that_is_recorded_too(self, bench):
+        bench.executor.offer(make_plan())
+
+        def record_slowly(record):
+            bench.records.append(record)
+            bench.executor.on_sync(SyncState.HOLDING, False)
+
+        bench.approval._record = record_slowly
+        with pytest.raises(ReviewError, match="HOLDING"):
+            bench.review("p", "", True, "Ada")
+        approval, ending = bench.records
+        assert approval.verdict == "approved" and ending.outcome == "dropped"
+        assert "not started" in ending.reason and "HOLDING" in ending.reason
+        assert bench.executor.plan is None
+
+    def test_an_automatic_approval_that_cannot_be_recorded_withdraws_the_plan(self, bench):
+        bench.executor.offer(make_plan())
+        bench.approval._record = self.refuse
+        with pytest.raises(RecordError):
+            bench.approval.approve_by_itself(bench.stamp)
+        assert bench.executor.desk.plan is None
+        assert set(bench.run(100)) == {ROBOT.home}
+
+
+class TestScene:
+    def test_a_plan_for_another_scene_cannot_be_approved(self, bench):
+        with pytest.raises(ReviewError, match="made for scene 0ther, the present one is 5ce0e"):
+            bench.approve(make_plan(scene="0ther"))
+        assert bench.executor.desk.plan is not None
+        bench.executor.on_scene("0ther")
+        bench.review("p", "", True, "Ada")
+        assert bench.state is ExecutorState.PLAYING
+
+    def test_nothing_can_be_approved_before_a_scene_is_known(self):
+        bench = Bench()
+        bench.executor.desk.scene = ""
+        bench.ready()
+        with pytest.raises(ReviewError, match="no scene is known"):
+            bench.approve(make_plan())
+
+    def test_a_change_takes_the_waiting_plan_off_the_desk_and_says_so(self, bench):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        bench.executor.on_scene("0ther")
+        (event,) = bench.executor.take_events()
+        assert (event.verdict, event.plan, event.reviewer) == ("withdrawn", plan, "executor")
+        assert event.reason == "the scene changed from 5ce0e to 0ther; plan again"
+        bench.executor.on_scene(SCENE)
+        with pytest.raises(ReviewError, match="decided already"):
+            bench.approve(plan)
+
+    def test_the_same_scene_again_changes_nothing(self, bench):
+        bench.executor.offer(make_plan())
+        bench.executor.on_scene(SCENE)
+        assert bench.executor.desk.plan is not None and bench.executor.take_events() == []
+
+    def test_not_while_nobody_tells_of_the_scene(self, bench):
+        bench.executor.offer(make_plan())
+        bench.executor.desk.scene_alive = False
+        assert bench.approval.approve_by_itself(bench.stamp) is None
+        with pytest.raises(ReviewError, match="nobody publishes the scene"):
+            bench.review("p", "", True, "Ada")
+        bench.executor.desk.scene_alive = True
+        assert "approved" in bench.review("p", "", True, "Ada")
+
+    def test_a_rejection_needs_no_scene(self, bench):
+        bench.executor.offer(make_plan(scene="0ther"))
+        assert "rejected" in bench.review("p", "", False, "Ada")
+
+
+class TestOrder:
+    @pytest.mark.parametrize("others", [(True, True), (False,), (True, False, True)])
+    def test_the_record_tells_of_verdicts_that_come_together_in_the_order_in_which_they_were_carried_out(
+        self, bench, others
+    ):
+        """While the first verdict is being written to the disk, further ones arrive in threads of their own."""
+        plan = make_plan()
+        bench.executor.offer(plan)
+        started, threads = threading.Event(), []
+        write = bench.approval._record
+
+        def slow_disk(record):
+            if not threads:
+                for approve in others:
+                    threads.append(threading.Thread(target=judge, args=(approve,)))
+                    threads[-1].start()
+                started.set()
+            write(record)
+
+        def judge(approve: bool):
+            with pytest.raises(ReviewError):
+                bench.review("p", plan.hash, approve, "Carl")
+
+        bench.approval._record = slow_disk
+        bench.review("p", plan.hash, True, "Ada")
+        assert started.is_set()
+        for thread in threads:
+            thread.join(10.0)
+        assert bench.state is ExecutorState.PLAYING
+        assert [record.verdict for record in bench.records] == ["approved"] + ["refused"] * sum(others)
+
+
+class TestWithdrawn:
+    @pytest.mark.parametrize(
+        "action, reason",
+        [
+            (lambda bench: bench.executor.stop(bench.stamp), "stop requested"),
+            (lambda bench: bench.executor.restart("new command session", bench.stamp), "new command session"),
+            (lambda bench: bench.executor.offer(make_plan("q")), "replaced by plan q"),
+        ],
+        ids=["stop", "restart", "replaced"],
+    )
+    def test_a_plan_that_leaves_the_desk_by_itself_is_reported(self, bench, action, reason):
+        bench.executor.offer(make_plan())
+        action(bench)
+        (event,) = bench.executor.take_events()
+        assert (event.plan_id, event.verdict, event.reason) == ("p", "withdrawn", reason)
+        assert bench.executor.take_events() == []
+
+    def test_the_same_plan_again_replaces_nothing(self, bench):
+        bench.executor.offer(make_plan())
+        bench.executor.offer(make_plan())
+        assert bench.executor.take_events() == []
+
+
+class TestAutoApprove:
+    def test_plays_by_itself_and_leaves_a_verdict(self, bench):
+        bench.executor.offer(make_plan())
+        verdict, _ = bench.approval.approve_by_itself(bench.stamp)
+        assert bench.state is ExecutorState.PLAYING and bench.records == [verdict]
+        assert (verdict.verdict, verdict.reviewer) == ("approved", AUTO_APPROVE)
+        assert bench.approval.approve_by_itself(bench.stamp) is None
+
+    def test_waits_until_in_sync(self, bench):
+        bench.executor.on_sync(SyncState.HOLDING, False)
+        bench.executor.offer(make_plan())
+        assert bench.approval.approve_by_itself(bench.stamp) is None
+        bench.executor.on_sync(SyncState.IN_SYNC, True)
+        assert bench.approval.approve_by_itself(bench.stamp) is not None
+
+    def test_drops_a_plan_from_another_pose_and_says_why_once(self, bench):
+        bench.executor.offer(make_plan(motion=reach(start=GOAL, goal=ROBOT.home)))
+        for _ in range(3):
+            assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert [record.verdict for record in bench.records] == ["refused"]
+        (event,) = bench.executor.take_events()
+        assert event.verdict == "withdrawn" and "from the present pose" in event.reason
+        assert set(bench.run(100)) == {ROBOT.home}
+
+    def test_waits_a_moment_for_the_scene_that_the_plan_was_made_for(self, bench):
+        bench.executor.offer(make_plan(scene="n3w"))
+        assert bench.approval.approve_by_itself(0) is None
+        assert bench.approval.approve_by_itself(SCENE_DELAY) is None
+        bench.executor.on_scene("n3w")
+        assert bench.approval.approve_by_itself(SCENE_DELAY) is not None
+
+    def test_drops_a_plan_whose_scene_never_comes(self, bench):
+        bench.executor.offer(make_plan(scene="n3w"))
+        assert bench.approval.approve_by_itself(0) is None
+        assert bench.approval.approve_by_itself(SCENE_DELAY + 1) is None
+        assert "made for scene n3w" in bench.executor.take_events()[0].reason
+        assert bench.executor.desk.plan is None

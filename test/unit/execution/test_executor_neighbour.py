@@ -1,0 +1,120 @@
+"""The executor beside another arm: no start and no going on without a fresh verdict that the way is free."""
+
+from __future__ import annotations
+
+import pytest
+from executor_bench import Bench, make_plan, within_acceleration
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from construction_twin.core.errors import ExecutionError, ReviewError
+from construction_twin.core.units import CYCLE_NS
+from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT, NeighbourWatch
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.review.queue import Ending
+
+PROBLEM = "link_3 would come too close to b/link_5 in 1.2 s, which stands there"
+
+
+class Beside(Bench):
+    """A bench with a watch that repeats its verdict every 25 cycles."""
+
+    def __init__(self):
+        super().__init__()
+        self.executor.neighbour = NeighbourWatch("b")
+        self.verdict: str | None = ""
+        self.plan = make_plan()
+
+    def step(self):
+        if self.verdict is not None and self.stamp // CYCLE_NS % 25 == 0:
+            self.say(self.verdict)
+        return super().step()
+
+    def say(self, problem: str) -> None:
+        self.executor.neighbour.on_verdict(self.plan.id, problem, self.stamp)
+
+    def offered(self) -> Beside:
+        self.ready()
+        self.executor.offer(self.plan)
+        self.run(30)
+        return self
+
+    def approve(self) -> str:
+        return self.approval.review(self.plan.id, self.plan.hash, True, "tester")[1]
+
+    def ending(self) -> Ending:
+        return next(event for event in self.executor.take_events() if isinstance(event, Ending))
+
+
+def test_a_free_way_is_played_to_its_end():
+    bench = Beside().offered()
+    bench.approve()
+    bench.run_until_idle()
+    assert bench.executor.outcome == "finished"
+
+
+def test_a_plan_in_conflict_is_refused_with_the_sentence_and_stays_on_the_desk():
+    bench = Beside().offered()
+    bench.say(PROBLEM)
+    with pytest.raises(ReviewError, match=f"may not start: {PROBLEM}"):
+        bench.approve()
+    assert bench.state is ExecutorState.IDLE
+    bench.say("")
+    bench.approve()
+    assert bench.state is ExecutorState.PLAYING
+
+
+def test_nobody_who_looks_is_no_free_way():
+    bench = Beside()
+    bench.verdict = None
+    with pytest.raises(ReviewError, match="not checked against b yet"):
+        bench.offered().approve()
+
+
+def test_auto_approve_waits_until_the_way_is_free():
+    bench = Beside().offered()
+    bench.say(PROBLEM)
+    assert bench.approval.approve_by_itself(bench.stamp) is None
+    assert bench.executor.desk.plan is bench.plan
+    bench.say("")
+    assert bench.approval.approve_by_itself(bench.stamp) is not None
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(1, 450))
+def test_a_conflict_while_moving_brakes_along_the_path_within_the_limits(cycles):
+    bench = Beside().offered()
+    bench.approve()
+    bench.run(cycles)
+    bench.verdict = PROBLEM
+    bench.say(PROBLEM)
+    bench.run_until_idle()
+    bench.run(5)
+    ending = bench.ending()
+    assert ending.outcome == "stopped" and ending.reason.startswith(PROBLEM)
+    assert within_acceleration(bench.outputs)
+    assert bench.outputs[-1] == bench.outputs[-2]
+
+
+def test_a_watch_that_falls_silent_brakes():
+    bench = Beside().offered()
+    bench.approve()
+    bench.run(50)
+    bench.verdict = None
+    bench.run(VERDICT_TIMEOUT // CYCLE_NS + 2)
+    assert bench.state is ExecutorState.STOPPING
+    bench.run_until_idle()
+    assert "last checked against b" in bench.ending().reason
+
+
+def test_a_paused_plan_ends_and_is_not_resumed_when_the_other_arm_comes_into_its_way():
+    bench = Beside().offered()
+    bench.approve()
+    bench.run(100)
+    bench.executor.pause(bench.stamp)
+    bench.run_until(ExecutorState.PAUSED)
+    bench.say(PROBLEM)
+    with pytest.raises(ExecutionError, match="may not go on"):
+        bench.executor.resume()
+    bench.step()
+    assert bench.executor.outcome == "stopped"

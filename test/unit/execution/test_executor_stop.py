@@ -1,0 +1,262 @@
+"""Stop, pause and resume: on the path, inside the limits, under the same approval."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from executor_bench import ACCELERATION, GOAL, ROBOT, Bench, limited_motion, make_plan, reach, within_acceleration
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from construction_twin.core.errors import ExecutionError, ReviewError
+from construction_twin.core.units import CYCLE
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.monitor.gate import SyncState
+from construction_twin.planning.timing import time_path
+from construction_twin.robot.trajectory import Trajectory
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench().ready()
+
+
+def stop_after(motion: Trajectory, cycles: int) -> tuple[Bench, list]:
+    bench = Bench().ready()
+    bench.approve(make_plan(motion=motion))
+    bench.run(cycles)
+    bench.executor.stop(bench.stamp)
+    braking = bench.run_until_idle() if bench.state is not ExecutorState.IDLE else []
+    bench.run(3)
+    return bench, braking
+
+
+class TestStop:
+    def test_brakes_along_the_path_and_rests_there(self, bench):
+        motion = reach()
+        bench, braking = stop_after(motion, 250)
+        assert bench.executor.outcome == "stopped" and set(bench.outputs[-3:]) == {braking[-1]}
+        assert 1 < len(braking) < 250 and within_acceleration(bench.outputs)
+        start, way = np.array(ROBOT.home), np.array(GOAL) - np.array(ROBOT.home)
+        share = (np.array(braking) - start) / way
+        assert np.ptp(share, axis=1).max() < 1e-12
+        assert (np.diff(share[:, 0]) >= 0.0).all() and share[-1, 0] < 0.8
+
+    def test_brakes_about_as_short_as_the_limits_allow(self):
+        motion = reach()
+        _, braking = stop_after(motion, 250)
+        _, velocity, _ = motion.sample(249 * CYCLE)
+        assert len(braking) * CYCLE <= 1.1 * (np.abs(velocity) / ACCELERATION).max() + 3 * CYCLE
+
+    def test_before_the_first_setpoint_nothing_moves(self, bench):
+        bench.approve(make_plan())
+        bench.executor.stop(bench.stamp)
+        assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
+        assert set(bench.run(100)) == {ROBOT.home}
+
+    def test_takes_the_waiting_plan_off_the_desk(self, bench):
+        plan = make_plan()
+        bench.executor.offer(plan)
+        assert "nothing is playing" in bench.executor.stop(bench.stamp)
+        with pytest.raises(ReviewError, match="decided already"):
+            bench.review(plan.id, plan.hash, True, "Ada")
+
+    def test_a_plan_asked_for_before_the_stop_is_void_when_it_arrives(self, bench):
+        bench.executor.stop(bench.stamp)
+        with pytest.raises(ReviewError, match="before the last stop"):
+            bench.executor.offer(make_plan())
+
+    def test_a_stopped_plan_does_not_go_on(self, bench):
+        plan = make_plan()
+        bench.approve(plan)
+        bench.run(250)
+        bench.executor.stop(bench.stamp)
+        bench.run_until_idle()
+        assert len(set(bench.run(500))) == 1
+        with pytest.raises(ReviewError, match="decided already"):
+            bench.review("p", plan.hash, True, "Ada")
+
+    def test_a_second_stop_changes_nothing(self, bench):
+        bench.approve(make_plan())
+        bench.run(250)
+        bench.executor.stop(bench.stamp)
+        bench.run(3)
+        bench.executor.stop(bench.stamp)
+        bench.run_until_idle()
+        bench.run(2)
+        assert bench.executor.outcome == "stopped" and within_acceleration(bench.outputs)
+
+    @settings(max_examples=40, deadline=None)
+    @given(st.integers(0, 2**32), st.integers(2, 6), st.sampled_from([0.01, 0.1, 1.0]), st.floats(0.0, 1.01))
+    def test_brakes_inside_the_acceleration_limits_wherever_it_is_asked_to(self, seed, waypoints, span, share):
+        motion = limited_motion(np.random.default_rng(seed), waypoints, span)
+        bench, braking = stop_after(motion, int(share * motion.duration / CYCLE))
+        assert within_acceleration(bench.outputs)
+        assert len(braking) * CYCLE < 2.0 or bench.executor.outcome == "finished"
+
+    @pytest.mark.parametrize("share", [0.05, 0.3, 0.5, 0.9])
+    def test_brakes_a_planned_motion_inside_the_limits(self, share):
+        way = np.array([ROBOT.home, GOAL, np.array(ROBOT.home) + [0.2, 0.4, -0.1, -0.5, 0.3, 1.0]])
+        motion = time_path(way, ROBOT)
+        bench, _ = stop_after(motion, int(share * motion.duration / CYCLE))
+        assert bench.executor.outcome == "stopped" and within_acceleration(bench.outputs)
+
+    def test_a_changed_scene_stops_on_the_path(self, bench):
+        bench.play(make_plan(), 250)
+        bench.executor.on_scene("0ther")
+        assert bench.state is ExecutorState.STOPPING
+        bench.run_until_idle()
+        bench.run(3)
+        assert bench.executor.outcome == "stopped" and "the scene changed" in bench.executor.reason
+        assert within_acceleration(bench.outputs) and np.abs(np.array(bench.twin) - GOAL).max() > 0.01
+
+    def test_a_changed_scene_while_it_brakes_changes_neither_cause_nor_way(self, bench):
+        bench.play(make_plan(), 250)
+        bench.executor.stop(bench.stamp)
+        stated = bench.executor.braking().forecast().setpoints.text(ROBOT)
+        bench.run(5)
+        bench.executor.on_scene("0ther")
+        assert bench.executor.reason == "stop requested"
+        bench.run_until_idle()
+        assert bench.executor.reason == f"stop requested; at rest after {stated}"
+
+    def test_a_changed_scene_ends_a_plan_that_has_not_begun(self, bench):
+        bench.approve(make_plan())
+        bench.executor.on_scene("0ther")
+        assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
+        assert set(bench.run(100)) == {ROBOT.home}
+
+
+def pause_after(bench: Bench, cycles: int, motion: Trajectory | None = None) -> list:
+    """Play a plan for some cycles and pause it; return the setpoints of the pausing."""
+    bench.play(make_plan(motion=motion), cycles)
+    bench.executor.pause(bench.stamp)
+    return bench.run_until(ExecutorState.PAUSED)
+
+
+class TestPause:
+    def test_rests_on_the_path_and_repeats_the_setpoint(self, bench):
+        pausing = pause_after(bench, 250)
+        assert set(bench.run(500)) == {pausing[-1]}
+        assert bench.state is ExecutorState.PAUSED and within_acceleration(bench.outputs)
+        share = (np.array(pausing[-1]) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
+        assert np.ptp(share) < 1e-12 and 0.5 < share[0] < 0.9
+
+    def test_a_plan_asked_for_before_the_pause_is_void_when_it_arrives_and_one_that_waits_is_not(self, bench):
+        bench.play(make_plan(), 250)
+        waiting = make_plan("waits")
+        bench.executor.desk.offer(waiting)
+        bench.executor.pause(bench.stamp)
+        assert bench.executor.desk.plan is waiting
+        with pytest.raises(ReviewError, match="before the last stop, pause or reset"):
+            bench.executor.desk.offer(make_plan("late", created_ns=bench.stamp - 1))
+        bench.executor.desk.offer(make_plan("new", created_ns=bench.stamp + 1))
+
+    def test_goes_on_along_the_same_path_to_the_goal_without_another_approval(self, bench):
+        pause_after(bench, 250)
+        bench.run(50)
+        assert "goes on" in bench.executor.resume()
+        outputs = bench.run_until_idle()
+        assert outputs[-1] == GOAL and bench.executor.outcome == "finished"
+        assert len(bench.records) == 1 and within_acceleration(bench.outputs)
+        shares = (np.array(bench.outputs[4:]) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
+        assert np.ptp(shares, axis=1).max() < 1e-12 and (np.diff(shares[:, 0]) >= 0.0).all()
+
+    def test_before_the_first_setpoint_nothing_moves_until_resumed(self, bench):
+        bench.approve(make_plan())
+        bench.executor.pause(bench.stamp)
+        assert set(bench.run(100)) == {ROBOT.home} and bench.state is ExecutorState.PAUSED
+        bench.executor.resume()
+        assert bench.run_until_idle()[-1] == GOAL and within_acceleration(bench.outputs)
+
+    def test_can_be_resumed_while_it_still_brakes(self, bench):
+        bench.play(make_plan(), 250)
+        bench.executor.pause(bench.stamp)
+        bench.run(10)
+        bench.executor.resume()
+        assert bench.run_until_idle()[-1] == GOAL and within_acceleration(bench.outputs)
+
+    def test_close_to_the_goal_it_ends_there(self, bench):
+        bench.play(make_plan(), 498)
+        bench.executor.pause(bench.stamp)
+        bench.run_until(ExecutorState.PAUSED, ExecutorState.IDLE)
+        bench.run(3)
+        assert within_acceleration(bench.outputs)
+
+    def test_again_and_again_is_no_error(self, bench):
+        bench.play(make_plan(), 250)
+        bench.executor.pause(bench.stamp)
+        assert "PAUSING already" in bench.executor.pause(bench.stamp)
+        bench.run_until(ExecutorState.PAUSED)
+        assert "PAUSED already" in bench.executor.pause(bench.stamp)
+
+    def test_needs_something_that_plays(self, bench):
+        with pytest.raises(ExecutionError, match="IDLE"):
+            bench.executor.pause(bench.stamp)
+        with pytest.raises(ExecutionError, match="nothing to resume"):
+            bench.executor.resume()
+        bench.play(make_plan(), 10)
+        with pytest.raises(ExecutionError, match="PLAYING"):
+            bench.executor.resume()
+
+    def test_a_paused_plan_keeps_others_from_starting(self, bench):
+        pause_after(bench, 250)
+        with pytest.raises(ReviewError, match="PAUSED"):
+            bench.approve(make_plan("q", reach(start=bench.twin), created_ns=bench.stamp))
+
+    @pytest.mark.parametrize("paused", [True, False], ids=["paused", "pausing"])
+    @pytest.mark.parametrize(
+        "event, state, outcome",
+        [
+            (lambda e, now: e.on_sync(SyncState.HOLDING, False), ExecutorState.IDLE, "held"),
+            (lambda e, now: e.on_sync(SyncState.STALE, False), ExecutorState.IDLE, "held"),
+            (lambda e, now: e.on_link(False, "gateway is holding"), ExecutorState.IDLE, "dropped"),
+            (lambda e, now: e.restart("new command session", now), ExecutorState.WAITING, "dropped"),
+            (lambda e, now: e.stop(now), ExecutorState.IDLE, "stopped"),
+            (lambda e, now: e.on_scene("0ther"), ExecutorState.IDLE, "stopped"),
+        ],
+        ids=["hold", "stale", "link", "restart", "stop", "scene"],
+    )
+    def test_ends_as_while_playing(self, bench, event, state, outcome, paused):
+        bench.play(make_plan(), 250)
+        bench.executor.pause(bench.stamp)
+        if paused:
+            bench.run_until(ExecutorState.PAUSED)
+        event(bench.executor, bench.stamp)
+        if bench.state is ExecutorState.STOPPING and not paused:
+            bench.run_until_idle()
+        assert (bench.state, bench.executor.outcome) == (state, outcome)
+        with pytest.raises(ExecutionError):
+            bench.executor.resume()
+        bench.run(5)
+        # while it moves a closed gate or gateway brakes, not the executor
+        assert within_acceleration(bench.outputs) or (not paused and outcome in ("held", "dropped"))
+
+    def test_a_process_that_was_not_run_for_a_while_stays_paused(self, bench):
+        pausing = pause_after(bench, 250)
+        bench.executor.stall("not run for 0.1 s")
+        assert bench.state is ExecutorState.PAUSED and bench.step() == pausing[-1]
+
+    @settings(max_examples=30, deadline=None)
+    @given(st.data(), st.integers(0, 2**32), st.integers(2, 5), st.sampled_from([0.01, 0.1, 1.0]))
+    def test_any_sequence_stays_inside_the_limits_and_on_the_path(self, data, seed, waypoints, span):
+        motion = limited_motion(np.random.default_rng(seed), waypoints, span)
+        bench = Bench().ready()
+        bench.approve(make_plan(motion=motion))
+        for action in data.draw(st.lists(st.sampled_from(["pause", "resume"]), max_size=6)):
+            bench.run(data.draw(st.integers(0, 150)))
+            if (
+                bench.state
+                in {"pause": (ExecutorState.PLAYING,), "resume": (ExecutorState.PAUSING, ExecutorState.PAUSED)}[action]
+            ):
+                bench.executor.pause(bench.stamp) if action == "pause" else bench.executor.resume()
+        if data.draw(st.booleans()):
+            bench.executor.stop(bench.stamp)
+        elif bench.state in (ExecutorState.PAUSING, ExecutorState.PAUSED):
+            bench.executor.resume()
+        bench.run_until_idle()
+        bench.run(3)
+        assert within_acceleration(bench.outputs)
+        if bench.executor.outcome == "finished":
+            assert bench.outputs[-1] == tuple(motion.positions[-1])
+        assert len(set(bench.outputs[-3:])) == 1

@@ -1,0 +1,209 @@
+"""Progress along a path: however the rate changes, the setpoints stay on it and inside the limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from executor_bench import ACCELERATION, JERK, ROBOT, limited_motion, reach
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from construction_twin.core.units import CYCLE
+from construction_twin.execution.path_progress import Progress
+from construction_twin.planning.timing import time_path
+from construction_twin.robot.trajectory import Trajectory
+
+GOALS = st.sampled_from([0.0, 0.1, 0.5, 1.0])
+
+
+def start(motion: Trajectory, rate: float = 1.0) -> tuple[Progress, list]:
+    """Begin; the list of setpoints starts with the rest before it."""
+    progress = Progress(motion, ROBOT.acceleration, ROBOT.jerk)
+    return progress, [progress.begin(rate)] * 3
+
+
+def planned(seed: int, points: int = 3, span: float = 0.3, **timing) -> Trajectory:
+    """A random motion as the planner times it: inside the acceleration and jerk limits."""
+    rng = np.random.default_rng(seed)
+    path = np.array(ROBOT.home) + span * rng.uniform(-1.0, 1.0, (points, 6))
+    path[0] = ROBOT.home
+    return time_path(path, ROBOT, **timing)
+
+
+def shares(outputs: list) -> tuple[float, float]:
+    """Largest shares of the acceleration and jerk limits, the rest after the last setpoint included."""
+    rows = np.array(outputs + outputs[-1:] * 3)
+    acceleration = np.abs(np.diff(rows, 2, axis=0)) / CYCLE**2 / ACCELERATION
+    return acceleration.max(), (np.abs(np.diff(rows, 3, axis=0)) / CYCLE**3 / JERK).max()
+
+
+def play(progress: Progress, outputs: list, rates) -> list[float]:
+    """Ask for one rate after the other; return the elapsed times."""
+    elapsed = []
+    for rate in rates:
+        outputs.append(progress.advance(rate))
+        elapsed.append(progress.elapsed)
+    return elapsed
+
+
+def play_until_rest(progress: Progress, outputs: list) -> None:
+    while not progress.at_rest and not progress.finished:
+        outputs.append(progress.advance(0.0))
+
+
+def play_to_the_end(progress: Progress, outputs: list) -> None:
+    while not progress.finished:
+        outputs.append(progress.advance(1.0))
+        assert len(outputs) < 20_000
+
+
+def test_at_full_rate_the_setpoints_are_the_samples_on_the_grid():
+    motion = reach(duration=1.9999, waypoints=9)
+    progress, outputs = start(motion)
+    play_to_the_end(progress, outputs)
+    assert outputs[2:] == [tuple(motion.sample(k * 4_000_000 / 1e9)[0].tolist()) for k in range(len(outputs) - 2)]
+    assert outputs[-1] == tuple(motion.positions[-1])
+
+
+def test_a_rate_that_is_reached_stays_exactly():
+    progress, outputs = start(reach(duration=8.0))
+    play(progress, outputs, [1.0] * 200)
+    elapsed = play(progress, outputs, [0.5] * 400)
+    np.testing.assert_allclose(np.diff(elapsed[-100:]), 0.002, rtol=0, atol=1e-15)
+    elapsed = play(progress, outputs, [1.0] * 400)
+    np.testing.assert_allclose(np.diff(elapsed[-100:]), 0.004, rtol=0, atol=1e-15)
+
+
+def test_never_runs_back_nor_faster_than_planned():
+    progress, outputs = start(reach(duration=4.0))
+    rates = np.repeat([1.0, 0.0, 1.0, 0.3, 0.9, 0.0, 1.0], 70)
+    steps = np.diff(play(progress, outputs, rates), prepend=0.0)
+    assert steps.min() >= 0.0 and steps.max() <= CYCLE + 1e-15
+
+
+def test_at_rest_means_at_rest():
+    progress, outputs = start(reach(duration=4.0))
+    play(progress, outputs, [1.0] * 400)
+    assert not progress.at_rest
+    while not progress.at_rest:
+        play(progress, outputs, [0.0])
+    play(progress, outputs, [0.0] * 50)
+    assert len(set(outputs[-51:])) == 1 and progress.at_rest
+    play(progress, outputs, [1.0])
+    assert not progress.at_rest
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32),
+    st.integers(2, 5),
+    st.sampled_from([0.02, 0.2, 0.6]),
+    st.lists(st.tuples(GOALS, st.integers(1, 200)), max_size=8),
+)
+def test_a_planned_motion_stays_inside_the_acceleration_limits_whatever_the_rates(seed, points, span, changes):
+    motion = planned(seed, points, span, speed_scale=0.8)
+    progress, outputs = start(motion)
+    for rate, cycles in changes:
+        play(progress, outputs, [rate] * cycles)
+    play_to_the_end(progress, outputs)
+    assert shares(outputs)[0] <= 1.0 + 1e-9
+    assert outputs[-1] == tuple(motion.positions[-1])
+
+
+@pytest.mark.parametrize("speed_scale, bound", [(0.3, 2.0), (0.6, 2.5), (1.0, 6.0)])
+def test_pauses_and_resumes_of_planned_motions_are_gentle(speed_scale, bound):
+    """Shares of the jerk limits; braking hard, which jumps to the acceleration limit, takes more than ten times them."""
+    soft, hard = [], []
+    for seed in range(12):
+        motion = planned(seed, 2, 0.6, speed_scale=speed_scale)
+        for share in (0.2, 0.4, 0.6, 0.8):
+            progress, outputs = start(motion)
+            play(progress, outputs, [1.0] * int(share * motion.duration / CYCLE))
+            play_until_rest(progress, outputs)
+            play_to_the_end(progress, outputs)
+            soft.append(shares(outputs)[1])
+            progress, outputs = start(motion)
+            play(progress, outputs, [1.0] * int(share * motion.duration / CYCLE))
+            while not progress.at_rest and not progress.finished:
+                outputs.append(progress.brake())
+            hard.append(shares(outputs)[1])
+    assert max(soft) <= bound
+    assert np.median(hard) >= 10.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32),
+    st.integers(2, 6),
+    st.sampled_from([0.01, 0.1, 1.0]),
+    st.lists(st.tuples(st.one_of(GOALS, st.just("brake")), st.integers(1, 150)), max_size=8),
+)
+def test_even_a_motion_at_the_acceleration_limit_stays_inside_it(seed, points, span, changes):
+    motion = limited_motion(np.random.default_rng(seed), points, span)
+    progress, outputs = start(motion)
+    elapsed = [0.0]
+    for rate, cycles in changes:
+        for _ in range(cycles):
+            outputs.append(progress.brake() if rate == "brake" else progress.advance(rate))
+            elapsed.append(progress.elapsed)
+    while not progress.finished:
+        outputs.append(progress.advance(1.0))
+        elapsed.append(progress.elapsed)
+    # the differences of positions around 1 rad carry 1e-15 / (4 ms)^2 of rounding
+    assert shares(outputs)[0] <= 1.0 + 1e-9
+    assert outputs[2:] == [tuple(motion.sample(t)[0].tolist()) for t in elapsed]
+    assert np.diff(elapsed).min() >= 0.0
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("speed_scale", [0.3, 1.0])
+def test_a_pause_takes_little_longer_than_braking_hard(share, speed_scale):
+    motion = planned(7, 2, 0.6, speed_scale=speed_scale)
+
+    def cycles_to_rest(step) -> int:
+        progress, outputs = start(motion)
+        play(progress, outputs, [1.0] * int(share * motion.duration / CYCLE))
+        cycles = 0
+        while not progress.at_rest and not progress.finished:
+            step(progress)
+            cycles += 1
+        return cycles
+
+    hard = cycles_to_rest(lambda progress: progress.brake())
+    assert cycles_to_rest(lambda progress: progress.advance(0.0)) <= hard + 80
+
+
+def test_a_ramp_whose_goal_changes_goes_on_smoothly():
+    motion = planned(3, 3, 0.6, speed_scale=0.5)
+    progress, outputs = start(motion)
+    play(progress, outputs, [1.0] * int(0.4 * motion.duration / CYCLE))
+    for rate in (0.0, 1.0, 0.0, 0.5, 1.0):
+        play(progress, outputs, [rate] * 13)
+    play_to_the_end(progress, outputs)
+    acceleration, jerk = shares(outputs)
+    assert acceleration <= 1.0 and jerk <= 2.5
+
+
+@pytest.mark.parametrize("cycles", [1, 10, 40, 100])
+def test_a_pause_does_not_wait_for_the_end_of_a_ramp_up(cycles):
+    motion = planned(7, 2, 0.6)
+    progress, outputs = start(motion)
+    play(progress, outputs, [1.0] * int(0.3 * motion.duration / CYCLE))
+    play_until_rest(progress, outputs)
+    play(progress, outputs, [1.0] * cycles)
+    before = len(outputs)
+    play_until_rest(progress, outputs)
+    assert len(outputs) - before <= 150 and not progress.finished
+    play_to_the_end(progress, outputs)
+    assert shares(outputs)[0] <= 1.0 + 1e-9
+
+
+def test_braking_ends_a_ramp_and_can_be_taken_up_again():
+    motion = planned(3, 3, 0.6)
+    progress, outputs = start(motion)
+    play(progress, outputs, [1.0] * int(0.3 * motion.duration / CYCLE))
+    play(progress, outputs, [0.5] * 5)
+    while not progress.at_rest:
+        outputs.append(progress.brake())
+    play_to_the_end(progress, outputs)
+    assert shares(outputs)[0] <= 1.0 + 1e-9 and outputs[-1] == tuple(motion.positions[-1])

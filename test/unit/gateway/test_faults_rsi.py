@@ -1,0 +1,123 @@
+"""The network between gateway and controller fails, or the gateway does, while the arm moves.
+
+No PC can prevent the step that HOLDON makes. So: the gateway's own sequence stays inside the limits, the mock controller holds in
+every missed cycle and stops at `Timeout`, the gateway comes back by law 2, and the step is printed (`pytest -s`).
+"""
+
+from __future__ import annotations
+
+import pytest
+from fault_cell import GOAL, FaultCell, judge_arm
+from impairment_profiles import UDP_PROFILES, Profile
+
+from construction_twin.link.supervisor import LinkState
+
+HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
+
+
+def report(name, cell, since=0):
+    """Check HOLDON in what the controller sent since packet number `since`, and print the step."""
+    found = judge_arm(cell.packets[since:])
+    print(f"\nRSI fault {name}: {found}")
+    return found
+
+
+def assert_recovered(cell):
+    """The assertions that every case shares."""
+    cell.wait_until_following()
+    cell.assert_within_limits()
+    assert cell.counter("stops_refused") == 0, cell.describe()
+
+
+def test_lost_late_repeated_and_reordered_datagrams(tmp_path):
+    with FaultCell(tmp_path, udp=True, share=0.35) as cell:
+        goals, worst = [HOME, GOAL], {}
+        for name, profile in UDP_PROFILES.items():
+            since, carried = len(cell.packets), dict(cell.udp.counters)
+            cell.impair_rsi(profile)
+            goals.reverse()
+            cell.move(goals[0])
+            cell.finish(goals[0])
+            cell.impair_rsi(Profile())
+            cell.wait_until_following()
+            worst[name] = report(name, cell, since)
+            for counter, share in (
+                ("lost", profile.loss),
+                ("held_back", profile.reordering),
+                ("duplicated", profile.duplication),
+            ):
+                happened = cell.udp.counters[counter] - carried.get(counter, 0)
+                assert not share or happened > 0, f"{name}: nothing was {counter}"
+                # packet or reply lost: either way the controller misses that cycle, beside those this machine is late in
+                assert counter != "lost" or worst[name].missed >= happened, f"{name}: {happened} datagrams were lost"
+        assert worst["loss_5"].blow > 0.01
+        assert cell.counter("telegrams_repeated") > 0, "duplicated telegrams are noticed"
+        assert_recovered(cell)
+        cell.assert_nobody_restarted()
+
+
+def test_a_cut_shorter_than_timeout_leaves_the_session_alone(tmp_path):
+    with FaultCell(tmp_path, udp=True) as cell:
+        sessions = cell.counter("rsi_sessions")
+        cell.move()
+        cell.impair_rsi(Profile(cut=0.2))
+        cell.wait(lambda: cell.packets[-1].delay >= 25, "the controller to miss replies")
+        cell.finish()
+        found = report("cut of 0.2 s", cell)
+        assert found.missed >= 25
+        assert_recovered(cell)
+        cell.assert_nobody_restarted()
+        if not cell.mock.said("stopped"):
+            assert cell.counter("rsi_sessions") == sessions
+
+
+def test_after_a_cut_longer_than_timeout_the_next_session_begins_where_the_arm_stands(tmp_path):
+    with FaultCell(tmp_path, udp=True) as cell:
+        sessions = cell.counter("rsi_sessions")
+        cell.move()
+        cell.impair_rsi(Profile(cut=0.8))
+        cell.wait(lambda: cell.mock.said("timeout: 100 cycles without a valid reply"), "the controller to stop")
+        stopped = cell.packets[-1].measured
+        cell.wait(lambda: cell.packets[-1].setpoint == stopped, "the controller's next session")
+        cell.wait(lambda: cell.commander.link is LinkState.NEEDS_RESET, "the link to need a reset")
+        assert any("no telegram for" in reason for reason in cell.gateway_reasons("no_controller"))
+        assert cell.packets[-1].measured == stopped, "nothing drives the arm to the twin"
+        assert cell.finish() >= 1, "a person is needed"
+        report("cut of 0.8 s", cell)
+        assert cell.counter("rsi_sessions") > sessions
+        assert_recovered(cell)
+        cell.assert_nobody_restarted()
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.2])
+def test_late_replies(tmp_path, seconds):
+    with FaultCell(tmp_path, udp=True) as cell:
+        cell.move()
+        cell.freeze_gateway(seconds)
+        cell.finish()
+        found = report(f"gateway not run for {seconds} s", cell)
+        assert found.missed >= round(seconds / 0.004) - 1
+        assert_recovered(cell)
+        cell.assert_nobody_restarted()
+
+
+def test_a_killed_gateway_joins_the_running_session_and_waits_for_the_next(tmp_path):
+    # a controller that waits long enough for the gateway's program to be started again
+    with FaultCell(tmp_path, udp=True, mock_timeout=1000, timeout=4.0) as cell:
+        cell.move()
+        cell.gateway.kill()
+        killed = len(cell.packets)
+        cell.wait(lambda: cell.commander.status.get("state") == "offline", "the last will")
+        cell.start_gateway()
+        cell.wait(lambda: cell.gateway_reasons("joined_running"), "the gateway to join the running session")
+        assert "joined a running session" in cell.gateway_reasons("joined_running")[-1]
+        cell.wait(lambda: cell.mock.said("timeout: 1000 cycles"), "the controller to stop")
+        stopped = cell.packets[-1].measured
+        assert {packet.measured for packet in cell.packets[killed + 5 :]} == {stopped}, "HOLDON"
+        assert cell.finish() >= 1, "a person is needed"
+        found = report("gateway killed", cell)
+        assert found.missed >= 999
+        assert len([entry for entry in cell.entries() if entry.session == 1]) == 0, (
+            "no reply to a session that it joined"
+        )
+        assert_recovered(cell)

@@ -1,0 +1,384 @@
+"""The gateway as a pure object: following, refusing, falling silent, stopping."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from gateway_cell import (
+    DELAY_CYCLES,
+    PAYLOADS,
+    START,
+    Cell,
+    following,
+    gap,
+    slow,
+)
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.gateway.gateway import State
+from construction_twin.mqtt.joint_string import JointStringCodec
+
+# -- following -------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_moves_before_it_is_armed():
+    cell = Cell()
+    cell.cycle()
+    cell.stream(slow(k) for k in range(100))
+    assert cell.count("refused_not_armed") == 100
+    assert set(cell.replies) == {(0.0, 0.0)}
+
+
+def test_armed_without_a_stream_holds():
+    cell = Cell()
+    cell.cycle()
+    cell.arm()
+    assert cell.held() == START
+    assert cell.state is State.ARMED
+
+
+def test_the_stream_is_carried_out_the_playout_delay_later_and_exactly():
+    cell = Cell()
+    cell.cycle(3)
+    cell.arm()
+    poses = [cell.codec.quantise(slow(k)) for k in range(1500)]
+    cell.stream(poses)
+    moved = [tuple(start + value for start, value in zip(START, reply)) for reply in cell.replies[3:]]
+    for k in range(DELAY_CYCLES, 1500):
+        assert moved[k] == pytest.approx(poses[k + 1 - DELAY_CYCLES], abs=1e-15)
+    assert cell.count("settling") == 0
+    assert cell.count("commands_received") == 1500
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_stream_begins_within_the_start_tolerance_only(sign):
+    cell = Cell()
+    cell.cycle()
+    cell.arm()
+    cell.send((START[0] + sign * math.radians(0.052), START[1]))
+    assert (cell.state, cell.count("refused_start")) == (State.ARMED, 1)
+    near = (START[0] + sign * math.radians(0.048), START[1])
+    cell.stream([near] * 100)
+    assert cell.state is State.FOLLOWING
+    assert cell.measured == pytest.approx(near, abs=math.radians(0.0005))
+
+
+def test_the_tolerance_is_measured_from_the_held_pose_not_from_the_measured_one():
+    cell = Cell()
+    cell.cycle()
+    cell.arm()
+    away = (START[0] + math.radians(0.2), START[1])
+    cell.cycle(measured=away)
+    cell.send(away)
+    assert cell.state is State.ARMED
+    cell.send(START)
+    assert cell.state is State.FOLLOWING
+
+
+def test_a_stream_that_begins_outside_the_range_is_refused():
+    cell = Cell(start=(0.5, 0.0))
+    cell.cycle()
+    cell.arm()
+    cell.send((0.5 + math.radians(0.002), 0.0))
+    assert (cell.state, cell.count("refused_range")) == (State.ARMED, 1)
+
+
+# -- refusals --------------------------------------------------------------------------------------------------------
+
+
+def refused_motions():
+    here = slow(100)
+    return [
+        ("range", (0.6, START[1])),
+        ("velocity", (here[0] + 0.05, here[1])),
+        ("acceleration", (here[0] - 0.004, here[1])),
+    ]
+
+
+@pytest.mark.parametrize("reason, q", refused_motions())
+def test_a_refused_motion_brakes_latches_and_waits_for_reset(reason, q):
+    cell = following()
+    cell.send(q)
+    assert cell.state is State.BRAKING
+    assert (cell.count(f"refused_{reason}"), cell.count("stops_refused")) == (1, 1)
+    assert reason in cell.gateway.reason
+    cell.cycle(200)
+    assert cell.state is State.HOLDING
+    held = cell.held()
+    # neither the stream going on nor an arm without a reset moves it
+    for k in range(101, 140):
+        cell.send(slow(k))
+        cell.cycle()
+    assert not cell.arm("s2")[0]
+    assert cell.measured == held
+    assert cell.control("reset") == (True, "reset")
+    assert cell.arm("s2")[0]
+
+
+def test_the_refused_setpoint_itself_is_never_played():
+    cell = following(cycles=300)
+    before = cell.measured[0]
+    cell.send((START[0] - 0.05, START[1]))
+    cell.cycle(100)
+    # it moved upwards when it was stopped, and comes to rest upwards
+    assert before <= cell.measured[0] < before + 0.02
+
+
+@pytest.mark.parametrize("payload", PAYLOADS)
+def test_a_payload_that_is_no_joint_string_is_counted_and_disturbs_nothing(payload):
+    cell = following()
+    refusals = sum(value for name, value in cell.gateway.counters.items() if name.startswith("refused_"))
+    cell.send(START, payload=payload)
+    cell.seq -= 1
+    cell.stamp -= CYCLE_NS
+    assert sum(value for name, value in cell.gateway.counters.items() if name.startswith("refused_")) == refusals + 1
+    cell.stream(slow(k) for k in range(100, 200))
+    assert cell.state is State.FOLLOWING
+    assert cell.measured[0] == pytest.approx(slow(200 - DELAY_CYCLES)[0], abs=math.radians(0.0006))
+
+
+def test_another_decimals_setting_is_one_clear_counter():
+    cell = following()
+    cell.send(START, payload=JointStringCodec(2, 4).encode(START))
+    assert cell.count("refused_decimals") == 1
+
+
+@pytest.mark.parametrize(
+    "reason, changes",
+    [
+        ("session", {"session": "s2"}),
+        ("duplicate", {"seq": 100}),
+        ("duplicate", {"seq": 37}),
+        ("sequence", {"seq": 36}),
+        ("sequence", {"seq": 1}),
+        ("sequence", {"seq": 0}),
+    ],
+)
+def test_a_command_of_another_session_or_an_old_one_is_counted_and_disturbs_nothing(reason, changes):
+    cell = following()
+    cell.send((0.0, 0.0), **changes)
+    assert (cell.count(f"refused_{reason}"), cell.state) == (1, State.FOLLOWING)
+
+
+def test_a_command_without_properties_and_one_with_unreadable_ones_are_refused():
+    cell = following()
+    payload = cell.codec.encode(slow(100))
+    cell.gateway.on_command(payload, None, cell.now)
+    cell.gateway.on_command(payload, PayloadError("properties", "user properties ['x']"), cell.now)
+    assert (cell.count("refused_properties"), cell.state) == (2, State.FOLLOWING)
+
+
+def test_a_command_that_travelled_too_long_is_stale():
+    cell = following()
+    # a second later on our clock with the stamp of the next cycle; the controller goes on meanwhile
+    cell.send(slow(100), stamp=cell.stamp + CYCLE_NS - int(0.51 * NANOSECONDS))
+    assert (cell.count("refused_stale"), cell.state) == (1, State.FOLLOWING)
+
+
+def test_the_age_is_relative_to_the_quickest_command_not_to_our_clock():
+    cell = Cell()
+    cell.stamp += 3600 * NANOSECONDS
+    cell.cycle()
+    cell.arm()
+    cell.stream([START] * 10)
+    assert cell.count("commands_received") == 10
+    cell.now += int(0.6 * NANOSECONDS)
+    cell.send(START)
+    assert cell.count("refused_stale") == 1
+
+
+@pytest.mark.parametrize("seconds", [3600.0, 0.6])
+def test_a_senders_clock_that_is_set_forward_stops_the_arm_instead_of_playing_in_slow_motion(seconds):
+    cell = following()
+    cell.stamp += round(seconds * NANOSECONDS)
+    cell.send(slow(100))
+    assert (cell.state, cell.count("refused_lead")) == (State.BRAKING, 1)
+
+
+def test_a_sender_faster_than_time_is_stopped():
+    cell = following()
+    for k in range(100, 400):
+        cell.send(slow(k))
+        if k % 2:
+            cell.cycle()
+        if cell.state is not State.FOLLOWING:
+            break
+    assert cell.count("refused_lead") == 1
+    cell.cycle(100)
+    cell.held()
+
+
+def test_a_controller_that_falls_silent_does_not_make_commands_look_early():
+    # 0.2 s of playout delay and 0.38 s of silence are more than max_age, and nobody's clock was set
+    cell = following(playout_delay=0.2, playout_delay_max=0.2)
+    for k in range(100, 195):
+        cell.now += CYCLE_NS
+        cell.send(slow(k))
+    assert (cell.state, cell.count("refused_lead")) == (State.FOLLOWING, 0)
+
+
+def test_a_senders_clock_that_is_set_back_stops_the_arm():
+    cell = following()
+    cell.send(slow(100), stamp=cell.stamp - int(0.3 * NANOSECONDS))
+    assert (cell.state, cell.count("refused_order")) == (State.BRAKING, 1)
+
+
+def test_lost_commands_are_counted_and_bridged():
+    cell = following()
+    for k in range(100, 200):
+        if k in (110, 120, 121):
+            cell.seq += 1
+            cell.stamp += CYCLE_NS
+        else:
+            cell.send(slow(k))
+        cell.cycle()
+    assert cell.count("commands_lost") == 3
+    assert cell.state is State.FOLLOWING
+    assert cell.measured[0] == pytest.approx(slow(200 - DELAY_CYCLES)[0], abs=math.radians(0.0006))
+
+
+def test_commands_before_the_stream_began_are_not_lost_ones():
+    cell = Cell()
+    cell.cycle()
+    cell.arm()
+    cell.seq = 5000
+    cell.stream([START] * 5)
+    assert cell.count("commands_lost") == 0
+
+
+# -- silence, stop, reset --------------------------------------------------------------------------------------------
+
+
+def test_silence_brakes_after_its_time_holds_and_goes_on_answering():
+    cell = following(cycles=200)
+    cycles = 0
+    while cell.state is State.FOLLOWING:
+        assert cell.cycle() is not None
+        cycles += 1
+    # the delay's commands, then the permitted silence
+    assert cycles == DELAY_CYCLES - 1 + 25 + 1
+    assert cell.count("stops_silence") == 1
+    assert cell.cycle(300) is not None
+    assert cell.state is State.HOLDING
+    cell.held()
+    assert None not in cell.replies
+
+
+def test_a_stream_resumed_within_the_silence_goes_on():
+    cell = following()
+    here = cell.codec.quantise(slow(99))
+    # as long as a hole may be: the playout has been dry for most of it
+    cell.cycle(24)
+    cell.stamp += 24 * CYCLE_NS
+    cell.stream([here] * 50)
+    assert (cell.state, cell.count("stops_silence")) == (State.FOLLOWING, 0)
+    assert cell.measured == pytest.approx(here, abs=1e-12)
+
+
+def test_stop_brakes_and_latches_and_names_who_asked():
+    cell = following()
+    assert cell.control("stop", session="anybody")[0]
+    assert cell.state is State.BRAKING
+    assert "anybody" in cell.gateway.reason
+    cell.cycle(100)
+    assert cell.state is State.HOLDING
+    cell.held()
+
+
+def test_a_stop_of_an_arm_at_rest_is_not_forgotten():
+    cell = Cell()
+    cell.cycle(3)
+    assert cell.control("stop")[0]
+    cell.cycle()
+    assert cell.state is State.HOLDING
+    assert cell.gateway.status()["fault"]
+    assert not cell.arm()[0]
+    assert cell.control("reset")[0]
+    assert not cell.gateway.status()["fault"]
+    assert cell.arm()[0]
+
+
+def test_a_stop_after_silence_replaces_its_reason():
+    cell = following()
+    cell.cycle(200)
+    assert (cell.state, cell.gateway.reason.split(":")[0]) == (State.HOLDING, "silence")
+    assert not cell.gateway.status()["fault"]
+    cell.control("stop")
+    cell.cycle()
+    assert (cell.state, cell.gateway.reason.split(":")[0]) == (State.HOLDING, "stop")
+    assert cell.gateway.status()["fault"]
+
+
+def test_a_stop_outlives_the_rsi_session():
+    cell = following()
+    cell.control("stop")
+    cell.cycle(100)
+    cell.setpoint = cell.measured
+    gap(cell)
+    cell.cycle(3)
+    assert cell.state is State.READY
+    assert not cell.arm("s2")[0]
+    assert cell.control("reset")[0]
+    assert cell.arm("s2")[0]
+
+
+def test_a_stop_without_a_controller_holds_when_one_comes():
+    cell = Cell()
+    assert cell.control("stop")[0]
+    cell.cycle(3)
+    assert not cell.arm()[0]
+
+
+def test_stop_needs_no_session_and_is_granted_in_every_state():
+    for cell in (Cell(), following()):
+        assert cell.control("stop", session="")[0]
+        assert cell.control("stop", session="")[0]
+
+
+def test_reset_is_refused_while_the_arm_moves():
+    cell = following(cycles=200)
+    assert not cell.control("reset")[0]
+    assert cell.state is State.FOLLOWING
+    cell.control("stop")
+    cell.cycle(2)
+    assert not cell.control("reset")[0]
+    assert cell.state is State.BRAKING
+    cell.cycle(200)
+    assert cell.control("reset")[0]
+    assert cell.state is State.READY
+
+
+def test_after_reset_and_arm_the_stream_begins_where_the_arm_was_stopped():
+    cell = following()
+    cell.control("stop")
+    cell.cycle(100)
+    stopped = cell.held()
+    cell.control("reset")
+    assert cell.arm("s2")[0]
+    for _ in range(50):
+        cell.send(stopped, session="s2")
+        cell.cycle()
+    assert cell.state is State.FOLLOWING
+    assert cell.measured == pytest.approx(stopped, abs=math.radians(0.0005))
+    assert all(abs(a - b) <= math.radians(0.001) for a, b in zip(cell.measured, stopped))
+
+
+def test_commands_of_the_session_before_the_reset_are_refused_after_it():
+    cell = following()
+    cell.control("stop")
+    cell.cycle(100)
+    cell.control("reset")
+    cell.arm("s2")
+    cell.send(cell.measured, session="s1")
+    assert (cell.count("refused_session"), cell.state) == (1, State.ARMED)
+
+
+def test_properties_that_cannot_be_read_are_refused_while_nobody_commands():
+    cell = following()
+    cell.control("stop")
+    cell.cycle(100)
+    unreadable = PayloadError("properties", "seq is not a whole number")
+    cell.gateway.on_command(cell.codec.encode(cell.held()), unreadable, cell.now)
+    assert (cell.count("refused_not_armed"), cell.state) == (1, State.HOLDING)

@@ -1,0 +1,320 @@
+"""Modes of the gateway as a pure object: commissioning, read-only, ending RSI_MOVECORR; linear axes; why a session began."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+
+import pytest
+from gateway_cell import RUN, START, Cell, following, gap, jump_ahead, other_source, slow
+from hypothesis import given
+from hypothesis import strategies as st
+from rsi_mutations import mutate
+
+from construction_twin.core.errors import TelegramError
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.gateway import Gateway, State
+from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.servo import IdealServo
+from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, SensorEncoder
+from construction_twin.rsi.layout import RsiLayout
+
+PLAIN = RsiLayout.plain(("A1", "A2"))
+WITH_STOP = dataclasses.replace(PLAIN, receive=("Stop", *PLAIN.receive), holdon=(False, *PLAIN.holdon))
+READ_ONLY = dataclasses.replace(PLAIN, onlysend=True, receive=(), holdon=())
+
+
+def link(cell) -> LinkSupervisor:
+    """Return the bridge's side of the link, with the gateway's status."""
+    supervisor = LinkSupervisor.of(cell.config, lambda: "s1")
+    supervisor.on_connection(True)
+    supervisor.on_status(cell.gateway.status(), cell.now)
+    return supervisor
+
+
+# -- commissioning -----------------------------------------------------------------------------------------------------
+
+
+def commissioning() -> Cell:
+    cell = Cell()
+    cell.gateway = Gateway(cell.config, RUN, commissioning=True)
+    cell.cycle(3)
+    return cell
+
+
+def test_commissioning_takes_the_stream_computes_and_sends_zeros():
+    cell, normal = commissioning(), Cell()
+    normal.cycle(3)
+    for each in (cell, normal):
+        ok, said = each.arm()
+        assert ok
+        each.stream(slow(k) for k in range(200))
+    assert said == "armed"
+    assert set(cell.replies) == {(0.0, 0.0)} and cell.measured == START
+    assert cell.state is State.FOLLOWING and cell.count("commands_received") == 200
+    # what it would have sent is what it sends without the mode
+    assert cell.gateway.correction == normal.gateway.correction == normal.replies[-1] != (0.0, 0.0)
+    assert cell.gateway.status()["correction"] == list(normal.replies[-1])
+
+
+def test_a_stop_in_commissioning_states_the_way_of_what_would_have_been_sent():
+    cell = commissioning()
+    assert cell.arm()[0]
+    cell.stream(slow(k) for k in range(200))
+    assert cell.control("stop")[0]
+    cell.cycle(100)
+    report = cell.gateway.status()["stop"]
+    # not the whole way from the arm, which has not moved at all
+    assert cell.measured == START and report["moved_deg"] == report["distance_deg"]
+    assert 0.0 < report["distance_deg"][0] < 0.5 * math.degrees(cell.gateway.correction[0])
+
+
+def test_commissioning_is_said_wherever_somebody_looks():
+    cell = commissioning()
+    assert cell.gateway.status()["mode"] == "commissioning"
+    assert "commissioning" in cell.gateway.reason
+    assert "every correction is sent as zero" in cell.arm()[1]
+    assert Cell().gateway.status()["mode"] == "normal"
+
+
+def test_the_link_is_armed_and_names_the_mode():
+    cell = commissioning()
+    supervisor = link(cell)
+    for k in range(100):
+        now = cell.now + k * CYCLE_NS
+        supervisor.on_pose(START, now)
+        supervisor.on_command(START, now)
+        supervisor.on_status(cell.gateway.status(), now)
+        control = supervisor.poll(now)
+        if control is not None:
+            ok, reason = cell.gateway.on_control(control, cell.now)
+            supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, now)
+    assert supervisor.state is LinkState.ARMED
+    assert "commissioning" in supervisor.reason
+
+
+def test_after_a_stop_in_commissioning_the_next_stream_begins_where_the_arm_stands():
+    cell = commissioning()
+    cell.arm()
+    cell.stream(slow(k) for k in range(200))
+    cell.control("stop")
+    cell.cycle(300)
+    assert cell.state is State.HOLDING and cell.gateway.correction[0] != 0.0
+    assert cell.control("reset")[0]
+    assert cell.arm("s2")[0]
+    cell.stamp += 10 * NANOSECONDS
+    cell.send(START, session="s2")
+    cell.cycle()
+    assert cell.state is State.FOLLOWING and cell.count("refused_start") == 0
+    assert cell.gateway.correction == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+# -- read-only ---------------------------------------------------------------------------------------------------------
+
+
+def test_read_only_answers_nothing_publishes_states_and_refuses_motion_with_the_reason():
+    cell = Cell(layout=READ_ONLY)
+    cell.cycle(50)
+    assert set(cell.replies) == {None}
+    assert (cell.state, cell.count("telegrams_unanswered")) == (State.READ_ONLY, 50)
+    payload, _ = cell.gateway.state_message(cell.now)
+    assert cell.codec.decode(payload) == pytest.approx(START)
+    for verb in ("arm", "reset", "end"):
+        ok, said = cell.control(verb, "s1", cell.arming)
+        assert not ok
+    assert "ONLYSEND TRUE" in cell.arm()[1]
+    cell.send(START)
+    assert cell.count("refused_not_armed") == 1
+    assert cell.gateway.status()["mode"] == "read_only"
+
+
+def test_read_only_follows_an_arm_that_somebody_else_moves_and_a_controller_that_restarts():
+    cell = Cell(layout=READ_ONLY)
+    cell.cycle(3)
+    cell.measured = (0.3, -0.9)
+    cell.cycle(3)
+    assert cell.codec.decode(cell.gateway.state_message(cell.now)[0]) == pytest.approx((0.3, -0.9), abs=1e-5)
+    gap(cell)
+    assert cell.gateway.state_message(cell.now) is None
+    cell.cycle(3)
+    assert cell.state is State.READ_ONLY and cell.count("rsi_sessions") == 2
+
+
+def test_the_link_says_that_the_gateway_only_reads():
+    cell = Cell(layout=READ_ONLY)
+    cell.cycle(3)
+    supervisor = link(cell)
+    assert supervisor.poll(cell.now) is None
+    assert supervisor.state is LinkState.NO_CONTROLLER
+    assert "read-only" in supervisor.reason
+
+
+def test_onlysend_wins_over_commissioning():
+    assert Gateway(Cell(layout=READ_ONLY).config, RUN, commissioning=True).status()["mode"] == "read_only"
+
+
+# -- the end of RSI_MOVECORR -------------------------------------------------------------------------------------------
+
+
+def test_end_brakes_first_and_asks_for_the_stop_only_at_rest():
+    cell = following(layout=WITH_STOP)
+    assert not cell.gateway.ends
+    ok, said = cell.control("end")
+    assert ok and "at rest" in said
+    asked = []
+    for _ in range(300):
+        cell.cycle()
+        asked.append((cell.gateway.ends, cell.state))
+    assert asked[0] == (False, State.BRAKING)
+    assert asked[-1] == (True, State.HOLDING)
+    assert all(state is State.HOLDING for ends, state in asked if ends)
+    assert cell.gateway.fault
+
+
+def test_after_the_end_a_new_session_carries_no_stop_and_needs_a_reset():
+    cell = Cell(layout=WITH_STOP)
+    cell.cycle(3)
+    cell.control("end")
+    cell.cycle(3)
+    assert cell.gateway.ends
+    gap(cell)
+    cell.cycle(3)
+    assert cell.state is State.READY and not cell.gateway.ends
+    assert not cell.arm()[0]
+    assert cell.control("reset")[0] and cell.arm()[0]
+
+
+def test_a_reset_takes_the_end_back():
+    cell = Cell(layout=WITH_STOP)
+    cell.cycle(3)
+    cell.control("end")
+    cell.cycle(3)
+    assert cell.control("reset")[0]
+    assert not cell.gateway.ends
+
+
+def test_without_a_stop_channel_the_end_is_refused_and_nothing_is_stopped():
+    cell = following()
+    ok, said = cell.control("end")
+    assert not ok and "no Stop element" in said
+    assert cell.state is State.FOLLOWING
+
+
+def test_without_a_session_there_is_nothing_to_end():
+    cell = Cell(layout=WITH_STOP)
+    assert not cell.control("end")[0]
+
+
+# -- a linear axis through codec, session and mock ----------------------------------------------------------------------
+
+TRACK = ("E1", "A1")
+TRACK_LAYOUT = dataclasses.replace(
+    RsiLayout.plain(TRACK), receive=("Stop", "AK.A1", "EK.E1"), holdon=(False, True, True)
+)
+TRACK_CONFIG = GatewayConfig(
+    "arm", TRACK, (-1.0, -3.0), (5.0, 3.0), (2.5, 2.0), (6.81, 2.5), decimals=6, linear=("E1",), layout=TRACK_LAYOUT,
+    e1_sign=-1, e1_offset=0.15,
+)  # fmt: skip
+
+
+class TrackCell(Cell):
+    """A real mock controller with a track in the place of the simulated one: bytes both ways."""
+
+    def __init__(self):
+        super().__init__()
+        self.config = config = TRACK_CONFIG
+        self.gateway = Gateway(config, RUN)
+        self.codec = type(self.codec).of_config(config)
+        start = (2.0, 0.1)
+        mock = MockConfig(
+            TRACK, start, config.lower, config.upper, config.velocity, config.acceleration, config.layout, config.units
+        )
+        self.mock = MockController(mock, IdealServo(1), lambda q: ((*q, 0.0), (0.0,) * 3))
+        self.decoder = RobotDecoder(TRACK, config.units)
+        self.encoder = SensorEncoder.of(config.layout, TRACK, config.units)
+        self.bytes = []
+
+    def cycle(self, count=1):
+        for _ in range(count):
+            self.now += CYCLE_NS
+            packet = self.mock.begin_cycle()
+            if packet is None:
+                return
+            telegram = self.decoder.parse(packet)
+            reply = self.gateway.on_telegram(telegram, self.source, self.now)
+            self.bytes.append(self.encoder.encode(reply, telegram.ipoc, True if self.gateway.ends else None))
+            self.mock.receive(self.bytes[-1])
+
+
+def test_a_track_follows_its_stream_in_metres_against_a_controller_that_counts_otherwise():
+    cell = TrackCell()
+    cell.cycle(3)
+    assert cell.arm() == (True, "armed")
+    poses = [(2.0 + 0.5 * min(k, 500) ** 2 * 1e-6 * (3 - 2 * min(k, 500) / 500), 0.1) for k in range(700)]
+    cell.stream(cell.codec.quantise(q) for q in poses)
+    assert cell.state is State.FOLLOWING and cell.count("settling") == 0
+    assert cell.mock.running and cell.mock.measured == pytest.approx(poses[-1], abs=1e-6)
+    # 125 mm towards the controller's negative side
+    sent = re.search(rb'<EK E1="([^"]*)"', cell.bytes[-1])
+    assert float(sent.group(1)) == pytest.approx(-125.0, abs=1e-4)
+    assert b"<Stop>0</Stop>" in cell.bytes[-1]
+    assert cell.control("end")[0]
+    cell.cycle(200)
+    assert cell.mock.reason == "stop: requested by the PC, RSI_MOVECORR ended"
+
+
+# -- why a session began -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change, said, jump",
+    [(jump_ahead, "IPOC jumped by 504 ms", 504), (other_source, "another source", 0), (gap, "after silence", 0)],
+)
+def test_the_status_says_why_a_session_began_and_how_far_ipoc_jumped(change, said, jump):
+    cell = Cell()
+    cell.cycle(3)
+    assert "the first telegram after silence" in cell.gateway.reason
+    if change is other_source:
+        cell.now += NANOSECONDS // 5
+    change(cell)
+    cell.cycle()
+    assert said in cell.gateway.reason
+    assert cell.gateway.status()["last_ipoc_jump_ms"] == jump
+
+
+def test_a_small_jump_is_reported_without_a_new_session():
+    cell = Cell()
+    cell.cycle(3)
+    cell.cycle(step_ms=12)
+    assert cell.gateway.status()["last_ipoc_jump_ms"] == 12
+    assert (cell.count("ipoc_steps_irregular"), cell.count("rsi_sessions")) == (1, 1)
+
+
+# -- telegrams that can be read, and should never have been sent --------------------------------------------------------
+
+
+@given(st.lists(st.integers(0, 2**32), min_size=1, max_size=30))
+def test_mutated_telegrams_in_mid_motion_never_lead_out_of_the_range(seeds):
+    cell = following()
+    encoder, decoder = RobotEncoder(cell.config.axes, 6), RobotDecoder(cell.config.axes)
+    for k, seed in enumerate(seeds):
+        cell.ipoc += 4
+        cell.now += CYCLE_NS
+        data = encoder.encode(cell.ipoc, cell.measured, cell.setpoint, (0.0,) * 6, (0.0,) * 6, 0)
+        try:
+            telegram = decoder.parse(mutate(data, seed))
+        except TelegramError:
+            continue
+        before = sum(cell.gateway.counters.values())
+        reply = cell.gateway.on_telegram(telegram, cell.source, cell.now)
+        assert sum(cell.gateway.counters.values()) > before
+        cell.gateway.state_message(cell.now)
+        cell.send(slow(100 + k))
+        if reply is not None and cell.gateway._player.follower is not None:
+            position = cell.gateway._player.follower.position
+            for value, low, high in zip(position, cell.config.lower, cell.config.upper):
+                # a session that began outside of the range holds there, and no command leads further out
+                assert low - 1e-9 <= value <= high + 1e-9 or reply == (0.0, 0.0)

@@ -1,0 +1,276 @@
+"""The gateway as a program: its options, its last will, its end, and what it imports."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from paho.mqtt import client as paho
+from processes import ROOT
+from service_cell import (
+    CONFIG,
+    PATIENT,
+    cell,
+    client_of,
+    controller_of,
+    motion,
+    stream,
+)
+
+from construction_twin.core.units import CYCLE, format_allowance
+from construction_twin.gateway.service import bind, main
+from construction_twin.rsi.ethernet_xml import load_ethernet_xml
+
+
+@pytest.fixture
+def config_file(tmp_path):
+    path = tmp_path / "arm.json"
+    path.write_text(CONFIG.to_json())
+    return str(path)
+
+
+@contextmanager
+def program(config_file, port, topics, *options):
+    """The gateway as a process of its own; yields it and its UDP address."""
+    with bind("127.0.0.1", 0) as sock:
+        address = sock.getsockname()
+    command = [
+        sys.executable,
+        "-m",
+        "construction_twin.gateway",
+        "--config",
+        config_file,
+        "--prefix",
+        topics.prefix,
+    ]
+    command += ["--listen", f"{address[0]}:{address[1]}", "--broker", f"127.0.0.1:{port}", *options]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process, address
+    finally:
+        process.kill()
+        process.communicate(timeout=10.0)
+
+
+def test_every_run_names_itself_and_a_recorded_arm_is_void_in_the_next(broker, topics, config_file):
+    runs = []
+    with client_of(broker, topics) as client:
+        for _ in range(2):
+            with program(config_file, broker, topics) as (_, address), controller_of(address) as controller:
+                controller.start()
+                client.wait_for_status(state="ready")
+                assert client.status()["run"] not in runs
+                runs.append(client.status()["run"])
+                assert re.fullmatch("[0-9a-f]{16}", runs[-1])
+                for former in runs[:-1]:
+                    said = f"run '{former}' is not the gateway's present one"
+                    assert client.arm(run=former)["reason"].startswith(said)
+                    client.wait_for_counter("refused_arm", 1)
+                    assert client.status()["last_refusal"].startswith(f"arm: {said}")
+                assert client.arm(run=runs[-1])["ok"]
+            client.wait_for_status(state="offline")
+
+
+def test_a_killed_gateway_is_declared_offline_by_its_last_will(broker, topics, config_file):
+    with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, _):
+        client.wait_for_status(state="no_controller")
+        process.kill()
+        client.wait_for_status(state="offline", reason="connection lost")
+    with client_of(broker, topics) as late:
+        late.wait_for_status(state="offline")
+
+
+def test_an_ethernet_xml_that_sends_elsewhere_is_warned_of(broker, topics, config_file, tmp_path):
+    lines = (ROOT / "krl" / "ethernet" / "ctwin_ethernet.xml").read_text().splitlines()
+    file = tmp_path / "eth.xml"
+    file.write_text("\n".join(line for line in lines if not re.search('"AK.A[3-6]"', line)))
+    config = dataclasses.replace(CONFIG, layout=load_ethernet_xml(file).layout)
+    Path(config_file).write_text(config.to_json())
+    with (
+        client_of(broker, topics) as client,
+        program(config_file, broker, topics, "--ethernet-xml", str(file)) as (process, _),
+    ):
+        client.wait_for_status(state="no_controller")
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=10.0)
+    assert "tells the controller to send to address 192.168.1.10, not 127.0.0.1" in log
+    assert "tells the controller to send to port 49152, not" in log
+
+
+def test_sigterm_ends_the_program_cleanly(broker, topics, config_file):
+    with client_of(broker, topics) as client, program(config_file, broker, topics) as (process, address):
+        client.wait_for_status(state="no_controller")
+        with controller_of(address) as controller:
+            controller.cycle()
+            assert controller.replies == [(0.0, 0.0)]
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=10.0)
+        assert process.returncode == 0
+        assert f"configuration {CONFIG.hash[:12]}" in log
+        assert "ready: RSI session began" in log
+        client.wait_for_status(state="offline", reason="gateway stopped")
+
+
+def test_ended_in_mid_motion_it_brakes_the_arm_before_it_goes(broker, topics):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(200)))
+        count = len(controller.replies)
+        service.stop()
+        client.wait_for_status(state="offline", reason="gateway stopped")
+        replies = [reply for reply in controller.replies[count:] if reply is not None]
+    steps = [b[0] - a[0] for a, b in itertools.pairwise(replies)]
+    budget = PATIENT.acceleration[0] * CYCLE**2 + 2 * math.radians(2e-6)
+    assert abs(steps[0]) > 5 * budget
+    assert steps[-1] == 0.0
+    fastest = max(abs(b - a) for a, b in itertools.pairwise(steps[2:]))
+    assert fastest <= budget + format_allowance(PATIENT.decimals) * CYCLE**2
+
+
+@pytest.mark.parametrize("controller", ["localhost", "127.0.0.1", ""])
+def test_the_controller_may_be_given_by_name_or_not_at_all(broker, topics, config_file, controller):
+    with (
+        client_of(broker, topics) as client,
+        program(config_file, broker, topics, "--controller", controller) as (_, address),
+        controller_of(address) as arm,
+    ):
+        client.wait_for_status(state="no_controller")
+        arm.cycle()
+        assert arm.replies == [(0.0, 0.0)]
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "krc4.local"])
+def test_on_a_network_it_does_not_start_without_knowing_its_controller(config_file, host):
+    run = [
+        sys.executable,
+        "-m",
+        "construction_twin.gateway",
+        "--config",
+        str(config_file),
+        "--listen",
+        f"{host}:0",
+    ]
+    result = subprocess.run(run, capture_output=True, text=True, timeout=60.0, check=False)
+    assert result.returncode == 2 and "Traceback" not in result.stderr
+    assert "--controller" in result.stderr and host in result.stderr
+
+
+def test_telegrams_from_another_address_are_told_once(broker, topics, config_file):
+    with (
+        client_of(broker, topics) as client,
+        program(config_file, broker, topics, "--controller", "127.0.0.9") as (process, address),
+        controller_of(address) as arm,
+    ):
+        client.wait_for_status(state="no_controller", reason="no telegram yet")
+        for _ in range(50):
+            arm.send()
+        told = "datagrams from 127.0.0.1 are not read, because --controller is 127.0.0.9"
+        client.wait_for_status(state="no_controller", reason=f"no telegram yet; {told}")
+        client.wait_for_counter("telegram_refused_address", 50)
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=10.0)
+    assert "telegrams are read from 127.0.0.9 only" in log
+    assert log.count(f"WARNING not the controller: no telegram yet; {told}") == log.count(told) == 1
+
+
+def test_its_other_threads_hand_the_interpreter_over_within_a_quarter_of_a_cycle():
+    code = "import sys; from construction_twin.gateway import service; service._run = lambda _: print(sys.getswitchinterval()); "
+    run = [sys.executable, "-c", code + "service.main(['--config', 'x'])"]
+    said = subprocess.run(run, capture_output=True, text=True, timeout=60.0, check=True).stdout
+    assert float(said) <= CYCLE / 4
+
+
+def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
+    with program(config_file, broker, topics) as (process, address), client_of(broker, topics) as client:
+        client.wait_for_status(state="no_controller")
+        # every refused control is a log line; together they are far more than a pipe holds
+        for _ in range(1500):
+            client.paho.publish(topics.control, b"x" * 100, qos=1)
+        client.wait_for_counter("refused_control", 1500, timeout=30.0)
+        with controller_of(address) as controller:
+            for _ in range(20):
+                controller.cycle()
+            assert controller.replies == [(0.0, 0.0)] * 20
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--listen", "here"], ("--listen", "'here'", "HOST:PORT")),
+        (["--listen", "127.0.0.1:70000"], ("--listen", "'127.0.0.1:70000'", "HOST:PORT")),
+        (["--listen", "127.0.0.1:TAKEN"], ("cannot listen for RSI on UDP 127.0.0.1:TAKEN", "may hold the port")),
+        (
+            ["--controller", "no-such.invalid"],
+            ("--controller", "'no-such.invalid'", "a name that this machine can look up"),
+        ),
+        (["--broker", "1883"], ("--broker", "'1883'", "HOST:PORT")),
+        (["--prefix", "a/b"], ("prefix", "'a/b'", "letters, digits")),
+        (["--config", "/nowhere.json"], ("/nowhere.json", "No such file", "export_gateway_config")),
+    ],
+)
+def test_what_cannot_work_is_one_sentence_and_exit_code_2(config_file, arguments, said):
+    with bind("127.0.0.1", 0) as sock:
+        taken = str(sock.getsockname()[1])
+        arguments = [argument.replace("TAKEN", taken) for argument in arguments]
+        command = [sys.executable, "-m", "construction_twin.gateway", "--config", config_file, *arguments]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert result.returncode == 2
+    for words in said:
+        assert words.replace("TAKEN", taken) in result.stderr
+    assert "Traceback" not in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_without_a_configuration_file_it_does_not_start(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([])
+    assert caught.value.code == 2
+    assert "--config" in capsys.readouterr().err
+
+
+#: Only the standard library, paho and this package can be imported: what a cell PC has.
+_CELL_PC = """
+import runpy, sys
+class CellPc:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top not in sys.stdlib_module_names and top not in ("paho", "construction_twin"):
+            raise ModuleNotFoundError(f"{name} is not on the cell PC")
+sys.meta_path.insert(0, CellPc())
+sys.path[:0] = sys.argv[1:3]
+module, sys.argv = sys.argv[3], sys.argv[3:]
+runpy.run_module(module, run_name="__main__", alter_sys=True)
+"""
+
+
+def on_the_cell_pc(module, *arguments):
+    site = str(Path(paho.__file__).parents[2])
+    command = [sys.executable, "-S", "-E", "-c", _CELL_PC, str(ROOT / "src"), site, module, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd="/")
+
+
+def test_the_gateway_needs_nothing_but_the_standard_library_and_paho(config_file):
+    result = on_the_cell_pc("construction_twin.gateway", "--help")
+    assert result.returncode == 0, result.stderr
+    assert "--config" in result.stdout
+    # beyond --help: it reads its configuration and gets as far as the socket
+    with bind("127.0.0.1", 0) as sock:
+        listen = f"127.0.0.1:{sock.getsockname()[1]}"
+        result = on_the_cell_pc("construction_twin.gateway", "--config", config_file, "--listen", listen)
+    assert result.returncode == 2
+    assert "cannot listen for RSI" in result.stderr
+
+
+@pytest.mark.parametrize("module", ["numpy", "yaml", "rospy", "construction_twin.robot.description"])
+def test_the_cell_pc_of_this_test_really_lacks_the_rest(module):
+    result = on_the_cell_pc(module)
+    assert result.returncode != 0
+    assert "is not on the cell PC" in result.stderr

@@ -1,0 +1,178 @@
+"""The gateway between a real broker and a real UDP socket, without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+
+import pytest
+from paho.mqtt.enums import MQTTProtocolVersion
+from processes import wait_until
+from service_cell import (
+    CODEC,
+    CONFIG,
+    PATIENT,
+    RUN,
+    START,
+    assert_still,
+    cell,
+    client_of,
+    controller_of,
+    motion,
+    serving,
+    stream,
+)
+
+from construction_twin.mqtt.fast_client import UserProperties, received_pairs
+from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
+
+
+def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        answer = client.arm(PATIENT)
+        assert (answer["ok"], answer["verb"], answer["session"]) == (True, "arm", "s1")
+        assert client.status()["state"] == "armed"
+        stream(client, controller, (motion(k) for k in range(200)))
+        last = CODEC.quantise(motion(199))
+        stream(client, controller, [last] * 30)
+        wait_until(
+            lambda: controller.measured == pytest.approx(last, abs=math.radians(1e-6)), what="the end of the motion"
+        )
+        assert_still(controller)
+        assert service.gateway.counters["commands_lost"] == 0
+        states = [
+            message
+            for message in client.on(topics.state)
+            if read_state_properties(received_pairs(message)).command_stamp
+        ]
+        assert CODEC.decode(states[-1].payload) == pytest.approx(last, abs=math.radians(0.0006))
+        properties = [read_state_properties(received_pairs(message)) for message in states]
+        assert all(later.seq > earlier.seq for earlier, later in itertools.pairwise(properties))
+        assert 10**18 < properties[-1].command_stamp <= client.stamp
+
+
+def test_the_state_after_a_verb_is_told_before_its_answer(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        client.arm()
+        order = [message.topic for message in client.messages if message.topic in (topics.status, topics.control_ack)]
+        payloads = [json.loads(message.payload) for message in client.on(topics.status)]
+        before = order[: order.index(topics.control_ack)]
+        assert payloads[len(before) - 1]["state"] == "armed"
+
+
+def test_a_wrong_hash_is_answered_with_the_reason_and_arms_nothing(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        answer = client.control("arm", "0" * 64)
+        assert not answer["ok"]
+        assert CONFIG.hash in answer["reason"]
+        assert service.gateway.status()["state"] == "ready"
+
+
+def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        client.arm()
+        garbage = [b"", b"\x00\xff", b"{}", b"nan,nan", b"+010.000,+010.000", b"x" * 5000]
+        for payload in garbage:
+            client.paho.publish(topics.command, payload)
+            client.paho.publish(topics.command, payload, properties=UserProperties([("session", "s1"), ("seq", "-1")]))
+        controls = [
+            b"",
+            b"{",
+            b"[]",
+            b"null",
+            b'{"id": 1}',
+            b"[" * 5000,
+            b"\xff",
+            b'{"id": "a", "session": "s", "verb": 5}',
+        ]
+        for payload in controls:
+            client.paho.publish(topics.control, payload, qos=1)
+        client.wait_for_counter("refused_control", len(controls))
+        client.wait_for_counter("refused_properties", 2 * len(garbage))
+        assert client.status()["last_refusal"].startswith("control: control message whose id")
+        assert_still(controller)
+        assert controller.measured == pytest.approx(START)
+        assert service.gateway.status()["state"] == "armed"
+
+
+def test_a_gateway_without_a_stream_brakes_and_keeps_answering(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        client.arm()
+        stream(client, controller, (motion(k) for k in range(100)))
+        client.wait_for_status(state="holding")
+        assert_still(controller)
+        assert controller.missed == 0
+        assert not client.arm(CONFIG, "s2")["ok"]
+        assert client.control("reset")["ok"]
+        assert client.arm(CONFIG, "s2")["ok"]
+
+
+@pytest.mark.parametrize("name", ["command", "control"])
+def test_messages_retained_before_the_gateway_came_are_refused(broker, topics, name):
+    topic = getattr(topics, name)
+    with client_of(broker, topics) as client:
+        payload = Control("old", "s1", "stop").to_json() if name == "control" else CODEC.encode(START)
+        client.paho.publish(topic, payload, qos=1, retain=True).wait_for_publish(5.0)
+        with serving(broker, topics):
+            client.wait_for_counter("refused_retained", 1)
+            assert client.status()["last_refusal"].startswith(f"retained: a message on {name} with the retain flag")
+        assert not client.on(topics.control_ack)
+
+
+def test_a_retained_message_is_refused_when_it_comes_live_too(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        arm = Control("live", "s1", "arm", arm_value(CONFIG.hash, RUN))
+        client.paho.publish(topics.control, arm.to_json(), qos=1, retain=True)
+        client.wait_for_counter("refused_retained", 1)
+        assert client.status()["last_refusal"].startswith("retained: a message on control")
+        assert service.gateway.status()["state"] == "ready"
+        client.paho.publish(topics.control, b"", qos=1, retain=True)
+
+
+def test_the_status_is_there_for_whoever_comes_later(broker, topics):
+    with cell(broker, topics):
+        with client_of(broker, topics) as late:
+            late.wait_for_status(state="ready", hash=CONFIG.hash, decimals=3, properties=True)
+            assert late.on(topics.status)[0].retain
+            assert {"p50", "p99", "p99_9", "max"} <= set(late.status()["reply_us"])
+
+
+def test_a_stopped_gateway_says_that_it_is_offline(broker, topics):
+    with client_of(broker, topics) as client:
+        with serving(broker, topics):
+            client.wait_for_status(state="no_controller")
+        client.wait_for_status(state="offline", reason="gateway stopped")
+
+
+def test_when_the_broker_dies_the_arm_brakes_replies_go_on_and_the_gateway_comes_back(broker_process, topics):
+    with cell(broker_process.port, topics) as (service, controller, client):
+        client.arm()
+        stream(client, controller, (motion(k) for k in range(100)))
+        broker_process.kill()
+        wait_until(lambda: service.gateway.status()["state"] == "holding", what="holding")
+        assert_still(controller)
+        client.messages.clear()
+        broker_process.start()
+        client.wait_for_status(state="holding")
+        assert controller.missed == 0
+        assert client.control("reset")["ok"]
+
+
+def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):
+    config = dataclasses.replace(PATIENT, properties=False)
+    with serving(broker, topics, config, protocol="3.1.1") as (service, address), controller_of(address) as controller:
+        with client_of(broker, topics, protocol=MQTTProtocolVersion.MQTTv311) as client:
+            controller.start()
+            client.wait_for_status(state="ready", properties=False)
+            assert client.arm(config)["ok"]
+            begin = len(controller.replies)
+            for k in range(150):
+                client.paho.publish(topics.command, CODEC.encode(motion(min(k, 100))))
+                wait_until(lambda: len(controller.replies) > begin + k, what="the next cycle")
+            end = CODEC.quantise(motion(100))
+            wait_until(
+                lambda: controller.measured == pytest.approx(end, abs=math.radians(1e-6)), what="the end of the motion"
+            )
+            assert CODEC.decode(client.on(topics.state)[-1].payload)

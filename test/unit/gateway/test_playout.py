@@ -1,0 +1,361 @@
+"""Playout of stamped commands on the controller's time."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from construction_twin.core.interpolation import interpolate
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.gateway.playout import MARGIN, Playout, PlayoutBounds
+from construction_twin.gateway.slew import CALM, URGENT
+
+DELAY = 5 * CYCLE_NS
+LONGEST = 60 * CYCLE_NS
+#: Any time on the sender's clock, here late in 2025.
+T0 = 1_764_000_000_000_000_000
+
+
+def pose(k):
+    """A different pose for every k."""
+    return (0.001 * k, -0.002 * k)
+
+
+def stamped(k, q=None):
+    return T0 + k * CYCLE_NS, pose(k) if q is None else q
+
+
+class Link:
+    """A sender and a controller on simulated clocks."""
+
+    def __init__(self, delay=DELAY):
+        self.playout = Playout(PlayoutBounds(delay, DELAY, LONGEST))
+        self.sent = 0
+
+    def send(self, q=None):
+        self.playout.push(*stamped(self.sent, q))
+        self.sent += 1
+
+    def cycle(self, q=None):
+        self.send(q)
+        return self.playout.advance(CYCLE_NS)
+
+
+def test_playing_begins_the_delay_behind_the_newest_and_waits_at_the_first_command():
+    link = Link()
+    played = [link.cycle() for _ in range(12)]
+    assert played[:5] == [(T0, pose(0))] * 5
+    assert played[5:] == [(T0 + k * CYCLE_NS, pose(k)) for k in range(1, 8)]
+
+
+def test_between_two_commands_the_target_is_interpolated_at_playout_time():
+    link = Link(delay=DELAY + CYCLE_NS // 4)
+    for _ in range(8):
+        stamp, q = link.cycle()
+    k = (stamp - T0) // CYCLE_NS
+    assert (stamp - T0) % CYCLE_NS == 3 * CYCLE_NS // 4
+    assert q == interpolate(stamp, *(stamped(k + n) for n in (0, 1, -1, 2)))
+
+
+def test_a_lost_command_is_bridged_by_interpolation():
+    link = Link()
+    played = []
+    for k in range(16):
+        if k == 6:
+            link.sent += 1
+            played.append(link.playout.advance(CYCLE_NS))
+        else:
+            played.append(link.cycle())
+    stamp, q = next(entry for entry in played if entry[0] == T0 + 6 * CYCLE_NS)
+    assert q == interpolate(stamp, *(stamped(k) for k in (5, 7, 4, 8)))
+
+
+def test_a_controller_step_of_8_ms_moves_playout_time_8_ms():
+    link = Link()
+    for _ in range(8):
+        before, _ = link.cycle()
+    link.send()
+    link.send()
+    assert link.playout.advance(2 * CYCLE_NS)[0] == before + 2 * CYCLE_NS
+
+
+def test_several_commands_at_once_play_at_the_controllers_pace():
+    link = Link()
+    for _ in range(10):
+        before, _ = link.cycle()
+    for _ in range(4):
+        link.send()
+    stamps = [link.playout.advance(CYCLE_NS)[0] for _ in range(4)]
+    assert stamps == pytest.approx([before + k * CYCLE_NS for k in (1, 2, 3, 4)], abs=10 * CALM.change)
+
+
+def test_when_commands_run_out_the_newest_is_held_and_silence_grows():
+    link = Link()
+    for _ in range(10):
+        link.cycle()
+    held = [link.playout.advance(CYCLE_NS) for _ in range(10)][4:]
+    assert held == [(T0 + 9 * CYCLE_NS, pose(9))] * 6
+    assert link.playout.silence == 6 * CYCLE_NS
+
+
+def test_there_is_no_silence_while_commands_are_ahead():
+    link = Link()
+    for _ in range(10):
+        link.cycle()
+        assert link.playout.silence == 0
+    assert link.playout.lead(link.playout.newest) == DELAY - CYCLE_NS
+
+
+def test_after_an_underflow_playing_goes_on_where_time_is():
+    link = Link()
+    for _ in range(10):
+        link.cycle()
+    for _ in range(8):
+        link.playout.advance(CYCLE_NS)
+    for _ in range(8):
+        link.send()
+    # what was due during the underflow is not played late: time went on
+    stamp, q = link.playout.advance(CYCLE_NS)
+    assert stamp == T0 + 14 * CYCLE_NS - URGENT.change
+    assert q == pytest.approx(pose(14), abs=1e-6)
+
+
+def test_clearing_starts_a_stream_of_its_own():
+    link = Link()
+    for _ in range(10):
+        link.cycle()
+    link.playout.clear()
+    assert (link.playout.newest, link.playout.silence) == (0, 0)
+    link.playout.push(7, pose(3))
+    assert link.playout.advance(CYCLE_NS) == (7, pose(3))
+
+
+def crowd(link, count, q=None):
+    """Let the sender run ahead by `count` commands."""
+    for _ in range(count):
+        link.send(q)
+
+
+def test_at_rest_time_is_moved_to_the_delay_at_once():
+    link = Link()
+    rest = pose(1)
+    for _ in range(10):
+        link.cycle(rest)
+    crowd(link, 4, rest)
+    assert {link.cycle(rest)[1] for _ in range(25 * 250)} == {rest}
+    # for 20 s a sender that ran ahead looks like one whose later commands are late
+    assert (link.playout.lead(link.playout.newest), link.playout.delay) == (DELAY - CYCLE_NS, DELAY)
+
+
+def test_moving_time_never_skips_a_motion_that_is_still_to_be_played():
+    link = Link()
+    for _ in range(10):
+        link.cycle()
+    crowd(link, 60)
+    rest = pose(link.sent - 1)
+    before = None
+    for _ in range(25 * 250):
+        _, q = link.cycle(rest)
+        # 1 % by the rate, and what the cubic makes of an abrupt stop
+        assert before is None or abs(q[0] - before) <= 0.001 * 1.02
+        before = q[0]
+    assert q == rest
+    assert link.playout.lead(link.playout.newest) == DELAY - CYCLE_NS
+
+
+class Network:
+    """A sender on its own clock, a link of changing delay, and a controller; all times in ns on the controller's clock."""
+
+    def __init__(self, travel, drift_ppm=0.0, phase=1_700_000, motion=lambda t: (t, -2.0 * t)):
+        self.playout = Playout(PlayoutBounds(DELAY, DELAY, LONGEST))
+        self.motion = motion
+        self._travel, self._drift, self._phase = travel, drift_ppm * 1e-6, phase
+        self._sent, self._arrived, self._arrival = 0, 0, 0
+        self._queue = []
+        self.now = 0
+        self.dry = 0
+
+    def cycle(self):
+        """Let a cycle pass; return the target's stamp and value."""
+        self.now += CYCLE_NS
+        while True:
+            sent = round(self._sent * CYCLE_NS * (1.0 - self._drift))
+            if sent > self.now:
+                break
+            self._arrival = max(self._arrival, sent + self._travel(sent))
+            self._queue.append((self._arrival, self._sent))
+            self._sent += 1
+        while self._arrived < len(self._queue) and self._queue[self._arrived][0] <= self.now + self._phase:
+            at, k = self._queue[self._arrived]
+            self._arrived += 1
+            q = self.motion(k * 0.004)
+            self.playout.push(T0 + k * CYCLE_NS, q, at - (self.now - CYCLE_NS + self._phase))
+        if not self._arrived:
+            return None
+        played = self.playout.advance(CYCLE_NS)
+        self.dry += self.playout.silence > 0
+        return played
+
+    def run(self, seconds):
+        """Return what is played in that time."""
+        return [played for played in (self.cycle() for _ in range(round(seconds / 0.004))) if played]
+
+
+def rates(stamps):
+    """Return playout time's rate from cycle to cycle, minus 1."""
+    return [(later - earlier - CYCLE_NS) / CYCLE_NS for earlier, later in zip(stamps, stamps[1:])]
+
+
+def test_an_undisturbed_link_is_played_on_the_stamps_for_as_long_as_it_lasts():
+    network = Network(lambda _: 300_000, motion=lambda t: (max(0.0, t - 2.0),))
+    stamps = [stamp for stamp, _ in network.run(60.0)]
+    assert all((stamp - T0) % CYCLE_NS == 0 for stamp in stamps)
+    assert set(rates(stamps[300:])) == {0.0}
+    report = network.playout.report()
+    assert (report["delay_ms"], report["jitter_ms"], report["drift_ppm"]) == (20.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("ppm", [100.0, -100.0, 20.0])
+def test_drifting_clocks_are_followed_without_a_step_and_without_running_dry(ppm):
+    network = Network(lambda _: 300_000, ppm)
+    network.run(5.0)
+    stamps, leads = [], []
+    for _ in range(250 * 295):
+        stamps.append(network.cycle()[0])
+        leads.append(network.playout.lead(network.playout.newest))
+    assert network.dry == 0
+    # the drift alone would have moved it by 30 ms, or by 6 ms
+    assert MARGIN - 2 * CYCLE_NS <= min(leads) <= max(leads) <= DELAY + 2 * CYCLE_NS
+    change = [abs(b - a) for a, b in zip(rates(stamps), rates(stamps)[1:])]
+    assert max(map(abs, rates(stamps))) <= CALM.ahead / CYCLE_NS and max(change) <= CALM.change / CYCLE_NS + 1e-12
+    assert network.playout.report()["drift_ppm"] == pytest.approx(ppm, abs=1.0)
+    # between two moves it is played on the stamps
+    assert sum((stamp - T0) % CYCLE_NS == 0 for stamp in stamps) > 0.9 * len(stamps)
+
+
+def jittery(low, high, seed=1):
+    chance = random.Random(seed)
+    return lambda _: chance.randrange(low, high + 1)
+
+
+def test_jitter_is_absorbed_by_a_delay_that_is_shown_and_given_back_when_it_ends():
+    chance = random.Random(2)
+    network = Network(lambda sent: chance.randrange(10_000_000, 30_000_001) if sent < 30 * NANOSECONDS else 10_000_000)
+    network.run(10.0)
+    network.dry = 0
+    network.run(20.0)
+    report = network.playout.report()
+    assert network.dry == 0
+    assert 20.0 <= report["jitter_ms"] <= 24.0 and report["delay_ms"] in (32.0, 36.0)
+    network.run(30.0)
+    assert network.playout.report()["delay_ms"] == 20.0
+
+
+def test_rising_jitter_slows_playout_at_once_and_speeds_it_up_late_and_gently():
+    # stalls of 40 ms once a second, from second 5 to 15
+    def travel(sent):
+        into = sent % NANOSECONDS
+        return 300_000 + (40_000_000 - into if 5 * NANOSECONDS < sent < 15 * NANOSECONDS and into < 40_000_000 else 0)
+
+    network = Network(travel)
+    playout, times = network.playout, []
+    while network.now < 60 * NANOSECONDS:
+        network.cycle()
+        times.append(playout.newest - playout.lead(playout.newest))
+        if network.now == 8 * NANOSECONDS:
+            # two stalls have taught it, and before the third it has moved
+            assert playout.report()["delay_ms"] == 52.0
+            network.dry = 0
+    assert network.dry == 0 and playout.report()["delay_ms"] <= 24.0
+    stamps = times[10:]
+    slowest, fastest = min(rates(stamps)), max(rates(stamps))
+    assert -URGENT.back / CYCLE_NS <= slowest < -CALM.back / CYCLE_NS
+    assert 0.0 < fastest <= CALM.ahead / CYCLE_NS
+
+
+@pytest.mark.parametrize("stall", [0.2, 3.0])
+def test_the_delay_stays_within_its_bounds(stall):
+    network = Network(lambda sent: 300_000 + max(0, round((stall - sent / 1e9 % 5.0) * 1e9)) * (sent > NANOSECONDS))
+    network.run(4.9)
+    for _ in range(5000):
+        network.cycle()
+        assert DELAY <= network.playout.delay <= LONGEST
+    # as far as what was observed asks for, and no further
+    assert network.playout.delay == (PlayoutBounds(DELAY, DELAY, LONGEST).delay(200_000_000) if stall < 1 else LONGEST)
+
+
+def test_a_stream_that_ended_teaches_nothing_but_one_that_was_held_up_does():
+    link = Link()
+    for _ in range(100):
+        link.cycle()
+    for _ in range(30):
+        link.playout.advance(CYCLE_NS)
+    shortfall = link.playout.shortfall
+    assert shortfall == 30 * CYCLE_NS
+    link.playout.clear()
+    assert link.playout.delay == DELAY
+    link.playout.learn(shortfall)
+    link.playout.clear()
+    assert link.playout.delay == shortfall + MARGIN
+    # a cut is longer than any delay could absorb
+    fresh = Link()
+    fresh.playout.learn(LONGEST + 1)
+    assert fresh.playout.delay == DELAY
+
+
+@given(st.integers(1, 250_000_000), st.integers(0, 50), st.integers(0, 100), st.integers(0, 300_000_000))
+def test_delays_are_bounded_and_whole_cycles_from_the_start(start, below, above, jitter):
+    bounds = PlayoutBounds(start, max(1, start - below * 1_000_000), start + above * 1_000_000)
+    delay = bounds.delay(jitter)
+    assert (delay - start) % CYCLE_NS == 0
+    assert bounds.shortest <= delay <= bounds.longest
+    assert delay >= jitter + MARGIN or delay + CYCLE_NS > bounds.longest
+    assert delay == start or delay < jitter + MARGIN + CYCLE_NS or delay < bounds.shortest + CYCLE_NS
+
+
+def test_a_command_behind_playout_time_is_late_and_still_helps_to_interpolate():
+    link = Link()
+    for _ in range(10):
+        link.cycle()
+    for _ in range(8):
+        link.playout.advance(CYCLE_NS)
+    # playout time is 13 cycles after the first command
+    assert [link.playout.push(*stamped(10 + k)) for k in range(8)] == [10 + k > 13 for k in range(8)]
+    stamp, q = link.playout.advance(CYCLE_NS)
+    assert q == interpolate(stamp, *(stamped(k) for k in (13, 14, 12, 15)))
+
+
+@pytest.mark.parametrize("phase", [0, 700_000, 2_000_000, 3_999_999])
+def test_velocity_is_continuous_over_lost_commands(phase):
+    playout = Playout(PlayoutBounds(DELAY + phase, DELAY, LONGEST))
+
+    def q(stamp):
+        return (math.sin((stamp - T0) * 2e-9),)
+
+    played = []
+    for k in range(500):
+        if k % 7 not in (2, 3):
+            playout.push(T0 + k * CYCLE_NS, q(T0 + k * CYCLE_NS))
+        played.append(playout.advance(CYCLE_NS))
+    worst = max(abs(value[0] - q(stamp)[0]) for stamp, value in played[20:])
+    assert worst < 2e-7
+    steps = [b[1][0] - a[1][0] for a, b in zip(played[20:], played[21:])]
+    # 4 rad/s^2 at the most; linear interpolation over 12 ms would triple that
+    assert max(abs(b - a) for a, b in zip(steps, steps[1:])) < 4.1 * 0.004**2
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 3)), min_size=1, max_size=60))
+def test_targets_stay_within_the_commands_and_never_run_backwards(rounds):
+    link = Link()
+    link.send()
+    last = T0
+    for sends, steps in rounds:
+        crowd(link, sends)
+        stamp, q = link.playout.advance(steps * CYCLE_NS)
+        assert last <= stamp <= link.playout.newest
+        assert q == pytest.approx(pose((stamp - T0) / CYCLE_NS), abs=1e-12)
+        last = stamp

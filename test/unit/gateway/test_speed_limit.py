@@ -1,0 +1,296 @@
+"""The gateway's speed limit: who may give one, its deadline and grace, and playing slowly on the same path inside the limits."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from gateway_cell import CONFIG, START
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from speed_limit_cell import (
+    MS,
+    PERIOD,
+    RATIO,
+    SECOND,
+    armed,
+    assert_on_path,
+    assert_within_limits,
+    curve,
+    fastest,
+    play,
+)
+
+from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.gateway.gateway import State
+from construction_twin.gateway.speed_limit import SpeedLimit
+from construction_twin.mqtt.messages import Control
+
+
+class TestWhoAndWhat:
+    @pytest.mark.parametrize("value", [None, "0.5", True, -0.01, 1.01, [0.5], {}, math.nan, math.inf, 10**400])
+    def test_anything_but_a_number_from_0_to_1_is_refused_and_counted(self, value):
+        cell = armed()
+        ok, reason = cell.control("speed_limit", value=value)
+        assert not ok and "0 to 1" in reason and len(reason) < 120
+        assert cell.count("refused_speed_limit") == 1 and cell.state is State.FOLLOWING
+
+    @pytest.mark.parametrize("value", [0, 1, 0.25])
+    def test_numbers_are_taken_and_shown(self, value):
+        cell = armed()
+        assert cell.control("speed_limit", value=value) == (True, f"speed at most {value:g} of the limits")
+        assert cell.gateway.status()["speed_limit"] == {"share": 1.0, "given": value, "source": "s1"}
+        cell.stream([START] * 45)
+        cell.control("speed_limit", value=value)
+        cell.stream([START] * 90)
+        assert cell.gateway.status()["speed_limit"] == {"share": value, "given": value, "source": "s1"}
+
+    def test_only_the_armed_session_may_give_one(self):
+        cell = armed()
+        assert "s2" in cell.control("speed_limit", "s2", 0.5)[1]
+        cell.control("stop")
+        cell.cycle(300)
+        assert not cell.control("speed_limit", value=0.5)[0]
+        assert cell.count("refused_speed_limit") == 2
+
+    def test_repeats_do_not_push_other_messages_out_of_memory(self):
+        cell = armed()
+        again = Control("once", "s1", "arm", "another hash")
+        cell.gateway.on_control(again, cell.now)
+        for _ in range(2000):
+            assert cell.control("speed_limit", value=0.5)[0]
+        ok, reason = cell.gateway.on_control(again, cell.now)
+        assert not ok and "answered before" in reason
+
+
+class TestDeadlineAndGrace:
+    def limit(self) -> SpeedLimit:
+        return SpeedLimit(CONFIG)
+
+    def test_without_a_source_there_is_no_limit(self):
+        limit = self.limit()
+        assert not limit.poll(100 * SECOND) and limit.share == 1.0
+
+    def test_a_lowered_limit_is_enforced_after_the_grace_a_raised_one_at_once(self):
+        limit = self.limit()
+        limit.give(0.2, "s", 0)
+        limit.poll(499 * MS)
+        assert limit.share == 1.0
+        limit.poll(500 * MS)
+        assert limit.share == 0.2
+        limit.give(0.6, "s", 500 * MS)
+        limit.poll(501 * MS)
+        assert limit.share == 0.6
+
+    def test_going_up_and_down_inside_the_grace_does_not_put_the_limit_off_for_ever(self):
+        limit = self.limit()
+        for k in range(10):
+            limit.give((0.2, 0.5)[k % 2], "s", k * 200 * MS)
+            limit.poll(k * 200 * MS)
+        assert limit.share == 0.5
+
+    def test_silence_counts_as_the_share_for_silence_once(self):
+        limit = self.limit()
+        limit.give(1.0, "s", 0)
+        assert not limit.poll(500 * MS)
+        assert limit.poll(501 * MS) and not limit.poll(502 * MS)
+        limit.poll(1001 * MS)
+        assert (limit.share, limit.given, limit.source) == (0.1, 0.1, "silence")
+        assert limit.give(1.0, "s", 2 * SECOND)
+        assert limit.poll(2 * SECOND) is False and limit.share == 1.0
+
+    @given(st.lists(st.tuples(st.integers(0, 300), st.floats(0, 1)), min_size=1, max_size=40))
+    def test_in_force_is_the_highest_that_stood_within_the_grace(self, given_limits):
+        limit, now, history = self.limit(), 0, [(-(10**12), 1.0)]
+        for wait, share in given_limits:
+            now += wait * MS
+            limit.give(share, "s", now)
+            history.append((now, share))
+            limit.poll(now)
+            ends = [time for time, _ in history[1:]] + [now]
+            stood = [value for (_, value), end in zip(history, ends) if end > now - 500 * MS or end == now]
+            assert limit.share == max(stood)
+
+    def test_a_flood_of_limits_takes_no_memory(self):
+        limit = self.limit()
+        for k in range(10_000):
+            limit.give(1.0 - k / 10_000, "s", k)
+        assert len(limit._recent) <= 64
+
+
+class TestPlaying:
+    def test_a_sender_that_obeys_is_not_slowed(self):
+        cell = armed()
+        # the faster axis, A1 for its limits: 0.15 of 2.0 rad/s
+        play(cell, (curve(k) for k in range(800)), limit=0.3)
+        assert cell.gateway.status()["playout"]["put_off_ms"] == 0.0
+        assert cell.count("settling") == 0
+        # played as sent, with the delay of the playout
+        assert cell.positions[-1] == pytest.approx(curve(799 - 4), abs=2e-8)
+
+    @pytest.mark.parametrize("decimals", [3, 6])
+    @pytest.mark.parametrize("share", [0.05, 0.1, 0.15])
+    def test_a_sender_that_does_not_obey_is_slowed_on_its_path(self, decimals, share):
+        cell = armed(decimals=decimals, speed_limit_backlog=60.0)
+        play(cell, (curve(k) for k in range(1600)), limit=share)
+        # grace 125 cycles, playout 5, and time to slow down
+        digit = math.radians(10.0**-decimals) / CYCLE / min(cell.config.velocity)
+        assert fastest(cell, 200) <= share + min(digit, 0.1 * share) + 1e-9
+        assert fastest(cell, 200) > 0.95 * share
+        assert_within_limits(cell)
+        assert_on_path(cell, 3e-8 if decimals == 6 else 5e-5)
+        assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
+
+    def test_afterwards_the_delay_returns_to_normal_without_a_jump(self):
+        cell = armed(speed_limit_backlog=10.0)
+        play(cell, (curve(k) for k in range(500)), limit=0.1)
+        report = cell.gateway.status()["playout"]
+        assert report["put_off_ms"] > 300.0 and report["delay_ms"] == 20.0
+        play(cell, (curve(k) for k in range(500, PERIOD * 2)), limit=1.0)
+        left = cell.gateway.status()["playout"]["put_off_ms"]
+        assert 0.0 < left < report["put_off_ms"]
+        # once the sender rests, the rest of the motion is played out, and nothing is left
+        play(cell, [curve(PERIOD * 2)] * 700, limit=1.0)
+        report = cell.gateway.status()["playout"]
+        assert (report["put_off_ms"], report["to_move_ms"], report["rate_percent"]) == (0.0, 0.0, 0.0)
+        assert report["lead_ms"] == 16.0 and cell.measured == pytest.approx(curve(0), abs=2e-8)
+        assert_within_limits(cell)
+        assert_on_path(cell)
+        assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
+
+    def test_in_motion_the_delay_returns_to_the_command_s_own_stamps(self):
+        cell = armed(speed_limit_backlog=10.0)
+        play(cell, (curve(k, size=0.2) for k in range(250)), limit=0.05)
+        assert cell.gateway.status()["playout"]["put_off_ms"] > 50.0
+        play(cell, (curve(k, size=0.2) for k in range(250, 20_000)), limit=1.0)
+        report = cell.gateway.status()["playout"]
+        assert (report["put_off_ms"], report["to_move_ms"], report["lead_ms"]) == (0.0, 0.0, 16.0)
+        assert_within_limits(cell)
+        assert_on_path(cell)
+
+    def test_at_0_the_arm_stands_and_hours_of_rest_take_no_memory_and_no_time(self):
+        cell = armed()
+        # an executor that obeys, but came to rest a little later than the gateway
+        play(cell, (curve(k) for k in range(125)), limit=0.0)
+        play(cell, (curve(125 + k - k * k / 200) for k in range(100)), limit=0.0)
+        rest = curve(175)
+        play(cell, [rest] * 5000, limit=0.0)
+        assert fastest(cell, 400) == 0.0 and cell.state is State.FOLLOWING
+        assert len(cell.gateway._player._playout._commands) < 200
+        play(cell, [rest] * 300, limit=0.5)
+        play(cell, (curve(175 + k * k / 500) for k in range(400)), limit=0.5)
+        report = cell.gateway.status()["playout"]
+        assert report["put_off_ms"] == 0.0 and report["lead_ms"] == 16.0
+        assert_within_limits(cell)
+        assert_on_path(cell, 1e-7)
+
+    def test_a_backlog_beyond_the_bound_is_braked_for_and_explained(self):
+        cell = armed(speed_limit_backlog=1.0, speed_limit_silent=0.0)
+        cell.control("speed_limit", value=0.0)
+        play(cell, (curve(k) for k in range(500)))
+        assert cell.state in (State.BRAKING, State.HOLDING) and cell.gateway.fault
+        assert cell.gateway.reason.startswith("speed_limit: the sender does not obey the speed limit of 0")
+        assert cell.count("stops_speed_limit") == 1
+        assert_within_limits(cell)
+
+    def test_a_sender_that_dies_is_noticed_as_early_as_without_a_limit(self):
+        cell = armed(silence=0.1, speed_limit_backlog=10.0)
+        play(cell, (curve(k) for k in range(400)), limit=0.05)
+        assert cell.gateway.status()["playout"]["put_off_ms"] > 200.0
+        cell.cycle(31)
+        assert cell.state is State.BRAKING and cell.gateway.reason.startswith("silence")
+
+    def test_a_silent_source_slows_the_arm_and_is_counted(self):
+        cell = armed(speed_limit_backlog=10.0)
+        assert cell.control("speed_limit", value=1.0)[0]
+        play(cell, (curve(k) for k in range(700)))
+        assert cell.count("speed_limit_silent") == 1
+        assert cell.gateway.status()["speed_limit"] == {"share": 0.1, "given": 0.1, "source": "silence"}
+        assert fastest(cell, 320) <= 0.1 + 1e-5
+
+    def test_silence_never_lifts_a_limit(self):
+        cell = armed(speed_limit_backlog=60.0)
+        play(cell, [START] * 200, limit=0.0)
+        # the source is gone, and the sender goes on as if it had never asked
+        play(cell, (curve(k) for k in range(500)))
+        assert cell.count("speed_limit_silent") == 1
+        assert cell.gateway.status()["speed_limit"] == {"share": 0.0, "given": 0.0, "source": "silence"}
+        assert fastest(cell, 0) == 0.0
+
+    def test_a_stop_whose_source_dies_before_the_grace_is_over_still_comes(self):
+        limit = SpeedLimit(dataclasses.replace(CONFIG, speed_limit_deadline=0.2, speed_limit_grace=0.5))
+        limit.give(0.0, "s", 0)
+        shares = []
+        for now in range(0, 2 * SECOND, 100 * MS):
+            limit.poll(now)
+            shares.append(limit.share)
+        assert shares == [1.0] * 5 + [0.0] * 15 and limit.source == "silence"
+
+    @pytest.mark.parametrize("hole", ["commands", "telegrams"])
+    @pytest.mark.parametrize("share", [0.0, 0.1, 0.25])
+    def test_what_was_missed_is_made_up_for_within_the_limit(self, hole, share):
+        cell = armed(speed_limit_backlog=60.0)
+        # a sender that obeys: RATIO makes A2 the joint that uses most of its share
+        rate = 0.98 * max(share, 0.05) * cell.config.velocity[1] / (RATIO * 0.15)
+        play(cell, (curve(k, rate) for k in range(400)), limit=max(share, 0.05))
+        play(cell, (curve(k, rate) for k in range(400, 500)), limit=share)
+        since = len(cell.positions)
+        for k in range(500, 520):
+            cell.send(curve(k, rate)) if hole == "telegrams" else cell.cycle()
+            cell.positions.append(cell.measured)
+        if hole == "commands":
+            cell.stamp, cell.seq = cell.stamp + 20 * CYCLE_NS, cell.seq + 20
+        else:
+            cell.cycle(step_ms=84)
+            cell.positions.append(cell.measured)
+        play(cell, (curve(k, rate) for k in range(520, 800)), limit=share)
+        assert cell.state is State.FOLLOWING
+        # to be in force, the last change needs its grace
+        assert fastest(cell, since) <= max(share, 0.05) + 1e-3
+        assert fastest(cell, since + 150) <= share + 1e-3
+        # lost telegrams are HOLDON's: it stops the arm dead
+        assert_within_limits(cell, cell.positions[since + 2 if hole == "telegrams" else 0 :])
+
+    def test_the_limit_holds_for_the_next_session_too(self):
+        cell = armed()
+        cell.control("speed_limit", value=0.5)
+        cell.stream([START] * 300)
+        cell.control("stop")
+        cell.cycle(10)
+        assert cell.control("reset")[0] and cell.arm("s2")[0]
+        assert cell.gateway.status()["speed_limit"]["share"] == 0.1
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    limits=st.lists(
+        st.tuples(st.sampled_from([0.0, 0.02, 0.1, 0.3, 1.0]), st.integers(10, 150)), min_size=1, max_size=5
+    ),
+    decimals=st.sampled_from([3, 6]),
+    rate=st.floats(0.5, 3.5),
+    losses=st.sets(st.integers(0, 600), max_size=10),
+)
+def test_whatever_limits_come_and_go_every_cycle_is_inside_the_arm_s_limits(limits, decimals, rate, losses):
+    cell = armed(decimals=decimals, speed_limit_grace=0.02)
+    size = min(0.4, 2 * 0.9 * 2.0 / (RATIO * rate), 2 * 0.9 * 2.34 / rate**2)
+    cycle = 0
+    for share, length in limits:
+        for k in range(length):
+            if k % 25 == 0 and cell.gateway.session:
+                cell.control("speed_limit", value=share)
+            cycle += 1
+            if cycle in losses:
+                cell.stamp, cell.seq = cell.stamp + CYCLE_NS, cell.seq + 1
+            else:
+                cell.send(curve(cycle, rate, size))
+            cell.cycle()
+            cell.positions.append(cell.measured)
+    if not losses and not cell.count("settling"):
+        assert_on_path(cell, 1e-7 if decimals == 6 else 1e-4)
+    for _ in range(200):
+        cell.cycle()
+        cell.positions.append(cell.measured)
+    assert_within_limits(cell)
+    assert all(low <= q <= high for pose in cell.positions for q, low, high in zip(pose, CONFIG.lower, CONFIG.upper))
+    assert cell.positions[-1] == cell.positions[-2]

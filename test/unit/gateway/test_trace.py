@@ -1,0 +1,69 @@
+"""The record of what the gateway sent."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import pytest
+from gateway_cell import START, following
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.gateway.gateway import State
+from construction_twin.gateway.trace import TraceEntry, TraceWriter, read_trace
+
+
+def test_it_holds_what_was_answered_cycle_by_cycle(tmp_path):
+    path = str(tmp_path / "trace")
+    cell = following()
+    writer = TraceWriter(path, 2)
+    cell.gateway.trace = writer.record
+    replies = [cell.cycle() for _ in range(200)]
+    writer.close()
+    entries = read_trace(path)
+    assert [entry.ipoc for entry in entries] == list(range(cell.ipoc - 4 * 199, cell.ipoc + 1, 4))
+    assert [tuple(q - start for q, start in zip(entry.position, START)) for entry in entries] == replies
+    assert {entry.state for entry in entries} == {State.FOLLOWING, State.BRAKING, State.HOLDING}
+    assert {entry.session for entry in entries} == {1}
+    assert entries[0].stamp > 0 and entries[-1].stamp == 0
+
+
+def test_a_full_one_counts_what_it_leaves_out(tmp_path):
+    path = str(tmp_path / "trace")
+    writer = TraceWriter(path, 1, cycles=3)
+    for k in range(5):
+        writer.record(k, 70_000, State.READY, 0, (math.pi,))
+    writer.close()
+    assert writer.dropped == 2
+    assert read_trace(path) == [TraceEntry(k, 0, State.READY, 70_000 & 0xFFFF, (math.pi,)) for k in range(3)]
+
+
+def test_what_was_recorded_survives_a_killed_process(tmp_path):
+    path = str(tmp_path / "trace")
+    code = (
+        "import os, signal, sys\n"
+        "from construction_twin.gateway.states import State\n"
+        "from construction_twin.gateway.trace import TraceWriter\n"
+        "writer = TraceWriter(sys.argv[1], 2)\n"
+        "for k in range(100):\n"
+        "    writer.record(4 * k, 1, State.FOLLOWING, 7, (0.1 * k, -1.0))\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code, path]).returncode == -9
+    entries = read_trace(path)
+    assert len(entries) == 100
+    assert entries[99] == TraceEntry(396, 7, State.FOLLOWING, 1, (0.1 * 99, -1.0))
+
+
+@pytest.mark.parametrize("content", [b"", b"rsi", b"something else entirely", b"rsitrace1\n\x02\x00\x07\x00\x00\x00"])
+def test_what_is_no_trace_is_refused(tmp_path, content):
+    path = tmp_path / "trace"
+    path.write_bytes(content)
+    with pytest.raises(ConfigurationError):
+        read_trace(str(path))
+
+
+def test_a_file_that_cannot_be_written_is_refused_by_name(tmp_path):
+    with pytest.raises(ConfigurationError, match="--trace"):
+        TraceWriter(str(tmp_path / "missing" / "trace"), 1)

@@ -1,0 +1,288 @@
+"""Inverse kinematics by search (an arm without a spherical wrist) and along a linear axis (the KR 120 on its track)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inverse_cases import KR120, TRACK, UR_LIKE, assert_solves, joints, make_inverse
+
+from construction_twin.core.motion_errors import (
+    BranchError,
+    JointRangeError,
+    KinematicsError,
+    NoSolutionError,
+    OrientationError,
+    PositionRangeError,
+    UnreachableError,
+)
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.closed_form import SLOTS
+from construction_twin.kinematics.inverse import Configuration, IkSettings
+from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.rail_singularities import find_swings
+from construction_twin.robot.frames import abc_to_rotation
+
+UR = make_inverse(UR_LIKE)
+RAIL = make_inverse(TRACK)
+EYE = np.eye(3)
+
+
+@given(joints(UR_LIKE), joints(UR_LIKE))
+@settings(max_examples=40, deadline=None)
+def test_every_reachable_pose_of_an_arm_without_a_spherical_wrist_is_solved(q, seed):
+    pose = UR.chain.forward(q)
+    assert_solves(UR.chain, UR.nearest(pose, seed), pose, seed)
+
+
+@given(joints(TRACK), joints(TRACK))
+@settings(max_examples=60, deadline=None)
+def test_every_reachable_pose_on_the_track_is_solved_near_the_seed(q, seed):
+    pose = RAIL.chain.forward(q)
+    solution = RAIL.nearest(pose, seed)
+    assert_solves(RAIL.chain, solution, pose, seed)
+    # at a singularity two configurations are one
+    if np.linalg.svd(RAIL.chain.jacobian(solution.q)[:, 1:], compute_uv=False)[-1] > 1e-3:
+        assert solution.configuration == RAIL.configuration(solution.q)
+
+
+@pytest.mark.parametrize("inverse", [UR, RAIL], ids=["ur_like", "track"])
+def test_no_solution_known_is_nearer(inverse):
+    robot = inverse.chain.robot
+    for q, seed in np.random.default_rng(7).uniform(robot.lower, robot.upper, (60, 2, len(robot.lower))):
+        solution = inverse.nearest(inverse.chain.forward(q), seed)
+        assert solution.distance <= np.linalg.norm(q - seed) + 1e-5
+
+
+@pytest.mark.parametrize("inverse", [UR, RAIL], ids=["ur_like", "track"])
+def test_a_near_seed_is_kept(inverse):
+    robot = inverse.chain.robot
+    rng = np.random.default_rng(8)
+    for q in rng.uniform(np.array(robot.lower) + 0.02, np.array(robot.upper) - 0.02, (20, len(robot.lower))):
+        if np.linalg.svd(inverse.chain.jacobian(q), compute_uv=False)[-1] > 0.1:
+            seed = q + rng.uniform(-0.002, 0.002, len(q))
+            assert inverse.nearest(inverse.chain.forward(q), seed).distance <= np.linalg.norm(q - seed) + 1e-6
+
+
+def test_all_of_the_search_are_every_turn_of_each_branch():
+    q = np.array([0.4, -1.1, 0.9, -0.3, 1.2, 2.0])
+    seed = np.zeros(6)
+    solutions = UR.all(UR.chain.forward(q), seed)
+    assert [solution.distance for solution in solutions] == sorted(solution.distance for solution in solutions)
+    for solution in solutions:
+        assert_solves(UR.chain, solution, UR.chain.forward(q), seed)
+    turn = 2.0 * math.pi
+    own = {tuple(np.round(q + turn * np.array([n[0], n[1], 0, *n[2:]]), 5)) for n in itertools.product(
+        (0, -1), (0, 1), (0, 1), (0, -1), (0, -1))}  # fmt: skip
+    found = {tuple(np.round(solution.q, 5)) for solution in solutions}
+    assert own <= found
+    # eight branches, and 2^5 choices of turns for each
+    assert len(found) == len(solutions) == 8 * 32
+
+
+def test_all_on_the_track_are_in_order_and_apart():
+    q, seed = np.array([0.3, 0.2, -1.4, 1.3, 0.4, 0.9, -0.2]), np.array(TRACK.home)
+    pose = RAIL.chain.forward(q)
+    solutions = RAIL.all(pose, seed)
+    assert [solution.distance for solution in solutions] == sorted(solution.distance for solution in solutions)
+    assert solutions[0].distance == pytest.approx(RAIL.nearest(pose, seed).distance, abs=1e-6)
+    for solution in solutions:
+        assert_solves(RAIL.chain, solution, pose, seed)
+    for one, other in itertools.combinations(solutions, 2):
+        assert np.abs(one.q - other.q).max() > 1e-3
+    assert {str(solution.configuration.wrist) for solution in solutions} == {"positive", "negative"}
+
+
+def test_the_track_helps_where_the_arm_alone_does_not_reach():
+    pose = RAIL.chain.forward([0.9, 0.1, -0.6, 0.5, 0.1, 0.8, 0.0])
+    middle = replace(TRACK, lower=(-0.01, *TRACK.lower[1:]), upper=(0.01, *TRACK.upper[1:]))
+    with pytest.raises(UnreachableError) as caught:
+        make_inverse(middle, budget_s=0.0).nearest(pose, TRACK.home)
+    assert 0.0 < caught.value.missing < 0.9
+    assert RAIL.nearest(pose, TRACK.home).q[0] > 0.01
+
+
+def test_nearest_on_the_track_is_no_worse_than_the_search_along_the_self_motion():
+    search = NumericInverse(RAIL.chain, IkSettings(patience=15, budget_s=60.0), np.random.default_rng(9), lambda: 0.0)
+    nearer = 0
+    for q, seed in np.random.default_rng(10).uniform(TRACK.lower, TRACK.upper, (6, 2, 7)):
+        pose = RAIL.chain.forward(q)
+        mine, theirs = RAIL.nearest(pose, seed), search.nearest(pose, seed)
+        assert_solves(RAIL.chain, theirs, pose, seed)
+        assert mine.distance <= theirs.distance + 1e-4
+        nearer += mine.distance >= theirs.distance - 1e-3
+    assert nearer  # and where both find the same place, they agree on it
+
+
+@pytest.mark.parametrize("a5", [0.0, 1e-8, 3e-7, 1e-6, 1e-4, 1e-2])
+def test_singular_wrist_on_the_track_is_kept(a5):
+    for q in np.random.default_rng(3).uniform(TRACK.lower, TRACK.upper, (20, 7)):
+        q[5] = a5
+        assert RAIL.nearest(RAIL.chain.forward(q), q).distance < 1e-6
+
+
+@pytest.mark.parametrize("a5", [0.0, 1e-6, 1e-4, 1e-3])
+@pytest.mark.parametrize("place", [0.0, 0.31, -1.0])
+def test_singular_wrist_on_the_track_is_found_from_beside_it(a5, place):
+    q = np.array([place, 0.3, -1.4, 1.3, 0.4, a5, -0.2])
+    seed = q + [0.002 if place <= 0.0 else -0.002, 0, 0, 0, 0.15, 0, -0.1]
+    pose = RAIL.chain.forward(q)
+    solution = RAIL.nearest(pose, seed)
+    assert_solves(RAIL.chain, solution, pose, seed)
+    assert solution.distance <= np.linalg.norm(seed - q) + 1e-6
+    solutions = RAIL.all(pose, seed)
+    assert solutions[0].distance == pytest.approx(solution.distance, abs=1e-6)
+    for one in solutions:
+        assert_solves(RAIL.chain, one, pose, seed)
+    if a5 == 0.0:
+        # joints 4 and 6 share what is missing: 0.2 in all instead of 0.25
+        assert solution.q[[4, 6]] == pytest.approx([0.525, -0.325], abs=1e-6)
+        totals = [round(one.q[4] + one.q[6], 3) for one in solutions if abs(one.q[5]) < 1e-3]
+        assert {0.2, round(0.2 + 2.0 * math.pi, 3)} <= set(totals)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-3])
+def test_swings_are_where_the_wrist_passes_its_singularity(angle):
+    def wrist(places):
+        slow = 0.5 + 0.1 * places  # never near
+        return np.column_stack([np.hypot(angle, np.sin(2.0 * (places - 0.1234567))), slow])
+
+    ((place, width, found),) = find_swings(np.linspace(-1.0, 1.0, 301), wrist(np.linspace(-1.0, 1.0, 301)), wrist)
+    assert place == pytest.approx(0.1234567, abs=1e-7)
+    assert found == pytest.approx(angle, rel=1e-2, abs=1e-8)
+    assert width == pytest.approx(angle / 2.0, rel=1e-2, abs=1e-8)
+
+
+def test_search_slides_along_a_singular_pose_towards_the_seed():
+    rng = np.random.default_rng(13)
+    for q, seed in rng.uniform(-2.5, 2.5, (8, 2, 6)):
+        q[4] = 0.0  # axes 2, 3, 4 and 6 are parallel
+        pose = UR.chain.forward(q)
+        solution = UR.nearest(pose, seed)
+        assert_solves(UR.chain, solution, pose, seed)
+        values, free = np.linalg.svd(UR.chain.jacobian(solution.q))[1:]
+        inside = (solution.q > np.array(UR_LIKE.lower) + 1e-6) & (solution.q < np.array(UR_LIKE.upper) - 1e-6)
+        if values[-1] < 1e-8 and inside.all():
+            assert abs(free[-1] @ (seed - solution.q)) < 1e-4
+
+
+def test_configuration_on_the_track_is_kept_or_refused():
+    kept = refused = 0
+    for q in np.random.default_rng(12).uniform(TRACK.lower, TRACK.upper, (3, 7)):
+        pose = RAIL.chain.forward(q)
+        for slot in SLOTS:
+            try:
+                solution = RAIL.nearest(pose, TRACK.home, slot)
+            except BranchError as error:
+                refused += 1
+                assert error.available and str(slot) not in error.available
+            else:
+                kept += 1
+                assert_solves(RAIL.chain, solution, pose, TRACK.home)
+                assert solution.configuration == slot == RAIL.configuration(solution.q)
+    assert kept and refused
+
+
+@pytest.mark.parametrize("ask", [UR.nearest, UR.all])
+def test_arm_without_named_configurations_refuses_one(ask):
+    with pytest.raises(BranchError, match="spherical wrist") as caught:
+        ask(UR.chain.forward(UR_LIKE.home), UR_LIKE.home, Configuration.parse("up"))
+    assert caught.value.available == ()
+    assert UR.configuration(UR_LIKE.home) is None
+    assert UR.nearest(UR.chain.forward(UR_LIKE.home), UR_LIKE.home, Configuration()).distance < 1e-6
+
+
+@given(st.floats(0.001, 30.0))
+def test_target_beyond_all_links_in_a_line_says_by_how_much(beyond):
+    pose = Pose(UR.chain.shoulder + [0.0, UR.chain.reach + beyond, 0.0], EYE)
+    with pytest.raises(UnreachableError) as caught:
+        UR.nearest(pose, UR_LIKE.home)
+    assert caught.value.missing == pytest.approx(beyond)
+
+
+def test_target_within_the_bound_but_out_of_reach_says_about_how_much():
+    # stretched out level: 0.61 + 0.57 + 0.12 to the side of 0.17 and 0.12 more at the last wrist
+    pose = Pose(np.array([1.6, 0.0, 0.18]), EYE)
+    with pytest.raises(UnreachableError) as caught:
+        make_inverse(UR_LIKE, seeds=10).nearest(pose, UR_LIKE.home)
+    assert 0.1 < caught.value.missing < 0.4 and not caught.value.too_close
+
+
+def narrow(robot, joint, low, high):
+    lower, upper, home = list(robot.lower), list(robot.upper), list(robot.home)
+    lower[joint], upper[joint], home[joint] = low, high, min(max(home[joint], low), high)
+    return replace(robot, lower=tuple(lower), upper=tuple(upper), home=tuple(home))
+
+
+def test_search_names_the_joint_that_the_orientation_needs():
+    robot = narrow(narrow(UR_LIKE, 5, -0.2, 0.2), 4, -3.2, 3.2)
+    pose = Chain(UR_LIKE).forward([0.3, -1.2, 1.1, 0.2, 1.5, 2.0])
+    with pytest.raises(OrientationError) as caught:
+        make_inverse(robot, seeds=40).nearest(pose, robot.home)
+    assert caught.value.joint == "wrist_3" and (caught.value.lower, caught.value.upper) == (-0.2, 0.2)
+
+
+def test_search_names_the_joint_that_the_position_needs():
+    robot = narrow(UR_LIKE, 0, -0.1, 0.1)
+    pose = Chain(UR_LIKE).forward([1.6, -0.3, 0.4, 0.2, 1.5, 0.3])
+    with pytest.raises(PositionRangeError) as caught:
+        make_inverse(robot, seeds=40).nearest(pose, robot.home)
+    assert caught.value.joint == "pan"
+
+
+def test_track_out_of_reach_says_by_how_much():
+    pose = Pose(np.array([1.0 + 0.35 + 1.15 + math.hypot(1.0, 0.041) + 0.5, 0.0, 0.356 + 0.675 - 0.215]),
+                abc_to_rotation(math.pi, 0.0, math.pi))  # fmt: skip
+    with pytest.raises(UnreachableError) as caught:
+        make_inverse(TRACK, budget_s=0.0).nearest(pose, TRACK.home)
+    assert caught.value.missing == pytest.approx(0.5)
+
+
+def test_track_names_the_joint_in_the_way():
+    robot = narrow(TRACK, 5, -0.2, 0.2)
+    with pytest.raises(OrientationError, match="joint_a5"):
+        make_inverse(robot, budget_s=0.0).nearest(RAIL.chain.forward(TRACK.home), robot.home)
+
+
+def test_spent_budget_still_tries_the_seed():
+    pose = UR.chain.forward(UR_LIKE.home)
+    assert make_inverse(UR_LIKE, budget_s=0.0).nearest(pose, UR_LIKE.home).distance < 1e-6
+
+
+def test_budget_ends_the_search():
+    ticks = itertools.count()
+    inverse = make_inverse(UR_LIKE, clock=lambda: float(next(ticks)), budget_s=3.0, iterations=1)
+    with pytest.raises(NoSolutionError) as caught:
+        inverse.nearest(UR.chain.forward([0.3, -1.2, 1.1, 0.2, 1.5, 2.0]), UR_LIKE.home)
+    assert caught.value.seeds == 3
+    assert 0.0 < caught.value.residual_m < math.inf
+
+
+def test_same_random_numbers_same_solutions():
+    pose = UR.chain.forward([0.3, -1.2, 1.1, 0.2, 1.5, 2.0])
+    first, second = (make_inverse(UR_LIKE, 5, lambda: 0.0).nearest(pose, UR_LIKE.home).q for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("inverse", [UR, RAIL], ids=["ur_like", "track"])
+@pytest.mark.parametrize("ask", ["nearest", "all"])
+def test_bad_seeds_and_poses_are_refused(inverse, ask):
+    robot = inverse.chain.robot
+    with pytest.raises(JointRangeError, match=robot.joint_names[0]):
+        getattr(inverse, ask)(inverse.chain.forward(robot.home), (9.0, *robot.home[1:]))
+    with pytest.raises(KinematicsError, match="finite"):
+        getattr(inverse, ask)(Pose(np.array([math.nan, 0.0, 0.0]), EYE), robot.home)
+    with pytest.raises(KinematicsError, match="right-handed"):
+        getattr(inverse, ask)(Pose(np.array([1.0, 0.0, 0.5]), -EYE), robot.home)
+
+
+def test_search_also_solves_what_has_a_closed_form():
+    chain = Chain(KR120)
+    search = NumericInverse(chain, IkSettings(budget_s=60.0), np.random.default_rng(0), lambda: 0.0)
+    for q in np.random.default_rng(11).uniform(KR120.lower, KR120.upper, (10, 6)):
+        assert_solves(chain, search.nearest(chain.forward(q), KR120.home), chain.forward(q), KR120.home)

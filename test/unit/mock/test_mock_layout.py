@@ -1,0 +1,180 @@
+"""The mock controller with an Ethernet XML: ONLYSEND, the STOP object, HOLDON per channel, other names, a track."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from processes import ROOT
+
+from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.program import MockSettings, _arguments, _settings, build_controller, gateway_address
+from construction_twin.mock.servo import IdealServo
+from construction_twin.robot.description import read_robot_files
+from construction_twin.rsi.ethernet_xml import read_ethernet_xml
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
+from construction_twin.rsi.layout import AxisUnit, RsiLayout
+
+#: A track in m, two axes in rad.
+AXES = ("E1", "A1", "A2")
+UNITS = (AxisUnit(linear=True), AxisUnit(), AxisUnit())
+PLAIN = RsiLayout.plain(AXES)
+LAYOUT = dataclasses.replace(PLAIN, receive=("Stop", *PLAIN.receive), holdon=(False, *PLAIN.holdon))
+START = (1.5, 0.1, -1.0)
+CONFIG = MockConfig(AXES, START, (-2.0, -3.0, -2.0), (5.0, 3.0, 2.0), (2.5, 2.0, 2.0), (6.8, 2.5, 2.5), LAYOUT, UNITS)
+FILE = ROOT / "krl" / "ethernet" / "ctwin_ethernet.xml"
+ZERO = (0.0, 0.0, 0.0)
+
+
+class Cell:
+    """A mock controller and a PC that answers as told."""
+
+    def __init__(self, **changes):
+        self.config = dataclasses.replace(CONFIG, **changes)
+        self.mock = MockController(self.config, IdealServo(1), lambda q: (q[:3], q[:3]))
+        self.encoder = (
+            None if self.config.layout.onlysend else SensorEncoder.of(self.config.layout, AXES, self.config.units)
+        )
+        self.decoder = RobotDecoder(AXES, self.config.units)
+
+    def cycle(self, correction=ZERO, stop=None):
+        data = self.mock.begin_cycle()
+        if data is None:
+            return None
+        packet = self.decoder.parse(data)
+        if correction is not None:
+            self.mock.receive(self.encoder.encode(correction, packet.ipoc, stop))
+        return packet
+
+
+def test_a_track_is_corrected_in_millimetres_and_reported_in_metres():
+    cell = Cell()
+    for k in range(50):
+        cell.cycle((0.001 * k, 0.0, 0.0))
+    packet = cell.cycle((0.05, 0.0, 0.0))
+    assert packet.setpoint == pytest.approx(START)
+    assert packet.measured == pytest.approx((1.549, 0.1, -1.0), abs=1e-8)
+    assert cell.mock.running
+
+
+def test_a_track_beyond_its_end_stops_rsi_like_any_axis():
+    cell = Cell(start_pose=(4.9999, 0.1, -1.0), correction_upper=(1.0, 1.0, 1.0))
+    cell.cycle()
+    cell.cycle((0.001, 0.0, 0.0))
+    assert cell.cycle() is None
+    assert cell.mock.reason == "software limit E1"
+
+
+def test_a_controller_with_another_unit_and_direction_moves_as_asked():
+    units = (AxisUnit(True, -1, 0.15, 180 / math.pi, 1.0), *UNITS[1:])
+    cell = Cell(units=units)
+    for k in range(20):
+        cell.cycle((0.001 * k, 0.0, 0.0))
+    assert cell.cycle().measured[0] == pytest.approx(1.519, abs=1e-7)
+
+
+# -- the STOP object ---------------------------------------------------------------------------------------------------
+
+
+def test_stop_ends_the_motion_on_its_rising_edge():
+    cell = Cell()
+    for _ in range(5):
+        cell.cycle(stop=False)
+    cell.cycle(stop=True)
+    assert cell.cycle() is None
+    assert cell.mock.reason == "stop: requested by the PC, RSI_MOVECORR ended"
+    assert not cell.mock.flag
+
+
+def test_a_missed_reply_is_no_stop_and_a_reply_without_stop_is_no_reply():
+    cell = Cell()
+    cell.cycle(None)
+    data = cell.mock.begin_cycle()
+    cell.mock.receive(SensorEncoder("ImFree", AXES, (), UNITS).encode(ZERO, cell.decoder.parse(data).ipoc))
+    cell.cycle()
+    assert cell.mock.counters["malformed"] == 1
+    assert cell.mock.counters["missed"] == 2 and cell.mock.running
+
+
+def test_an_undeclared_stop_is_not_wired_to_anything():
+    cell = Cell(layout=PLAIN)
+    for _ in range(3):
+        cell.cycle(stop=True)
+    assert cell.mock.running and cell.mock.counters["replies"] == 3
+
+
+# -- HOLDON, ONLYSEND, names -------------------------------------------------------------------------------------------
+
+
+def test_each_channel_falls_back_as_its_own_holdon_says():
+    layout = dataclasses.replace(LAYOUT, holdon=(False, True, False, True))
+    cell = Cell(layout=layout, velocity_factor=0.0, acceleration_factor=0.0)
+    cell.cycle((0.01, 0.01, 0.01))
+    cell.cycle(None)
+    cell.cycle(None)
+    assert cell.mock.applied == pytest.approx((0.01, 0.0, 0.01), abs=1e-7)
+
+
+def test_with_onlysend_it_sends_for_ever_expects_nothing_and_takes_nothing():
+    cell = Cell(layout=dataclasses.replace(PLAIN, onlysend=True, receive=(), holdon=()), timeout=10)
+    packets = [cell.cycle(None) for _ in range(500)]
+    assert None not in packets
+    assert {packet.delay for packet in packets} == {0}
+    reply = SensorEncoder("ImFree", AXES, (), UNITS).encode((0.01, 0.0, 0.0), packets[-1].ipoc)
+    assert not cell.mock.receive(reply)
+    assert cell.cycle(None).measured == pytest.approx(START)
+    assert (cell.mock.counters["unexpected"], cell.mock.counters["missed"], cell.mock.flag) == (1, 0, False)
+
+
+def test_a_gateway_with_other_names_is_not_understood():
+    names = dataclasses.replace(LAYOUT, receive=("Stop", "EKorr.E1", "AKorr.A1", "AKorr.A2"))
+    cell = Cell(timeout=5)
+    other = SensorEncoder.of(names, AXES, UNITS)
+    for _ in range(5):
+        ipoc = cell.decoder.parse(cell.mock.begin_cycle()).ipoc
+        assert not cell.mock.receive(other.encode(ZERO, ipoc))
+    assert cell.mock.begin_cycle() is None
+    assert cell.mock.reason.startswith("timeout") and cell.mock.counters["malformed"] == 5
+
+
+def test_a_layout_for_another_robot_is_refused():
+    with pytest.raises(EthernetXmlError, match="E1"):
+        dataclasses.replace(CONFIG, layout=RsiLayout.plain(("A1", "A2")))
+
+
+# -- settings ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+
+
+def test_settings_take_layout_and_port_from_the_file(robot):
+    text = FILE.read_text().replace("49152", "50000").replace("ImFree", "Twin")
+    settings = MockSettings(gateway_host="127.0.0.1", ethernet_xml=text)
+    assert gateway_address(settings) == ("127.0.0.1", 50000)
+    assert build_controller(settings, robot).config.layout == read_ethernet_xml(text, "").layout
+    assert gateway_address(MockSettings(gateway_host="a", gateway_port=7, ethernet_xml=text)) == ("a", 7)
+
+
+def test_without_port_and_file_nobody_knows_where_to_send():
+    with pytest.raises(ConfigurationError, match="gateway_port"):
+        gateway_address(MockSettings(gateway_host="a"))
+
+
+def test_a_block_that_the_mock_cannot_send_is_refused(robot):
+    text = FILE.read_text().replace("DEF_RSol", "DEF_MACur")
+    with pytest.raises(ConfigurationError, match="MACur"):
+        build_controller(MockSettings(gateway_host="a", ethernet_xml=text), robot)
+
+
+def test_the_command_line_reads_the_shipped_file_unless_told_otherwise(tmp_path):
+    options = vars(_arguments([]))
+    options = {key: value for key, value in options.items() if not key.startswith("robot_")}
+    assert gateway_address(_settings(options)) == ("127.0.0.1", 49152)
+    options = {"gateway": "127.0.0.1:0", "ethernet_xml": tmp_path / "none.xml"}
+    with pytest.raises(EthernetXmlError, match="none.xml"):
+        _settings(options)

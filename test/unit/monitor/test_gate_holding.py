@@ -1,0 +1,326 @@
+"""What the gate does about a violation: at once, without chatter, by its policy, and not for ever."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved, states
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
+from construction_twin.monitor.gate import Gate, GateSettings
+from construction_twin.monitor.states import SyncEvent, SyncState
+
+
+def bench(**settings) -> Bench:
+    """Return an open bench with these settings."""
+    opened = Bench(GateSettings(**settings)).opened()
+    opened.gate.take_transitions()
+    return opened
+
+
+class TestThresholds:
+    def test_one_value_holds_for_all_joints_and_others_are_given_by_name(self):
+        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).comparison(LIMITS)
+        assert settings.threshold == (0.02, 0.005)
+
+    def test_linear_joints_have_a_value_of_their_own(self):
+        limits = MotionLimits(("joint_a1", "track"), (-2.0, 0.0), (2.0, 3.0), (2.0, 1.0), (3.0, 1.0), (False, True))
+        assert GateSettings(threshold=0.02, threshold_linear=0.003).comparison(limits).threshold == (0.02, 0.003)
+
+    def test_a_name_that_is_no_joint_is_refused(self):
+        with pytest.raises(ConfigurationError, match="joint_a9"):
+            Gate(LIMITS, CODEC, GateSettings(thresholds={"joint_a9": 0.1}))
+
+    def test_can_be_changed_live(self):
+        gate = bench().gate
+        gate.configure(GateSettings(threshold=0.3))
+        gate.on_physical(moved(START, 0.2), 0, gate.held_stamp)
+        assert gate.state is SyncState.IN_SYNC
+        gate.configure(GateSettings(thresholds={"joint_a1": 0.1}))
+        gate.on_physical(moved(START, 0.2), 0, gate.held_stamp)
+        assert gate.state is SyncState.HOLDING
+
+    def test_a_change_that_makes_no_sense_changes_nothing(self):
+        gate = bench().gate
+        before = gate.settings
+        with pytest.raises(ConfigurationError):
+            gate.configure(GateSettings(threshold=0.3, thresholds={"": 0.1}))
+        assert gate.settings is before
+        gate.on_physical(moved(START, 0.2), 0, gate.held_stamp)
+        assert gate.state is SyncState.HOLDING
+
+
+class TestClosing:
+    def test_the_first_sample_above_the_threshold_closes_before_any_setpoint(self):
+        cell = bench()
+        cell.gate.on_physical(
+            moved(START, math.nextafter(SETTINGS.threshold + START[0], 9.0) - START[0]), 0, cell.stamp
+        )
+        assert cell.state is SyncState.IN_SYNC or cell.gate.comparison.last.error[0] > SETTINGS.threshold
+        cell.gate.on_physical(moved(START, 1.01 * SETTINGS.threshold), 0, cell.stamp)
+        assert (cell.state, cell.gate.violations) == (SyncState.HOLDING, 1)
+
+    def test_one_that_is_gone_with_the_next_sample_closes_too(self):
+        cell = bench()
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        cell.gate.on_physical(START, 0, cell.stamp)
+        assert cell.cycle(moved(START, 1e-4)) == START and cell.state is SyncState.HOLDING
+
+    def test_the_transition_tells_when_why_and_with_which_values(self):
+        cell = bench()
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        (change,) = cell.gate.take_transitions()
+        assert (change.at, change.source, change.event) == (cell.stamp, SyncState.IN_SYNC, SyncEvent.POSE_DIFFERS)
+        assert change.reason == "joint_a1 differs by 0.200000 rad, threshold 0.010000 rad"
+        assert change.comparison.error == pytest.approx((0.2, 0.0))
+        assert change.held_stamp == cell.gate.held_stamp == cell.stamp
+
+    def test_stale_feedback_that_comes_back_different_is_a_difference(self):
+        cell = bench()
+        cell.feedback = False
+        cell.run(0.2)
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        assert states(cell.gate) == [("feedback_stale", "STALE"), ("pose_differs", "HOLDING")]
+        assert cell.gate.violations == 1
+
+    def test_the_held_stamp_is_that_of_the_last_setpoint_that_passed(self):
+        cell = bench().advance(speed=1.0, cycles=20)
+        passed = cell.stamp
+        cell.offset = 0.2
+        cell.run(0.3)
+        assert cell.gate.held_stamp == passed
+        cell.gate.restart("new command session", cell.stamp)
+        assert cell.gate.held_stamp == 0
+
+
+class TestHysteresis:
+    def held(self, offset: float) -> Bench:
+        cell = bench()
+        cell.offset = 1.1 * SETTINGS.threshold
+        cell.cycle()
+        cell.offset = offset * SETTINGS.threshold
+        cell.run(1.0)
+        return cell
+
+    def test_between_the_two_thresholds_a_closed_gate_stays_closed(self):
+        assert self.held(0.9).state is SyncState.HOLDING
+        assert self.held(0.79).state is SyncState.IN_SYNC
+
+    def test_and_an_open_one_stays_open(self):
+        cell = bench()
+        cell.offset = 0.99 * SETTINGS.threshold
+        cell.run(1.0)
+        assert cell.state is SyncState.IN_SYNC and cell.gate.agreed(cell.stamp)
+
+    def test_an_error_that_swings_about_the_threshold_does_not_chatter(self):
+        cell = bench()
+        for k in range(1000):
+            cell.offset = (1.0 + 0.05 * (-1) ** k) * SETTINGS.threshold
+            cell.cycle()
+        assert states(cell.gate) == [("pose_differs", "HOLDING")]
+
+    def test_one_sample_above_the_share_starts_the_time_anew(self):
+        cell = self.held(0.9)
+        cell.offset = 0.0
+        cell.run(0.08)
+        cell.offset = 0.9 * SETTINGS.threshold
+        cell.cycle()
+        cell.offset = 0.0
+        cell.run(0.08)
+        assert cell.state is SyncState.HOLDING
+        cell.run(0.04)
+        assert cell.state is SyncState.IN_SYNC
+
+
+class TestPolicy:
+    def test_stop_leads_to_stopped_at_once(self):
+        cell = bench(policy="stop")
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        assert states(cell.gate) == [("pose_differs", "HOLDING"), ("policy_stop", "STOPPED")]
+        assert "joint_a1 differs by 0.2" in cell.gate.reason and "reset" in cell.gate.reason
+
+    @pytest.mark.parametrize("policy", ["replan", "resume"])
+    def test_the_others_open_again(self, policy):
+        cell = bench(policy=policy)
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        cell.run(0.2)
+        assert states(cell.gate) == [("pose_differs", "HOLDING"), ("opened", "IN_SYNC")]
+
+    def test_a_closed_gate_keeps_the_policy_that_it_closed_with(self):
+        cell = bench(policy="resume")
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        cell.gate.configure(dataclasses.replace(cell.gate.settings, policy="stop"))
+        assert cell.gate.policy == "resume"
+        cell.run(0.2)
+        assert (cell.state, cell.gate.policy) == (SyncState.IN_SYNC, "stop")
+
+    def test_a_re_plan_is_a_state_of_its_own_until_the_poses_agree(self):
+        cell = bench()
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        assert cell.gate.on_replan("asked", cell.stamp) and not cell.gate.on_replan("again", cell.stamp)
+        cell.run(0.2)
+        expected = [("pose_differs", "HOLDING"), ("replan_asked", "REPLANNING"), ("opened", "IN_SYNC")]
+        assert states(cell.gate) == expected
+        assert not cell.gate.on_replan_failed("too late", cell.stamp)
+
+    def test_a_re_plan_that_fails_leaves_it_holding(self):
+        cell = bench()
+        cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
+        cell.gate.on_replan("asked", cell.stamp)
+        assert cell.gate.on_replan_failed("no path found", cell.stamp)
+        assert (cell.state, cell.gate.reason) == (SyncState.HOLDING, "no path found")
+
+    def test_nobody_plans_around_a_fault(self):
+        cell = bench()
+        cell.cycle(moved(START, 1.0))
+        assert cell.state is SyncState.FAULT and not cell.gate.on_replan("asked", cell.stamp)
+
+
+def close(cell: Bench, cause: str) -> None:
+    """Close the gate and keep it closed."""
+    if cause == "differs":
+        cell.offset = 0.2
+        cell.cycle()
+    elif cause == "stale":
+        cell.feedback = False
+        cell.run(0.12)
+    elif cause == "fault":
+        cell.cycle(moved(START, 1.0))
+        cell.offset = 0.2
+    else:
+        cell.offset = 0.2
+        cell.cycle()
+        cell.gate.on_replan("asked", cell.stamp)
+
+
+class TestGivingUp:
+    @pytest.mark.parametrize("cause", ["differs", "stale", "fault", "replan"])
+    def test_ends_in_stopped_which_only_a_new_session_leaves(self, cause):
+        cell = bench(give_up_time=0.5)
+        close(cell, cause)
+        closed = next(c for c in cell.gate.take_transitions() if c.source is SyncState.IN_SYNC).at
+        held = set(cell.run(0.6))
+        assert cell.state is SyncState.STOPPED and held == {START}
+        (gave_up,) = (c for c in cell.gate.take_transitions() if c.event is SyncEvent.GAVE_UP)
+        assert 0.5 * NANOSECONDS < gave_up.at - closed <= 0.5 * NANOSECONDS + 2 * CYCLE_NS
+        cell.offset, cell.feedback = 0.0, True
+        assert set(cell.run(2.0)) == {START} and cell.state is SyncState.STOPPED
+        cell.gate.restart("new command session", cell.stamp)
+        assert cell.state is SyncState.WAITING
+        cell.opened()
+
+    def test_is_noticed_without_a_setpoint(self):
+        cell = bench(give_up_time=0.5)
+        close(cell, "differs")
+        cell.gate.watch(cell.stamp + NANOSECONDS)
+        assert cell.state is SyncState.STOPPED
+
+    def test_waiting_is_no_hold(self):
+        cell = Bench(GateSettings(give_up_time=0.1))
+        cell.offset = 0.2
+        cell.run(1.0)
+        assert cell.state is SyncState.WAITING
+
+
+class TestEscalation:
+    def violate(self, cell: Bench, apart: float) -> None:
+        cell.offset = 0.2
+        cell.cycle()
+        cell.offset = 0.0
+        cell.run(apart)
+
+    def test_too_many_violations_within_the_time_end_in_stopped(self):
+        cell = bench(escalate_count=3, escalate_time=2.0)
+        self.violate(cell, 0.3)
+        self.violate(cell, 0.3)
+        assert cell.state is SyncState.IN_SYNC
+        self.violate(cell, 1.0)
+        assert cell.state is SyncState.STOPPED and "held 3 times in 2 s" in cell.gate.reason
+
+    def test_spread_over_a_longer_time_they_do_not(self):
+        cell = bench(escalate_count=3, escalate_time=2.0)
+        for _ in range(6):
+            self.violate(cell, 1.1)
+        assert cell.state is SyncState.IN_SYNC and cell.gate.violations == 6
+
+    def test_silence_is_not_counted_as_a_violation_of_the_pose(self):
+        cell = bench(escalate_count=2, escalate_time=60.0)
+        for _ in range(4):
+            cell.feedback = False
+            cell.run(0.2)
+            assert cell.state is SyncState.STALE
+            cell.feedback = True
+            cell.opened()
+        self.violate(cell, 0.3)
+        assert cell.state is SyncState.IN_SYNC
+
+    @pytest.mark.parametrize("replans", [False, True])
+    def test_silence_that_ends_in_a_difference_is_counted_once(self, replans):
+        cell = bench(escalate_count=3, escalate_time=60.0)
+        for left in (2, 1, 0):
+            assert cell.state is SyncState.IN_SYNC
+            cell.feedback = False
+            cell.run(0.2)
+            if replans:
+                assert cell.gate.on_replan("asked", cell.stamp)
+            cell.feedback, cell.offset = True, 0.2
+            cell.run(0.1)
+            assert (cell.state is SyncState.STOPPED) is (left == 0)
+            cell.offset = 0.0
+            cell.run(0.3)
+        assert cell.state is SyncState.STOPPED and "held 3 times in 60 s" in cell.gate.reason
+
+    def test_a_new_session_begins_counting_anew(self):
+        cell = bench(escalate_count=2)
+        self.violate(cell, 0.3)
+        cell.gate.restart("new command session", cell.stamp)
+        cell.opened()
+        self.violate(cell, 0.3)
+        assert cell.state is SyncState.IN_SYNC
+
+
+class TestStoppedBefore:
+    def test_begins_stopped_and_only_a_new_session_leads_out(self):
+        cell = Bench()
+        cell.gate.take_transitions()
+        cell.gate.stay_stopped("it was STOPPED before", cell.stamp)
+        assert states(cell.gate) == [("stopped_before", "STOPPED")]
+        assert set(cell.run(1.0)) == {None} and cell.state is SyncState.STOPPED
+        cell.gate.restart("new command session", cell.stamp)
+        cell.opened()
+
+
+class TestMirror:
+    def test_nothing_opens_the_gate_while_the_arm_leads(self):
+        cell = bench()
+        cell.gate.mirror(True, cell.stamp)
+        assert cell.state is SyncState.WAITING
+        assert set(cell.run(1.0)) == {None}
+        assert cell.state is SyncState.WAITING and cell.gate.held == ()
+        cell.gate.mirror(False, cell.stamp)
+        cell.gate.restart("new command session", cell.stamp)
+        cell.opened()
+
+    def test_is_one_change_however_often_it_is_said(self):
+        cell = bench()
+        for _ in range(3):
+            cell.gate.mirror(True, cell.stamp)
+        assert states(cell.gate) == [("mirror", "WAITING")]
+
+    def test_does_not_lead_out_of_stopped(self):
+        cell = bench(policy="stop")
+        close(cell, "differs")
+        cell.gate.mirror(True, cell.stamp)
+        assert cell.cycle() is None
+        cell.gate.mirror(False, cell.stamp)
+        assert cell.cycle() == START and cell.state is SyncState.STOPPED
+
+
+def test_a_setpoint_every_cycle_costs_no_transition():
+    cell = bench()
+    cell.run(250 * CYCLE)
+    assert not cell.gate.changed

@@ -1,0 +1,119 @@
+"""What time does to the gate: setpoints that waited in a queue, and clocks that are set."""
+
+from __future__ import annotations
+
+import pytest
+from gate_bench import CODEC, SETTINGS, START, Bench, moved, states
+
+from construction_twin.core.lateness import Lateness
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.monitor.gate import GateSettings
+from construction_twin.monitor.states import SyncEvent, SyncState
+
+
+def bench(**settings) -> Bench:
+    """Return an open bench with these settings."""
+    opened = Bench(GateSettings(**settings)).opened()
+    opened.gate.take_transitions()
+    return opened
+
+
+def test_lateness_is_told_from_the_quickest_and_slow_drift_makes_nothing_late():
+    lateness = Lateness()
+    assert lateness.of(1000, 7000) == 0 and lateness.of(1000, 7500) == 500
+    assert lateness.of(3000, 8000) == 0 and lateness.of(3000, 8001) == 1
+    slow = Lateness()
+    for second in range(10_000):
+        # the sender's clock is slow by 50 ppm: half a second in all
+        assert slow.of(round(second * 0.99995 * NANOSECONDS), second * NANOSECONDS) == 0
+
+
+class TestLateSetpoints:
+    LATE = round(0.11 * NANOSECONDS)
+
+    def burst(self, cell: Bench, cycles: int, spare: int) -> list:
+        """Setpoints of the last cycles, all received at one moment, with fresh feedback; the first is that much too late."""
+        step, now = cell.stamp, cell.stamp + cycles * CYCLE_NS + spare
+        cell.gate.on_twin(now, cell.twin)
+        cell.gate.on_physical(cell.twin, 0, now)
+        passed = []
+        for k in range(1, cycles + 1):
+            passed.append(cell.gate.pass_next(step + k * CYCLE_NS, moved(START, 1e-5 * k), now))
+        cell.stamp = now
+        return passed
+
+    def test_a_burst_of_old_setpoints_does_not_pass_at_once(self):
+        cell = bench()
+        assert set(self.burst(cell, 125, 0)) == {START}
+        change, *more = cell.gate.take_transitions()
+        assert (change.event, change.target, more) == (SyncEvent.SETPOINT_STALE, SyncState.STALE, [])
+        assert "theta_next is 0.496 s late;" in change.reason
+
+    def test_nor_does_what_a_full_queue_has_left_of_them(self):
+        cell = bench()
+        now = cell.stamp + NANOSECONDS
+        cell.gate.on_twin(now, cell.twin)
+        cell.gate.on_physical(cell.twin, 0, now)
+        left = [cell.gate.pass_next(now - k * CYCLE_NS, moved(START, 1e-3), now) for k in range(24, -1, -1)]
+        assert set(left) == {START} and states(cell.gate) == [("setpoint_stale", "STALE")]
+        assert "moves after 0.904 s without setpoints" in cell.gate.reason
+
+    def test_an_executor_that_paused_at_rest_goes_on(self):
+        cell = bench()
+        assert cell.cycle(cycles=250) == START and cell.cycle(moved(START, 1e-5)) == CODEC.quantise(moved(START, 1e-5))
+        assert cell.state is SyncState.IN_SYNC
+
+    def test_what_an_executor_catches_up_with_passes(self):
+        cell = bench()
+        passed = self.burst(cell, 20, CYCLE_NS)
+        assert passed == [CODEC.quantise(moved(START, 1e-5 * k)) for k in range(1, 21)]
+
+    def test_opens_again_only_for_setpoints_of_the_present(self):
+        cell = bench()
+        self.burst(cell, 125, 0)
+        cell.stamp += self.LATE
+        for _ in range(50):
+            cell.stamp += CYCLE_NS
+            cell.gate.on_physical(START, 0, cell.stamp)
+            assert cell.gate.pass_next(cell.stamp - self.LATE, START, cell.stamp) == START
+        assert cell.state is SyncState.STALE and "not opened: theta_next is late;" in cell.gate.reason
+        cell.opened()
+
+    def test_a_new_session_learns_anew_what_is_quick(self):
+        cell = bench()
+        cell.gate.restart("new command session", cell.stamp)
+        for _ in range(50):
+            cell.stamp += CYCLE_NS
+            cell.gate.on_twin(cell.stamp, START)
+            cell.gate.on_physical(START, 0, cell.stamp)
+            cell.gate.pass_next(cell.stamp - self.LATE, START, cell.stamp)
+        assert cell.state is SyncState.IN_SYNC
+
+    def test_is_not_counted_as_a_violation_of_the_pose(self):
+        cell = bench(escalate_count=1)
+        self.burst(cell, 125, 0)
+        assert cell.state is SyncState.STALE
+
+
+class TestClocks:
+    def test_a_clock_of_the_stamps_that_is_set_back_puts_nothing_off(self):
+        cell = bench(give_up_time=0.5)
+        gate, now, last = cell.gate, cell.stamp, cell.stamp
+        # the stamps' clock goes back by 10 s: the next pose, and the setpoints of an executor on its own grid
+        gate.on_physical(START, last - CYCLE_NS, now, last - 10 * NANOSECONDS)
+        assert gate.comparison.last.at == last - 10 * NANOSECONDS
+        assert gate.comparison.last.round_trip == pytest.approx(-9.996)
+        gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS))
+        assert gate.state is SyncState.IN_SYNC
+        gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS) + 1)
+        assert gate.state is SyncState.STALE and not gate.agreed(now + NANOSECONDS)
+        gate.watch(now + NANOSECONDS)
+        assert gate.state is SyncState.STOPPED
+
+    def test_agreement_takes_its_time_whatever_the_stamps_say(self):
+        cell = Bench(GateSettings())
+        cell.gate.on_twin(cell.stamp, START)
+        for k in range(1, 50):
+            now = cell.stamp + k * CYCLE_NS
+            cell.gate.on_physical(START, 0, now, cell.stamp + k * NANOSECONDS)
+            assert cell.gate.agreed(now) is ((k - 1) * CYCLE_NS >= SETTINGS.agree_time * NANOSECONDS)

@@ -1,0 +1,217 @@
+"""The site's access rules on the real mosquitto: every role, every topic, both directions. The table is written down here again."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+
+import pytest
+from processes import ROOT, wait_until
+from site_broker import ROBOTS, Listener, SiteBroker
+
+from construction_twin.broker.access import ROLES, Site, access_rules
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.mqtt.messages import Topics
+
+TOPICS = (
+    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "review/ack", "somewhere/else",
+)  # fmt: skip
+#: What each role publishes and what it hears, under <prefix>/<robot>/.
+WRITES = {
+    "bridge": {"command", "control", "bridge/status", "plan", "review/ack"},
+    "gateway": {"state", "status", "control/ack"},
+    "tablet": {"review"},
+    "viewer": set(),
+    "plc": {"command", "control"},
+}
+READS = {
+    "bridge": {"state", "status", "control/ack", "plan", "review"},
+    "gateway": {"command", "control"},
+    "tablet": set(TOPICS),
+    "viewer": set(TOPICS),
+    "plc": {"state", "status", "control/ack"},
+}
+#: For every topic that anybody may write, one who may.
+WRITER = {topic: next(role for role in WRITES if topic in WRITES[role]) for topic in TOPICS[:-1]}
+NOT_AUTHORIZED = 135
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    site = SiteBroker(tmp_path_factory.mktemp("site"))
+    site.start()
+    yield site
+    site.stop()
+
+
+@pytest.fixture(scope="module", params=["account", "certificate"])
+def crowd(site, request):
+    """One listener per role at robot one, subscribed to everything there is."""
+    listeners = {
+        role: Listener(site.broker(site.account(f"one-{role}", request.param)), "#", f"{request.param}-{role}")
+        for role in WRITES
+    }
+    yield listeners
+    for listener in listeners.values():
+        listener.close()
+
+
+def payloads(prefix: str):
+    return (f"{prefix} {number}".encode() for number in itertools.count())
+
+
+NUMBERS = payloads("message")
+
+
+def test_the_table_knows_every_role_and_topic():
+    assert set(WRITES) == set(READS) == {*ROLES, "plc"}
+    topics = Topics("twin", "one")
+    names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
+    assert {getattr(topics, name) for name in names} == {f"twin/one/{topic}" for topic in TOPICS[:-1]}
+
+
+@pytest.mark.parametrize("role", sorted(WRITES))
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_role_publishes_what_it_may_and_nothing_else(crowd, role, topic):
+    payload = next(NUMBERS)
+    answer = crowd[role].publish(f"twin/one/{topic}", payload)
+    assert (answer.value != NOT_AUTHORIZED) == (topic in WRITES[role]), answer
+    # whoever hears everything has heard it, or hears only the next permitted one
+    marker = next(NUMBERS)
+    assert crowd["tablet"].publish("twin/one/review", marker).value != NOT_AUTHORIZED
+    viewer = crowd["viewer"]
+    wait_until(lambda: ("twin/one/review", marker) in viewer.messages, what="the marker")
+    assert ((f"twin/one/{topic}", payload) in viewer.messages) == (topic in WRITES[role])
+
+
+@pytest.mark.parametrize("role", sorted(READS))
+def test_a_role_hears_what_it_may_and_nothing_else(crowd, role):
+    sent = {topic: next(NUMBERS) for topic in WRITER}
+    # what it may hear comes last, so that what it may not hear would have come before
+    for topic in sorted(WRITER, key=lambda topic: topic in READS[role]):
+        crowd[WRITER[topic]].publish(f"twin/one/{topic}", sent[topic])
+    due = {(f"twin/one/{topic}", sent[topic]) for topic in WRITER if topic in READS[role]}
+    listener = crowd[role]
+    wait_until(lambda: due <= set(listener.messages), what=f"what {role} may hear")
+    heard = {topic for topic, payload in listener.messages if payload in sent.values()}
+    assert heard == {topic for topic, _ in due}
+
+
+@pytest.mark.parametrize("role", sorted(WRITES))
+def test_a_role_at_one_robot_can_do_nothing_at_the_other(site, crowd, role):
+    other = Listener(site.broker(site.account("two-viewer")), "#", "other")
+    tablet = Listener(site.broker(site.account("two-tablet")), "#", "other tablet")
+    try:
+        assert all(crowd[role].publish(f"twin/two/{topic}", b"foreign").value == NOT_AUTHORIZED for topic in TOPICS)
+        marker = next(NUMBERS)
+        tablet.publish("twin/two/review", marker)
+        wait_until(lambda: ("twin/two/review", marker) in other.messages, what="the marker")
+        assert [message for message in other.messages if message[1] == b"foreign"] == []
+        mine = next(NUMBERS)
+        crowd["bridge"].publish("twin/one/plan", mine)
+        crowd["gateway"].publish("twin/one/status", mine)
+        crowd["bridge"].publish("twin/one/command", mine)
+        wait_until(lambda: any(payload == mine for _, payload in crowd[role].messages), what="one of the own robot's")
+        assert not any(topic.startswith("twin/two/") for topic, _ in crowd[role].messages)
+    finally:
+        other.close()
+        tablet.close()
+
+
+@pytest.mark.parametrize("topic", ["$SYS/broker/version", "twin/one", "twin", "other/one/command", "twin/+/command"])
+def test_nobody_publishes_outside_the_robots_topics(crowd, topic):
+    for role in WRITES:
+        if "+" in topic:
+            with pytest.raises(ValueError, match="wildcards"):
+                crowd[role].client.publish(topic, b"x", qos=1)
+        else:
+            assert crowd[role].publish(topic, b"x").value == NOT_AUTHORIZED, role
+
+
+def test_nobody_hears_the_broker_s_own_figures(site):
+    listener = Listener(site.broker(site.account("one-viewer")), "$SYS/#", "curious")
+    bridge = Listener(site.broker(site.account("one-bridge")), "twin/one/plan", "bridge")
+    try:
+        listener.client.subscribe("twin/one/plan", 1)
+        wait_until(lambda: bridge.publish("twin/one/plan", b"shown") and listener.messages, what="the plan")
+        assert {topic for topic, _ in listener.messages} == {"twin/one/plan"}
+    finally:
+        listener.close()
+        bridge.close()
+
+
+def leave_a_will(site, topic: str, payload: bytes) -> None:
+    """Connect as the tablet with a last will, and lose the connection."""
+    cut = Listener(site.broker(site.account("one-tablet")), "twin/one/plan", "cut")
+    cut.client.loop_stop()
+    cut.client.disconnect()
+    cut.client.will_set(topic, payload, qos=1)
+    cut.client.reconnect()
+    cut.client.loop_start()
+    wait_until(cut.client.is_connected, what="the connection with a will")
+    cut.client.loop_stop()
+    cut.client.socket().shutdown(socket.SHUT_RDWR)
+
+
+def test_a_last_will_obeys_the_rules_too(site, crowd):
+    viewer, allowed = crowd["viewer"], next(NUMBERS)
+    leave_a_will(site, "twin/one/command", b"from the grave")
+    leave_a_will(site, "twin/one/review", allowed)
+    # the broker carries out wills in the order in which connections end
+    wait_until(lambda: ("twin/one/review", allowed) in viewer.messages, what="the will that is allowed")
+    assert not any(payload == b"from the grave" for _, payload in viewer.messages)
+
+
+# -- the rules as text
+
+
+def template(name: str) -> str:
+    return (ROOT / "config/mosquitto" / name).read_text()
+
+
+def site_of(**changes) -> Site:
+    return Site(**({"hosts": ("broker",), "robots": ROBOTS, "folder": "/etc/mosquitto/site"} | changes))
+
+
+def test_every_account_has_rules_and_none_may_command_without_being_asked_for():
+    rules = access_rules(site_of(people=("anna", "ben")), template)
+    users = [line.removeprefix("user ") for line in rules.splitlines() if line.startswith("user ")]
+    assert users == [
+        f"{robot}-{who}" for robot in ROBOTS for who in ("bridge", "gateway", "tablet-anna", "tablet-ben", "viewer")
+    ]
+    commanders = [part for part in rules.split("user ") if "write twin/one/command" in part]
+    assert [part.split("\n")[0] for part in commanders] == ["one-bridge"]
+
+
+def test_a_prefix_of_ones_own_stands_in_every_rule():
+    rules = access_rules(site_of(prefix="hall7", robots=("kr120",)), template)
+    topics = [line.split()[2] for line in rules.splitlines() if line.startswith("topic")]
+    assert len(topics) > 10 and all(topic.startswith("hall7/kr120/") for topic in topics)
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"robots": ("a b",)}, "--robot"),
+        ({"robots": ("a\nuser x",)}, "--robot"),
+        ({"robots": ("#",)}, "--robot"),
+        ({"robots": ()}, "--robot"),
+        ({"hosts": ()}, "--host"),
+        ({"hosts": ("a,DNS:evil",)}, "--host"),
+        ({"hosts": ("-x",)}, "--host"),
+        ({"people": ("anna:x",)}, "--tablet"),
+        ({"prefix": "a/b"}, "--prefix"),
+        ({"port": 65535}, "--port"),
+        ({"folder": "/a b"}, "--broker-folder"),
+        ({"robots": ("a", "a-tablet"), "people": ("tablet-x", "x")}, "a name of its own"),
+    ],
+)
+def test_a_name_that_could_change_the_rules_is_refused(changes, said):
+    with pytest.raises(ConfigurationError, match=said):
+        site_of(**changes)
+
+
+@pytest.mark.parametrize("text", ["user $account\ntopic read $nothing", "user $", "topic write ${topics"])
+def test_a_template_with_other_names_is_one_sentence(text):
+    with pytest.raises(ConfigurationError, match="template bridge.acl"):
+        access_rules(site_of(), lambda name: text)

@@ -1,0 +1,347 @@
+"""Who gets into a site's broker and who does not, and what each failure says. The real mosquitto, the package's own client."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import ssl
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
+from processes import BrokerProcess, wait_until
+from site_broker import Listener, SiteBroker
+
+from construction_twin.broker.certificates import Authority, write_private
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.mqtt.account import Account
+from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.failures import ConnectionReport, connection_failure
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    site = SiteBroker(tmp_path_factory.mktemp("site"))
+    site.start()
+    yield site
+    site.stop()
+
+
+class Attempt:
+    """A client that tries to connect as the nodes do, and what it reports."""
+
+    def __init__(self, broker: Broker):
+        self.said: list[str] = []
+        self.welcome = False
+        report = ConnectionReport(broker, self.said.append)
+        self.client = make_client(broker, unique_id("one", "attempt"), "unused/attempt")
+        report.watch(self.client)
+        self.client.on_connect = lambda c, u, f, code, p: (
+            report.refused(code) if code.is_failure else self._welcomed(report)
+        )
+        self.client.on_disconnect = lambda c, u, f, code, p: report.lost(code)
+        self.client.connect_async(broker.host, broker.port, broker.keepalive)
+
+    def _welcomed(self, report: ConnectionReport) -> None:
+        self.welcome = True
+        report.connected()
+
+    def __enter__(self) -> Attempt:
+        self.client.loop_start()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+def refusal(broker: Broker) -> str:
+    """Return the one sentence with which a connection fails."""
+    with Attempt(broker) as attempt:
+        wait_until(lambda: attempt.said, what="a sentence")
+        assert not attempt.welcome
+    return attempt.said[0]
+
+
+# -- in
+
+
+@pytest.mark.parametrize("kind", ["account", "certificate"])
+@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
+def test_an_account_of_the_site_gets_in(site, kind, protocol, host):
+    with Attempt(site.broker(site.account("one-gateway", kind), host, protocol=protocol)) as attempt:
+        wait_until(lambda: attempt.welcome, what="the broker's welcome")
+        assert attempt.client.socket().version() in ("TLSv1.2", "TLSv1.3")
+    assert attempt.said == []
+
+
+def test_small_packets_are_not_held_back_on_tls_either(site, broker):
+    for where in (site.broker(site.account("one-gateway")), Broker(port=broker)):
+        with Attempt(where) as attempt:
+            wait_until(lambda: attempt.welcome, what="the broker's welcome")
+            assert attempt.client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
+
+
+def test_the_certificates_stand_the_strictest_check(site):
+    context = site.account("one-gateway").context()
+    context.verify_flags |= ssl.VERIFY_X509_STRICT
+    with socket.create_connection(("localhost", site.site.port)) as plain:
+        with context.wrap_socket(plain, server_hostname="localhost") as line:
+            assert line.getpeercert()["subjectAltName"] == (("DNS", "localhost"), ("IP Address", "127.0.0.1"))
+
+
+# -- out
+
+
+def test_nobody_is_anonymous(site):
+    ca_file = site.account("one-gateway").ca_file
+    assert "wants an account" in refusal(site.broker(Account(ca_file=ca_file)))
+
+
+@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
+def test_a_wrong_password_is_named_with_its_file_and_not_told(site, tmp_path, protocol):
+    path = tmp_path / "password"
+    write_private(path, "guessed-secret\n")
+    account = replace(site.account("one-gateway"), password_file=str(path))
+    sentence = refusal(site.broker(account, protocol=protocol))
+    assert "'one-gateway'" in sentence and str(path) in sentence and "guessed-secret" not in sentence
+
+
+def test_an_unknown_user_is_refused(site):
+    account = replace(site.account("one-gateway"), user="nobody")
+    assert "'nobody'" in refusal(site.broker(account))
+
+
+def test_the_password_of_one_account_does_not_open_another(site):
+    account = replace(site.account("one-viewer"), user="one-bridge")
+    assert "'one-bridge'" in refusal(site.broker(account))
+
+
+def test_plain_tcp_is_refused_on_the_tls_port(site):
+    with Attempt(Broker(port=site.site.port)) as attempt:
+        wait_until(lambda: attempt.said, what="a sentence")
+        assert not attempt.welcome and "lost" in attempt.said[0]
+
+
+def test_tls_to_a_port_without_tls_says_so(site, broker):
+    where = Broker("localhost", broker, account=site.account("one-gateway"))
+    sentence = refusal(where)
+    assert "does not speak TLS" in sentence or "does this port speak TLS" in sentence
+
+
+def test_a_broker_of_another_ca_is_not_believed(site, tmp_path):
+    Authority(tmp_path / "foreign", "somebody else")
+    account = replace(site.account("one-gateway"), ca_file=str(tmp_path / "foreign/ca.crt"))
+    assert "not signed by the CA" in refusal(site.broker(account))
+
+
+def test_a_broker_by_another_name_is_not_believed(site):
+    assert "is not for '127.1'" in refusal(site.broker(site.account("one-gateway"), "127.1"))
+
+
+def signed(site, folder: Path, name: str, authority: Authority, days: int) -> Account:
+    """Return an account with a client certificate signed by `authority`."""
+    folder.mkdir()
+    authority.issue(name, folder / "key", folder / "crt", days)
+    return Account(
+        ca_file=site.account("one-bridge").ca_file, cert_file=str(folder / "crt"), key_file=str(folder / "key")
+    )
+
+
+@pytest.mark.parametrize("days, own", [(30, False), (-1, True)], ids=["foreign CA", "expired"])
+def test_a_client_certificate_that_does_not_hold_is_refused(site, tmp_path, days, own):
+    authority = Authority(site.folder / "ca" if own else tmp_path / "foreign", "somebody else")
+    assert "certificate" in refusal(site.broker(signed(site, tmp_path / "client", "one-bridge", authority, days)))
+
+
+def test_the_port_for_certificates_takes_no_password(site):
+    broker = Broker("localhost", site.site.port + 1, account=site.account("one-bridge"))
+    assert refusal(broker)
+
+
+def test_a_certificate_for_a_name_without_rules_may_do_nothing(site, tmp_path):
+    account = signed(site, tmp_path / "client", "stranger", Authority(site.folder / "ca", ""), 30)
+    stranger = Listener(site.broker(account), "#", "stranger")
+    viewer = Listener(site.broker(site.account("one-viewer")), "#", "viewer")
+    gateway = Listener(site.broker(site.account("one-gateway")), "#", "gateway")
+    try:
+        assert stranger.publish("twin/one/command", b"x").value == 135
+        gateway.publish("twin/one/status", b"seen")
+        wait_until(lambda: ("twin/one/status", b"seen") in viewer.messages, what="the status")
+        assert stranger.messages == []
+    finally:
+        for listener in (stranger, viewer, gateway):
+            listener.close()
+
+
+def test_an_expired_broker_is_not_believed(tmp_path):
+    site = SiteBroker(tmp_path / "site", certificates=False)
+    server = tmp_path / "site/broker"
+    Authority(tmp_path / "site/ca", "").issue("x", server / "server.key", server / "server.crt", -1, ("localhost",))
+    site.start()
+    try:
+        assert "has expired" in refusal(site.broker(site.account("one-gateway")))
+    finally:
+        site.stop()
+
+
+# -- what is said
+
+
+def test_a_failure_that_repeats_is_said_once_until_it_changes():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        broker = Broker(port=probe.getsockname()[1])
+    said: list[str] = []
+    report = ConnectionReport(broker, said.append)
+    for _ in range(3):
+        report.failed(ConnectionRefusedError(111, "Connection refused"))
+    report.failed(TimeoutError("timed out"))
+    report.connected()
+    assert report.sentence == ""
+    report.failed(ConnectionRefusedError(111, "Connection refused"))
+    assert [("nobody listens" in sentence, "no answer" in sentence) for sentence in said] == [
+        (True, False),
+        (False, True),
+        (True, False),
+    ]
+
+
+def test_a_refusal_is_not_talked_over_by_the_hang_up_that_follows():
+    said: list[str] = []
+    report = ConnectionReport(Broker(), said.append)
+    report.refused(ReasonCode(PacketTypes.CONNACK, "Not authorized"))
+    report.lost(ReasonCode(PacketTypes.DISCONNECT, "Unspecified error"))
+    assert len(said) == 1 and "wants an account" in said[0]
+
+
+@pytest.mark.parametrize(
+    "error, said",
+    [
+        (socket.gaierror(-2, "Name or service not known"), "no such host"),
+        (ConnectionResetError(104, "Connection reset by peer"), "hung up"),
+        (OSError(113, "No route to host"), "No route to host"),
+        (ssl.SSLError(1, "[SSL: TLSV1_ALERT_UNKNOWN_CA] tlsv1 alert unknown ca"), "UNKNOWN_CA"),
+    ],
+)
+def test_other_failures_are_one_sentence_with_the_address(error, said):
+    sentence = connection_failure(Broker("broker.example", 8883, account=Account(ca_file="/ca.crt")), error)
+    assert sentence.startswith("broker broker.example:8883: ") and said in sentence and "\n" not in sentence
+
+
+def test_a_program_with_the_account_of_another_role_says_that_it_may_not_publish(site):
+    said: list[str] = []
+    broker = site.broker(site.account("one-viewer"))
+    report = ConnectionReport(broker, said.append)
+    client = make_client(broker, unique_id("one", "wrong"), "twin/one/status")
+
+    def on_connect(client, *_):
+        report.watch_publish(client, "twin/one/status", client.publish("twin/one/status", b"{}", qos=1).mid)
+
+    client.on_connect = on_connect
+    client.connect(broker.host, broker.port)
+    client.loop_start()
+    try:
+        wait_until(lambda: said, what="a sentence")
+    finally:
+        client.disconnect()
+        client.loop_stop()
+    assert "does not let one-viewer publish on twin/one/status" in said[0] and client.on_publish is None
+
+
+# -- the gateway as it is started on the cell PC
+
+
+def run_gateway(site, tmp_path, name: str, host: str = "localhost") -> subprocess.Popen:
+    config = tmp_path / "one.json"
+    config.write_text(GatewayConfig("one", ("A1",), (-0.5,), (0.5,), (2.0,), (2.34,)).to_json())
+    account = site.folder / "accounts" / name / "account.json"
+    options = ["--config", str(config), "--account", str(account), "--broker", f"{host}:{site.site.port}"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        options += ["--listen", f"127.0.0.1:{probe.getsockname()[1]}"]
+    command = [sys.executable, "-m", "construction_twin.gateway", *options]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+
+
+def test_the_gateway_s_program_tells_its_status_through_tls_and_ends_with_its_last_words(site, tmp_path):
+    viewer = Listener(site.broker(site.account("one-viewer")), "twin/one/status", "viewer")
+    process = run_gateway(site, tmp_path, "one-gateway")
+    try:
+        wait_until(
+            lambda: any(b"no_controller" in payload for _, payload in viewer.messages), 30.0, "the gateway's status"
+        )
+        process.terminate()
+        wait_until(lambda: b"gateway stopped" in viewer.messages[-1][1], what="the last words")
+        assert process.wait(10.0) == 0
+    finally:
+        process.kill()
+        process.communicate()
+        viewer.close()
+
+
+@pytest.mark.parametrize(
+    "name, host, said",
+    [("one-gateway", "127.1", "is not for '127.1'"), ("one-viewer", "localhost", "account of its role")],
+)
+def test_the_gateway_s_program_says_what_is_wrong_with_its_account(site, tmp_path, name, host, said):
+    process = run_gateway(site, tmp_path, name, host)
+    try:
+        lines = iter(process.stderr.readline, "")
+        found = next((line for line in lines if " ERROR " in line), "")
+        assert said in found
+    finally:
+        process.kill()
+        process.communicate()
+
+
+# -- the demo's broker
+
+
+def listening(port: int) -> set[str]:
+    """Return the local addresses, as the kernel writes them, on which this machine listens for TCP on a port."""
+    found = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            _, local, _, state, *_ = line.split()
+            address, number = local.split(":")
+            if state == "0A" and int(number, 16) == port:
+                found.add(address)
+    return found
+
+
+LOOPBACK = {"0100007F", "00000000000000000000000001000000"}
+
+
+def test_the_demo_s_broker_listens_on_loopback_only(broker):
+    assert listening(broker) and listening(broker) <= LOOPBACK
+
+
+def test_the_demo_s_configuration_alone_opens_nothing_to_a_network(tmp_path):
+    """Whoever starts mosquitto with it by hand: without a listener mosquitto stays local."""
+    process = BrokerProcess()
+    process.start()
+    try:
+        assert listening(process.port) <= LOOPBACK
+    finally:
+        process.kill()
+
+
+@pytest.mark.skipif(shutil.which("mosquitto_sub") is None, reason="mosquitto-clients is not installed")
+def test_debian_s_own_client_gets_in_with_the_files_of_an_account(site):
+    folder = site.folder / "accounts/one-viewer"
+    address = ["-h", "localhost", "-p", str(site.site.port + 1), "--cafile", str(folder / "ca.crt")]
+    identity = ["--cert", str(folder / "client.crt"), "--key", str(folder / "client.key")]
+    gateway = Listener(site.broker(site.account("one-gateway")), "#", "gateway")
+    try:
+        gateway.publish("twin/one/status", b"hello", retain=True)
+        command = ["mosquitto_sub", *address, *identity, "-t", "twin/one/status", "-C", "1", "-W", "10"]
+        done = subprocess.run(command, capture_output=True, timeout=20, check=False)
+        assert (done.returncode, done.stdout) == (0, b"hello\n"), done.stderr
+    finally:
+        gateway.close()

@@ -1,0 +1,227 @@
+"""The planning desk: scenes that come, change and cannot be used; tool paths and waypoints in the scene; what asks for them."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+import rospy
+from construction_twin.msg import CartesianWaypoint
+from construction_twin.srv import PlanFromCsvRequest, PlanToJointsRequest
+from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Pose as PoseMsg
+from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.core.motion_errors import (
+    CartesianPathError,
+    CollisionError,
+    NoSceneError,
+    PlanningError,
+    SceneChangedError,
+    SceneError,
+    WaypointsError,
+)
+from construction_twin.kinematics.chain import Pose
+from construction_twin.planning.pipeline import PlanningDesk
+from construction_twin.planning.planner import PlannerSettings
+from construction_twin.planning.tool_path import ToolWaypoint
+from construction_twin.planning.waypoints import from_points
+from construction_twin.ros.messages.plan_requests import (
+    check_asked,
+    plan_request,
+    read_waypoints,
+    tool_waypoints,
+    trajectory_waypoints,
+)
+from construction_twin.scene.objects import Scene, SceneObject
+
+EMPTY, WALLED = Scene(padding=0.01), Scene((WALL,), 0.01)
+
+
+def desk(scene: Scene | None = EMPTY, clock=None, **changes) -> PlanningDesk:
+    rng = np.random.default_rng(0)
+    settings = PlannerSettings(**(QUICK | changes))
+    made = PlanningDesk(ROBOT, solver(), settings, SELF_COLLISION, clock or Clock(), rng, "/kr120/scene")
+    if scene is not None:
+        made.set_scene(scene)
+    return made
+
+
+def test_without_a_scene_nothing_is_planned():
+    with pytest.raises(NoSceneError, match="/kr120/scene; the scene node is not running"):
+        desk(None).to_joints(HOME, LEFT, REQUEST)
+    with pytest.raises(NoSceneError):
+        desk(None).wait_for_scene(0.0)
+
+
+def test_a_scene_that_comes_later_is_waited_for():
+    made = desk(None)
+    timer = threading.Timer(0.02, made.set_scene, [EMPTY])
+    timer.start()
+    made.wait_for_scene(10.0)
+    assert made.to_joints(HOME, LEFT, REQUEST).scene == EMPTY.hash
+    timer.join()
+
+
+def test_every_plan_is_made_in_the_latest_scene():
+    made = desk()
+    assert made.to_joints(RIGHT, LEFT, REQUEST).planner == "direct"
+    made.set_scene(WALLED)
+    around = made.to_joints(RIGHT, LEFT, REQUEST)
+    assert (around.planner, around.scene) == ("RRTConnect", WALLED.hash)
+    made.set_scene(EMPTY)
+    assert made.to_joints(RIGHT, LEFT, REQUEST).planner == "direct"
+
+
+class EditingClock(Clock):
+    """Calls something at its n-th look: in the middle of planning."""
+
+    def __init__(self, look: int):
+        super().__init__()
+        self.look = look
+        self.edit = lambda: None
+
+    def __call__(self) -> float:
+        now = super().__call__()
+        if round(now * 1e3) == self.look:
+            self.edit()
+        return now
+
+
+@pytest.mark.parametrize("look", [1, 2, 3, 4])
+def test_a_scene_that_changes_while_planning_drops_the_plan(look):
+    clock = EditingClock(look)
+    made = desk(EMPTY, clock)
+    clock.edit = lambda: made.set_scene(WALLED)
+    with pytest.raises(SceneChangedError, match="the scene changed while planning.*ask again") as caught:
+        made.to_joints(RIGHT, LEFT, REQUEST)
+    assert (caught.value.planned, caught.value.present) == (EMPTY.hash, WALLED.hash)
+    assert made.to_joints(RIGHT, LEFT, REQUEST).scene == WALLED.hash
+
+
+def test_the_same_scene_sent_again_drops_nothing():
+    clock = EditingClock(2)
+    made = desk(EMPTY, clock)
+    clock.edit = lambda: made.set_scene(Scene(padding=0.01))
+    assert made.to_joints(RIGHT, LEFT, REQUEST).scene == EMPTY.hash
+
+
+def test_after_a_scene_that_cannot_be_used_nothing_is_planned_until_the_next():
+    made = desk()
+    made.refuse_scene(SceneError("the scene's hash", "a", "b"))
+    made.wait_for_scene(0.0)
+    with pytest.raises(SceneError, match="hash"):
+        made.to_joints(HOME, LEFT, REQUEST)
+    made.set_scene(EMPTY)
+    assert made.to_joints(HOME, LEFT, REQUEST).scene == EMPTY.hash
+
+
+def test_a_scene_that_becomes_unusable_while_planning_drops_the_plan():
+    clock = EditingClock(2)
+    made = desk(EMPTY, clock)
+    clock.edit = lambda: made.refuse_scene(SceneError("the scene's hash", "a", "b"))
+    with pytest.raises(SceneChangedError):
+        made.to_joints(HOME, LEFT, REQUEST)
+
+
+def test_an_object_on_a_link_that_does_not_exist_is_said():
+    carried = SceneObject("tool", "sphere", (0.1,), link="link_9")
+    with pytest.raises(SceneError, match="link_9"):
+        desk(Scene((carried,))).to_joints(HOME, LEFT, REQUEST)
+
+
+def test_a_tool_path_is_checked_in_the_scene():
+    start = CHAIN.forward(HOME)
+    down = [ToolWaypoint(Pose(start.position + (0.0, 0.0, -0.2), start.rotation))]
+    plan = desk().along(HOME, down, 0.2, REQUEST)
+    assert (plan.planner, plan.scene) == ("cartesian", EMPTY.hash)
+    np.testing.assert_allclose(CHAIN.forward(plan.trajectory.positions[-1]).position, down[0].pose.position, atol=1e-4)
+    assert plan.planning_time > 0.0 and len(plan.report.clearance.between) == 2
+    block = SceneObject("block", "sphere", (0.1,), tuple(start.position + (0.0, 0.0, -0.25)))
+    with pytest.raises(CartesianPathError, match="block") as caught:
+        desk(Scene((block,))).along(HOME, down, 0.2, REQUEST)
+    assert 0.0 < caught.value.fraction < 1.0
+
+
+def waypoints(*rows):
+    return from_points(ROBOT, ROBOT.joint_names, rows)
+
+
+def test_waypoints_are_checked_in_the_scene():
+    plan = desk().through(waypoints(RIGHT, HOME, LEFT), RIGHT, REQUEST)
+    assert (plan.planner, plan.scene) == ("waypoints", EMPTY.hash)
+    with pytest.raises(CollisionError, match="touches wall \\(at .* s\\)"):
+        desk(WALLED).through(waypoints(RIGHT, LEFT), RIGHT, REQUEST)
+
+
+def test_the_speed_scale_of_the_settings_is_the_default_for_all():
+    slow, fast = desk(speed_scale=0.2), desk(speed_scale=1.0)
+    ways = waypoints(RIGHT, HOME, LEFT)
+    assert (
+        slow.through(ways, RIGHT, REQUEST).trajectory.duration
+        > 1.5 * fast.through(ways, RIGHT, REQUEST).trajectory.duration
+    )
+
+
+# -- from messages
+
+
+def test_zero_and_empty_mean_the_default():
+    asked = plan_request(PlanToJointsRequest(), "p", 5)
+    assert (asked.plan_id, asked.created_ns, asked.source) == ("p", 5, "request")
+    assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (None,) * 4
+    full = PlanToJointsRequest(duration=2.0, speed_scale=0.5, acceleration_scale=0.25, waypoints=9, source="me")
+    asked = plan_request(full, "p", 5)
+    assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (2.0, 0.5, 0.25, 9)
+    assert asked.source == "me"
+
+
+def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future():
+    asked = plan_request(PlanToJointsRequest(asked=rospy.Time(0, 5)), "p", 9)
+    assert asked.created_ns == 5
+    check_asked(asked, 9)
+    check_asked(asked, 5)
+    with pytest.raises(PlanningError, match="asked for 2.000 s from now"):
+        check_asked(plan_request(PlanToJointsRequest(asked=rospy.Time(4)), "p", 9), 2 * 10**9)
+
+
+def test_a_request_for_a_file_is_from_the_file_unless_it_says_otherwise():
+    assert plan_request(PlanFromCsvRequest(path="/a.csv"), "p", 0, "/a.csv").source == "/a.csv"
+    assert plan_request(PlanFromCsvRequest(path="/a.csv", source="me"), "p", 0, "/a.csv").source == "me"
+
+
+def test_a_tool_path_comes_in_its_frame():
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    base_T_frame = Pose(np.array([1.0, 0.0, 0.0]), quarter)
+    msg = CartesianWaypoint(PoseMsg(Point(0.5, 0.0, 2.0), Quaternion(0, 0, 0, 1)), True, Point(0.2, 0.1, 0.0), 0.05)
+    line = CartesianWaypoint(pose=msg.pose)
+    first, second = tool_waypoints([msg, line], base_T_frame)
+    np.testing.assert_allclose(first.pose.position, [1.0, 0.5, 2.0], atol=1e-15)
+    np.testing.assert_allclose(first.via, [0.9, 0.2, 0.0], atol=1e-15)
+    np.testing.assert_allclose(first.pose.rotation, quarter, atol=1e-15)
+    assert first.blend == 0.05 and second.via is None and second.blend == 0.0
+
+
+def test_a_trajectory_message_s_joints_are_put_in_order():
+    names = list(reversed(ROBOT.joint_names))
+    msg = JointTrajectory(joint_names=names, points=[JointTrajectoryPoint(positions=q[::-1]) for q in (RIGHT, HOME)])
+    np.testing.assert_array_equal(trajectory_waypoints(msg, ROBOT).positions, [RIGHT, HOME])
+    msg.points[1].positions = [1.0]
+    with pytest.raises(WaypointsError, match="point 1"):
+        trajectory_waypoints(msg, ROBOT)
+
+
+def test_a_file_is_read_and_a_missing_one_is_named(tmp_path):
+    path = tmp_path / "path.csv"
+    rows = "\n".join(",".join(repr(float(value)) for value in q) for q in (RIGHT, HOME))
+    path.write_text(",".join(f"{name}_rad" for name in ROBOT.joint_names) + "\n" + rows + "\n")
+    np.testing.assert_array_equal(read_waypoints(str(path), ROBOT).positions, [RIGHT, HOME])
+    with pytest.raises(PlanningError, match="absent.csv cannot be read"):
+        read_waypoints(str(tmp_path / "absent.csv"), ROBOT)
+    with pytest.raises(PlanningError, match="absolute path"):
+        read_waypoints("path.csv", ROBOT)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(PlanningError, match="cannot be read"):
+        read_waypoints(str(path), ROBOT)

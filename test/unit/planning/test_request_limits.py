@@ -1,0 +1,240 @@
+"""Requests without measure: refused before anything of their size is made, and always answered."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import Counter
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, Clock, planner, solver, world
+
+from construction_twin.core.motion_errors import (
+    CartesianPathError,
+    FarWaypointError,
+    NoSceneError,
+    PlanningError,
+    PlanSizeError,
+)
+from construction_twin.kinematics.chain import Pose
+from construction_twin.planning.pipeline import PlanningDesk
+from construction_twin.planning.planner import PlannerSettings
+from construction_twin.planning.timing import time_path
+from construction_twin.planning.tool_path import ToolWaypoint
+from construction_twin.planning.waypoints import from_points
+from construction_twin.ros.messages.plan_requests import read_waypoints
+from construction_twin.ros.nodes.planner import PlannerNode
+from construction_twin.scene.objects import Scene
+
+START = CHAIN.forward(HOME)
+EMPTY = Scene(padding=0.01)
+
+
+def desk(**changes) -> PlanningDesk:
+    made = PlanningDesk(
+        ROBOT,
+        solver(),
+        PlannerSettings(**(QUICK | changes)),
+        SELF_COLLISION,
+        Clock(),
+        np.random.default_rng(0),
+        "/scene",
+    )
+    made.set_scene(EMPTY)
+    return made
+
+
+def to(*offset, **more) -> ToolWaypoint:
+    return ToolWaypoint(Pose(START.position + np.array(offset), START.rotation), **more)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"duration": 1e9}, {"duration": 601.0}, {"duration": 1e300}]
+    + [{"speed_scale": scale} for scale in (1e-9, 1e-100, 1e-300)]
+    + [{"acceleration_scale": scale} for scale in (1e-12, 1e-100, 1e-300)],
+)
+@pytest.mark.parametrize("curved", [False, True])
+def test_a_motion_that_takes_too_long_is_refused_before_it_is_made(change, curved):
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"), pytest.raises(PlanningError) as caught:
+        if curved and "duration" not in change:
+            waypoints = from_points(ROBOT, ROBOT.joint_names, [RIGHT, HOME, LEFT])
+            desk().through(waypoints, RIGHT, replace(REQUEST, **change))
+        else:
+            desk().to_joints(HOME, LEFT, replace(REQUEST, **change))
+    if not isinstance(caught.value, PlanSizeError):
+        assert "cannot be timed" in str(caught.value)
+    else:
+        assert (caught.value.quantity, caught.value.limit) == ("duration", 600.0)
+
+
+def test_a_plan_up_to_the_bounds_is_made():
+    plan = desk(max_duration=30.0, max_waypoints=1501).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
+    assert plan.trajectory.duration == 30.0 and len(plan.trajectory.times) == 1501
+
+
+def test_waypoints_that_nobody_counted_count():
+    with pytest.raises(PlanSizeError, match="waypoints would be 1501; .* at most 1500"):
+        desk(max_waypoints=1500).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
+    rows = [RIGHT + (LEFT - RIGHT) * share for share in np.linspace(0.0, 1.0, 30)]
+    for times in (None, list(np.linspace(0.0, 30.0, 30))):
+        with pytest.raises(PlanSizeError, match="waypoints"):
+            desk(max_waypoints=29).through(from_points(ROBOT, ROBOT.joint_names, rows, times=times), RIGHT, REQUEST)
+    with pytest.raises(PlanSizeError, match="waypoints"):
+        desk(max_waypoints=20).along(HOME, [to(0.3, 0.0, 0.0)], 0.2, REQUEST)
+    with pytest.raises(PlanSizeError, match="waypoints"):
+        desk(max_waypoints=30).along(HOME, [to(0.1 * (number % 2), 0.0, 0.0) for number in range(1, 5)], None, REQUEST)
+
+
+@pytest.mark.parametrize("end", [601.0, 1e7, 2e9])
+def test_timed_waypoints_that_take_too_long_are_refused(end):
+    points = from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, end])
+    with pytest.raises(PlanSizeError, match="duration"):
+        desk().through(points, HOME, REQUEST)
+
+
+@pytest.mark.parametrize("speed", [1e-9, 1e-300])
+def test_a_tool_that_creeps_is_refused(speed):
+    with pytest.raises(PlanSizeError, match="duration"):
+        desk().along(HOME, [to(0.1, 0.0, 0.0)], speed, REQUEST)
+
+
+def test_a_tool_path_of_kilometres_is_refused_before_it_is_followed():
+    back_and_forth = [to(1.0 * (number % 2), 0.0, 0.0) for number in range(1, 200)]
+    with pytest.raises(PlanSizeError, match="length of the tool's path would be 199 m; .* at most 100 m"):
+        desk().along(HOME, back_and_forth, None, REQUEST)
+
+
+ALMOST_STRAIGHT = to(0.2, 0.0, 0.0, via=START.position + np.array([0.3, 1e-5, 0.0]))
+
+
+@pytest.mark.parametrize(
+    "path, what",
+    [
+        ([to(1e5, 0.0, 0.0)], "waypoint 0: its position is 100001 m"),
+        ([to(0.1, 0.0, 0.0), to(1e12, 0.0, 0.0)], "waypoint 1: its position"),
+        ([to(1e300, 0.0, 0.0)], "its position"),
+        ([to(0.1, 0.0, 0.0, via=START.position + np.array([1e6, 1e6, 0.0]))], "the via point of its arc is 1.41421e"),
+        ([to(0.1, 0.1, 0.0), replace(ALMOST_STRAIGHT, pose=to(0.3, 0.3, 0.0).pose, via=START.position + np.array([0.5, 0.5001, 0]))],
+         "waypoint 1: the arc that leads there"),
+        ([ALMOST_STRAIGHT], "waypoint 0: the arc that leads there"),
+    ],
+)  # fmt: skip
+def test_a_place_far_beyond_the_arm_is_refused_at_once(path, what):
+    with pytest.raises(FarWaypointError, match=what) as caught:
+        desk().along(HOME, path, 0.2, REQUEST)
+    assert caught.value.distance > 2.0 * caught.value.reach == 2.0 * CHAIN.reach
+
+
+def test_a_corner_that_is_too_sharp_asks_for_a_larger_blend():
+    with pytest.raises(CartesianPathError, match="give the corner a larger blend"):
+        desk().along(HOME, [to(0.1, 0.0, 0.0, blend=1e-9), to(0.1, 0.1, 0.0)], 0.2, REQUEST)
+
+
+def test_a_corner_at_which_every_joint_turns_or_stops_is_timed():
+    lower, upper = np.array(ROBOT.lower), np.array(ROBOT.upper)
+    path = np.array([lower, lower, lower])
+    path[1:, 3] = upper[3]
+    path[2, 1] = 0.5 * (lower[1] + upper[1])
+    motion = time_path(path, ROBOT)
+    assert motion.duration < 10.0
+    assert np.min(np.max(np.abs(motion.positions - path[1]), axis=1)) < 0.05
+
+
+# -- files
+
+
+def test_a_pipe_a_device_and_a_huge_file_are_not_read(tmp_path):
+    pipe, huge = tmp_path / "pipe", tmp_path / "huge.csv"
+    os.mkfifo(pipe)
+    with open(huge, "wb") as file:
+        file.truncate(2**30)
+    for path, what in ((pipe, "not a regular file"), ("/dev/zero", "not a regular file"), (huge, "larger than 16 MiB")):
+        with pytest.raises(PlanningError, match=what):
+            read_waypoints(str(path), ROBOT)
+    with pytest.raises(PlanningError, match="cannot be read"):
+        read_waypoints("/tmp/\0.csv", ROBOT)
+
+
+# -- the node's one catching place
+
+
+class Cell:
+    """What of a planner node answers requests, without ROS around it."""
+
+    _answer_read, _answer, _make = PlannerNode._answer_read, PlannerNode._answer, PlannerNode._make
+    _demand_scene, _failed = PlannerNode._demand_scene, PlannerNode._failed
+
+    def __init__(self, publishers: int = 1):
+        self._busy = threading.Lock()
+        self._desk = desk()
+        self._settings = SimpleNamespace(scene_timeout=0.0)
+        self._scene_subscriber = SimpleNamespace(get_num_connections=lambda: publishers)
+        self._diagnostics = SimpleNamespace(refused=Counter())
+        self.outcomes = []
+
+    def _published(self, plan, asked):
+        self.outcomes.append((True, plan.id))
+        return True, "made", plan.id, plan.hash, plan.trajectory.duration, 1.0
+
+    def _publish_outcome(self, success, asked, sentence, plan_id):
+        self.outcomes.append((success, sentence))
+
+
+def plan_in(cell: Cell):
+    return lambda asked: cell._desk.to_joints(HOME, LEFT, asked)
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), ValueError("shapes"), OverflowError("large"), ZeroDivisionError(), np.linalg.LinAlgError("singular")]
+)  # fmt: skip
+@pytest.mark.parametrize("while_reading", [False, True])
+def test_what_no_check_foresaw_is_answered_too(error, while_reading):
+    cell = Cell()
+
+    def fail(*_):
+        raise error
+
+    answer = cell._answer_read(fail, REQUEST) if while_reading else cell._answer(fail, REQUEST)
+    assert answer[0] is False and type(error).__name__ in answer[1]
+    assert cell.outcomes == [(False, answer[1])] and cell._diagnostics.refused == {type(error).__name__: 1}
+    assert cell._answer(plan_in(cell), REQUEST)[0] is True  # and the lock is free
+
+
+def test_reading_holds_nobody_up():
+    cell = Cell()
+
+    def read():
+        assert not cell._busy.locked()
+        return plan_in(cell)
+
+    assert cell._answer_read(read, REQUEST)[0] is True
+
+
+def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes():
+    cell = Cell(publishers=0)
+    success, sentence, *_ = cell._answer(plan_in(cell), REQUEST)
+    assert not success and "the scene node is not running" in sentence
+    cell._scene_subscriber.get_num_connections = lambda: 1
+    assert not cell._answer(plan_in(cell), REQUEST)[0]
+    cell._desk.set_scene(EMPTY)
+    assert cell._answer(plan_in(cell), REQUEST)[0]
+
+
+def test_a_scene_that_came_meanwhile_is_not_forgotten():
+    made = desk()
+    seen = made.scene
+    made.set_scene(Scene(padding=0.01))
+    made.forget_scene(seen)
+    made.wait_for_scene(0.0)
+    made.forget_scene(made.scene)
+    with pytest.raises(NoSceneError):
+        made.wait_for_scene(0.0)
+
+
+def test_a_searched_plan_is_bounded_too():
+    with pytest.raises(PlanSizeError):
+        planner(max_duration=0.5).plan_to_joints(RIGHT, LEFT, REQUEST, world())

@@ -1,0 +1,158 @@
+"""Edges, rounded corners and OMPL's search: what is checked where, bounds, names, every arm."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, world
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.motion_errors import NoPathError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.planning.curves import rounded
+from construction_twin.planning.motion_validator import CornerRounding, EdgeCheck, levers
+from construction_twin.planning.planner import Planner, PlannerSettings
+from construction_twin.planning.search import find_path, planner_kind
+from construction_twin.robot.description import read_robot_files
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.self_collision import sample_self_collision
+
+LEVERS = levers(CHAIN)
+BOUNDS = np.array(ROBOT.lower), np.array(ROBOT.upper)
+PACE = np.array(ROBOT.velocity)
+angles = st.floats(-3.0, 3.0)
+
+
+class Recorder:
+    """A world without contact, or with contact beyond an angle of the first joint; remembers what it was asked."""
+
+    def __init__(self, most: float = np.inf):
+        self.asked: list[np.ndarray] = []
+        self._most = most
+
+    def is_free(self, q) -> bool:
+        self.asked.append(np.array(q))
+        return q[0] <= self._most
+
+    def all_free(self, qs) -> int | None:
+        return next((row for row, q in enumerate(qs) if not self.is_free(q)), None)
+
+
+@given(st.lists(angles, min_size=6, max_size=6), st.lists(angles, min_size=6, max_size=6), st.floats(0.02, 0.5))
+def test_no_point_of_the_arm_moves_further_than_the_step_between_two_checks(start, end, step):
+    recorder = Recorder()
+    assert EdgeCheck(recorder, LEVERS, step).free(np.array(start), np.array(end))
+    along = sorted(recorder.asked, key=lambda q: np.linalg.norm(q - start))
+    states = np.array([start, *along])
+    np.testing.assert_allclose(states[-1], end, atol=1e-12)
+    for first, second in list(zip(states, states[1:]))[:20]:
+        assert np.max(np.linalg.norm(CHAIN.skeleton(first) - CHAIN.skeleton(second), axis=1)) <= step + 1e-9
+
+
+def test_the_end_and_the_middle_are_looked_at_first():
+    recorder = Recorder()
+    EdgeCheck(recorder, np.ones(6), 0.1).free(np.zeros(6), np.array([0.8, 0, 0, 0, 0, 0]))
+    assert [round(q[0], 9) for q in recorder.asked][:4] == [0.8, 0.4, 0.2, 0.6]
+    assert sorted(round(q[0], 9) for q in recorder.asked) == pytest.approx(np.arange(1, 9) / 10)
+
+
+def test_an_edge_of_no_length_checks_its_end():
+    recorder = Recorder(most=-1.0)
+    assert not EdgeCheck(recorder, LEVERS, 0.1).free(HOME, HOME)
+    assert len(recorder.asked) == 1
+
+
+def test_a_linear_joint_moves_the_arm_by_what_it_moves():
+    robot = read_robot_files(ROOT / "urdf/kr120_track.urdf.xacro", ROOT / "config/kr120_track.yaml")
+    found = levers(Chain(robot))
+    assert found[robot.linear.index(True)] == pytest.approx(1.0)
+    np.testing.assert_allclose(found[1:], LEVERS, rtol=0.02)
+
+
+def test_a_corner_that_touches_is_tightened_and_others_are_not():
+    # the second corner turns right below the contact: cutting it is free, cutting the first one is not
+    path = np.zeros((4, 6))
+    path[:, 0] = [0.0, -1.0, -1.0, 0.0]
+    path[:, 1] = [0.0, 0.0, 1.0, 1.0]
+
+    class Inside(Recorder):
+        def is_free(self, q) -> bool:
+            return not (q[0] > -0.97 and 0.02 < q[1] < 0.5)
+
+    edges = EdgeCheck(Inside(), np.ones(6), 0.01)
+    assert edges.world.all_free(rounded(path, PACE, 1.0)(np.linspace(0.0, 1.0, 50))) is not None
+    tight = CornerRounding(edges, PACE).tightened(path)
+    curve = rounded(tight, PACE, 1.0)
+    assert edges.world.all_free(curve(np.linspace(0.0, curve.length, 2000))) is None
+    added = [q for q in tight if not any(np.array_equal(q, corner) for corner in path)]
+    assert added and all(q[1] <= 0.5 for q in added)
+
+
+def test_a_path_that_touches_by_itself_is_given_up():
+    edges = EdgeCheck(Recorder(most=0.5), np.ones(6), 0.05)
+    path = np.array([np.zeros(6), np.eye(6)[0], np.eye(6)[0] + np.eye(6)[1]])
+    rounding = CornerRounding(edges, PACE)
+    assert rounding.tightened(path) is None
+    assert rounding.tightened(path[:2]) is None
+    np.testing.assert_array_equal(rounding.tightened(-path[:2]), -path[:2])
+
+
+def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
+    edges = EdgeCheck(world(WALL), LEVERS, 0.1)
+    goals = [LEFT + np.radians([0, 0, 0, 0, 0, turn]) for turn in (0, 90, -90)]
+    path = find_path(RIGHT, goals, edges, BOUNDS, "RRTConnect", 10.0, 3)
+    assert path[0].tobytes() == RIGHT.tobytes()
+    assert path[-1].tobytes() in [goal.tobytes() for goal in goals]
+    assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
+    assert np.max(np.abs(np.diff(path, axis=0)), axis=1).min() > 0.0
+
+
+def test_the_search_stays_within_its_bounds():
+    edges = EdgeCheck(world(WALL), LEVERS, 0.1)
+    room = np.minimum(RIGHT, LEFT) - 1.0, np.maximum(RIGHT, LEFT) + 1.0
+    bounds = np.maximum(room[0], BOUNDS[0]), np.minimum(room[1], BOUNDS[1])
+    path = find_path(RIGHT, [LEFT], edges, bounds, "RRTConnect", 10.0, 3)
+    assert np.all((path >= bounds[0] - 1e-12) & (path <= bounds[1] + 1e-12))
+
+
+def test_a_goal_behind_contact_all_around_is_not_found():
+    edges = EdgeCheck(Recorder(most=0.3), LEVERS, 0.1)
+    with pytest.raises(NoPathError, match="RRTConnect"):
+        find_path(HOME, [HOME + np.eye(6)[0]], edges, BOUNDS, "RRTConnect", 0.05, 1)
+
+
+@pytest.mark.parametrize("name", ["Magic", "PathGeometric", "__doc__", ""])
+def test_what_is_no_planner_of_ompl_s_is_refused_with_a_list(name):
+    with pytest.raises(ConfigurationError, match="BITstar.*RRTConnect.*SORRTstar"):
+        planner_kind(name)
+
+
+@pytest.mark.parametrize(
+    "files",
+    [("urdf/kr120_track.urdf.xacro", "config/kr120_track.yaml"), ("test/data/ur_like.urdf", "test/data/ur_like.yaml")],
+)
+def test_other_arms_are_planned_for_by_the_same_code(files):
+    robot = read_robot_files(*(ROOT / name for name in files))
+    chain = Chain(robot)
+    inverse = inverse_kinematics(chain, IkSettings(budget_s=5.0), np.random.default_rng(0), time.monotonic)
+    home = np.array(robot.home)
+    goal = np.clip(home + 0.6, robot.lower, robot.upper)
+    tool = 0.5 * (chain.forward(home).position + chain.forward(goal).position)
+    settings = PlannerSettings(**QUICK)
+    planner = Planner(robot, inverse, settings, time.monotonic, np.random.default_rng(0))
+    found = sample_self_collision(robot, samples=1000)
+    empty = CollisionWorld(robot, Scene(), found)
+    posted = empty.with_scene(Scene((SceneObject("post", "sphere", (0.02,), tuple(tool)),), 0.005))
+    for surroundings in (empty, posted):
+        plan = planner.plan_to_pose(home, chain.forward(goal), REQUEST, surroundings)
+        reached = chain.forward(plan.trajectory.positions[-1])
+        np.testing.assert_allclose(reached.position, chain.forward(goal).position, atol=1e-5)
+        assert plan.trajectory.joint_names == robot.joint_names
+        times = np.arange(0.0, plan.trajectory.duration, 0.004)
+        assert surroundings.all_free(plan.trajectory.sample_many(times)[0]) is None

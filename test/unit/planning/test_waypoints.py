@@ -1,0 +1,191 @@
+"""Waypoints from elsewhere: the first one where the arm is, limits at every sample, sentences that name row and joint."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from construction_twin.core.motion_errors import WaypointsError
+from construction_twin.planning.limit_usage import limit_use
+from construction_twin.planning.timing import time_path
+from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints
+from construction_twin.robot.description import read_robot_files
+
+ROOT = Path(__file__).parents[3]
+ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+NAMES = list(ROBOT.joint_names)
+HOME = np.array(ROBOT.home)
+ROWS = np.array([HOME, HOME + 0.1, HOME + [0.3, 0.2, 0.1, 0.0, 0.3, 0.0], HOME + 0.2])
+
+
+def refused(rows, present=HOME, **values) -> WaypointsError:
+    with pytest.raises(WaypointsError) as caught:
+        plan_waypoints(from_points(ROBOT, NAMES, rows, **values), present, ROBOT)
+    return caught.value
+
+
+def samples_of(motion) -> tuple[np.ndarray, np.ndarray]:
+    grid = np.arange(0.0, motion.duration, 0.004)
+    return grid, motion.sample_many(grid)[0]
+
+
+def test_waypoints_without_times_are_passed_within_the_limits():
+    motion = plan_waypoints(from_points(ROBOT, NAMES, ROWS), HOME, ROBOT, speed_scale=0.5)
+    assert motion.positions[0].tobytes() == HOME.tobytes() and motion.positions[-1].tobytes() == ROWS[-1].tobytes()
+    use = limit_use(motion, ROBOT)
+    assert use.velocity <= 0.5 and use.acceleration <= 0.5 and use.jerk <= 1.0
+    _, q = samples_of(motion)
+    for row in ROWS:
+        assert np.min(np.max(np.abs(q - row), axis=1)) < 5e-3
+
+
+def test_joints_may_come_in_any_order():
+    order = [3, 0, 5, 1, 2, 4]
+    names = [NAMES[joint] for joint in order]
+    mixed = plan_waypoints(from_points(ROBOT, names, ROWS[:, order]), HOME, ROBOT)
+    assert mixed.content_hash() == plan_waypoints(from_points(ROBOT, NAMES, ROWS), HOME, ROBOT).content_hash()
+
+
+def test_the_timing_is_kept():
+    times = [2.0, 3.0, 4.5, 7.0]
+    motion = plan_waypoints(from_points(ROBOT, NAMES, ROWS, times=times), HOME, ROBOT)
+    assert motion.times.tolist() == [0.0, 1.0, 2.5, 5.0]
+    assert np.max(np.abs(motion.positions - ROWS)) == 0.0
+    assert not motion.velocities[[0, -1]].any() and not motion.accelerations[[0, -1]].any()
+    # smooth between them: the jerk, too, goes on through every waypoint
+    inner = motion.times[1:-1]
+    before, after = motion.sample_many(inner - 1e-9)[3], motion.sample_many(inner + 1e-9)[3]
+    assert np.max(np.abs(before - after)) < 1e-4
+
+
+def test_a_trajectory_of_our_own_comes_back_as_it_was():
+    own = time_path(ROWS, ROBOT)
+    points = from_points(ROBOT, NAMES, own.positions, own.velocities, own.accelerations, own.times)
+    assert plan_waypoints(points, HOME, ROBOT).content_hash() == own.content_hash()
+
+
+def test_given_velocities_are_kept_and_accelerations_fit_them():
+    own = time_path(ROWS, ROBOT, duration=12.0)
+    motion = plan_waypoints(from_points(ROBOT, NAMES, own.positions, own.velocities, times=own.times), HOME, ROBOT)
+    assert np.array_equal(motion.velocities, own.velocities)
+    assert np.max(np.abs(motion.accelerations - own.accelerations)) < 0.02 * np.max(np.abs(own.accelerations))
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    steps=st.lists(st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6), min_size=1, max_size=6),
+    spans=st.lists(st.floats(0.3, 3.0), min_size=6, max_size=6),
+)
+def test_timed_waypoints_are_within_the_limits_or_refused(steps, spans):
+    rows = HOME + np.cumsum(np.vstack([np.zeros(6), steps]), axis=0)
+    rows = np.clip(rows, np.array(ROBOT.lower) + 0.1, np.array(ROBOT.upper) - 0.1)
+    times = np.concatenate(([0.0], np.cumsum(spans[: len(rows) - 1])))
+    try:
+        motion = plan_waypoints(from_points(ROBOT, NAMES, rows, times=times), HOME, ROBOT)
+    except WaypointsError as error:
+        assert error.joint in NAMES and 1 <= error.row < len(rows) and error.value > error.limit
+        return
+    use = limit_use(motion, ROBOT)
+    assert max(use.velocity, use.acceleration, use.jerk) <= 1.0 + 1e-6
+    assert np.max(np.abs(motion.sample_many(motion.times)[0] - rows)) < 1e-9
+
+
+def test_a_first_waypoint_close_to_the_arm_is_where_the_arm_is():
+    present = HOME + 0.9 * START_TOLERANCE_RAD
+    motion = plan_waypoints(from_points(ROBOT, NAMES, ROWS), present, ROBOT)
+    assert motion.positions[0].tobytes() == present.tobytes()
+
+
+def test_a_first_waypoint_elsewhere_is_refused():
+    present = HOME - [0, 0, 0.5, 0, 0, 0]
+    error = refused(ROWS, present)
+    assert (error.row, error.joint, error.limit) == (0, "joint_a3", START_TOLERANCE_RAD)
+    assert error.value == HOME[2] and "plan a motion to it first" in str(error)
+
+
+def test_a_waypoint_out_of_range_names_point_joint_and_range():
+    rows = ROWS.copy()
+    rows[2, 4] = 3.0
+    error = refused(rows)
+    assert (error.row, error.joint, error.value, error.limit) == (2, "joint_a5", 3.0, ROBOT.upper[4])
+    assert "point 2: joint_a5 is 3 rad" in str(error)
+
+
+@pytest.mark.parametrize(("times", "row"), [([0, 1, 1, 2], 2), ([0, 2, 1, 3], 2), ([0, -1, 1, 3], 1)])
+def test_times_must_increase(times, row):
+    error = refused(ROWS, times=times)
+    assert error.row == row and "times must increase" in str(error)
+
+
+def test_times_that_the_clock_cannot_tell_apart_are_refused():
+    assert "too close together" in str(refused(ROWS, times=[0.0, 1.0, 1.0 + 1e-11, 2.0]))
+
+
+@pytest.mark.parametrize(("span", "quantity"), [(0.1, "velocity"), (1.0, "acceleration"), (2.0, "jerk")])
+def test_too_fast_names_the_limit(span, quantity):
+    limits = {"velocity": (1.0, 1e4, 1e6), "acceleration": (1e3, 0.5, 1e6), "jerk": (1e3, 1e3, 0.5)}[quantity]
+    robot = _robot(*limits)
+    rows = np.array([HOME, HOME + 0.3])
+    with pytest.raises(WaypointsError, match=quantity) as caught:
+        plan_waypoints(from_points(robot, NAMES, rows, times=[0.0, span]), HOME, robot)
+    assert caught.value.row == 1 and caught.value.value > caught.value.limit
+    assert caught.value.limit == getattr(robot, quantity)[0]
+
+
+def _robot(velocity, acceleration, jerk):
+    return dataclasses.replace(ROBOT, velocity=(velocity,) * 6, acceleration=(acceleration,) * 6, jerk=(jerk,) * 6)
+
+
+def test_a_swing_past_the_range_between_waypoints_is_refused():
+    rows = np.tile(HOME, (4, 1))
+    rows[1:, 1] = ROBOT.upper[1] - np.array([0.8, 1e-4, 1e-4])
+    error = refused(rows, times=[0.0, 4.0, 6.0, 8.0])
+    assert error.joint == "joint_a2" and "swings" in str(error)
+
+
+@pytest.mark.parametrize("end", [0, -1])
+@pytest.mark.parametrize("what", ["velocities", "accelerations"])
+def test_moving_at_an_end_is_refused(end, what):
+    zeros = np.zeros_like(ROWS)
+    values = {"velocities": zeros.copy(), "accelerations": zeros.copy()}
+    values[what][end, 2] = 0.1
+    error = refused(ROWS, times=[0, 2, 4, 6], **values)
+    assert error.joint == "joint_a3" and error.row in (0, 3) and "at rest" in str(error)
+
+
+@pytest.mark.parametrize("names", [NAMES[:5], [*NAMES[:5], "joint_b6"], [*NAMES[:5], "joint_a1"], []])
+def test_the_joints_must_be_the_robot_s(names):
+    with pytest.raises(WaypointsError, match="expected each of joint_a1"):
+        from_points(ROBOT, names, ROWS)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"positions": ROWS[:1]}, "1 waypoints"),
+        ({"positions": []}, "0 waypoints"),
+        ({"positions": [*ROWS[:2], ROWS[2][:5]]}, "point 2: 5 values of position; expected 6"),
+        ({"positions": ROWS, "times": [0, 1]}, "2 times for 4 points"),
+        ({"positions": ROWS, "times": [0, 1, 2, 3], "velocities": ROWS[:2]}, "2 points have a velocity"),
+        ({"positions": ROWS + [0, 0, np.nan, 0, 0, 0]}, "point 0: joint_a3 has nan"),
+        ({"positions": ROWS, "times": [0, 1, math.inf, 3]}, "point 2: the time is inf"),
+        (
+            {"positions": ROWS, "times": [0, 1, 2, 3], "velocities": np.full((4, 6), np.inf)},
+            "velocities; expected a finite",
+        ),
+    ],
+)
+def test_values_that_do_not_fit_are_refused(values, message):
+    with pytest.raises(WaypointsError, match=message):
+        from_points(ROBOT, NAMES, **values)
+
+
+def test_times_that_are_all_zero_are_none():
+    points = from_points(ROBOT, NAMES, ROWS, velocities=[[], [], [], []], times=[0.0] * 4)
+    assert points.times is None and points.velocities is None

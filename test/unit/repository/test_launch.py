@@ -1,0 +1,83 @@
+"""Every launch file is one that roslaunch accepts, and `--ros-args` explains every argument of it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from roslaunch import rlutil
+
+ROOT = Path(__file__).resolve().parents[3]
+LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
+
+
+def name_of(path: Path) -> str:
+    return path.stem
+
+
+def is_whole(path: Path) -> bool:
+    """Return whether a launch file can be started as it is: every argument has a default."""
+    arguments = ElementTree.parse(path).getroot().findall("arg")
+    return all({"default", "value"} & set(arg.attrib) for arg in arguments)
+
+
+WHOLE = [path for path in LAUNCHES if is_whole(path)]
+
+
+@pytest.mark.parametrize("path", WHOLE, ids=name_of)
+def test_roslaunch_accepts_it(path):
+    assert rlutil.check_roslaunch(str(path)) is None
+
+
+def test_every_part_belongs_to_a_whole():
+    """A part gets its arguments from the file that includes it, and is checked with it."""
+    includes = "".join(path.read_text() for path in WHOLE)
+    parts = sorted(set(LAUNCHES) - set(WHOLE))
+    assert {"bringup", "experiment"} <= set(map(name_of, WHOLE))
+    assert [part.name for part in parts if f"launch/{part.name}" not in includes] == []
+
+
+@pytest.mark.parametrize("path", LAUNCHES, ids=name_of)
+def test_ros_args_explains_every_argument(path):
+    run = subprocess.run(
+        ["roslaunch", "--ros-args", str(path)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "COLUMNS": "80"},
+    )
+    assert run.returncode == 0, run.stderr
+    undocumented = run.stdout.count("undocumented")
+    given = [arg.get("name") for arg in ElementTree.parse(path).getroot().findall("arg") if "value" not in arg.attrib]
+    assert given and all(name in run.stdout for name in given)
+    assert undocumented == 0
+
+
+@pytest.mark.parametrize("file", ["bringup", "experiment"])
+@pytest.mark.parametrize("given", ["", "192.168.1.20"])
+def test_the_controller_s_address_reaches_the_gateway(file, given):
+    command = ["roslaunch", "--args", "/kr120/rsi_gateway", "construction_twin", f"{file}.launch"]
+    run = subprocess.run([*command, f"rsi_controller:={given}"], capture_output=True, text=True, timeout=120)
+    assert f" --controller {given} --broker " in run.stdout, run.stderr
+
+
+@pytest.mark.parametrize(
+    "argument, sentence",
+    [
+        ("arm:=foo", "preflight: arm:=foo: expected mock, real or none"),
+        ("robot_config:=/no/such.yaml", "preflight: robot_config:=/no/such.yaml: expected the absolute path"),
+        ("scene:=/no/such.yaml", "preflight: scene:=/no/such.yaml: expected the absolute path"),
+    ],
+)
+def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins(argument, sentence):
+    run = subprocess.run(
+        ["roslaunch", "--nodes", "construction_twin", "bringup.launch", argument],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode != 0 or "Invalid" in run.stderr
+    assert sentence in run.stderr and "Traceback" not in run.stderr

@@ -1,0 +1,234 @@
+"""What holds for the package as a whole: layers, docstrings, sizes, launch arguments, configuration keys."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from dataclasses import fields
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from separation_node import Settings as SeparationSettings
+
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.mock.program import MockSettings
+from construction_twin.robot.description import home_positions, read_robot_files
+from construction_twin.ros.commands.experiment import ExperimentSettings
+from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
+from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
+from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
+from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
+from construction_twin.ros.nodes.planner import Settings as PlannerSettings
+from construction_twin.ros.nodes.tool_marker import Settings as MarkerSettings
+from construction_twin.ros.shared.arm_listener import NeighbourSettings
+from construction_twin.ros.shared.gateway_export import gateway_config
+
+ROOT = Path(__file__).parents[3]
+PACKAGE = ROOT / "src" / "construction_twin"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+LIBRARY = [path for path in SOURCES if "ros" not in path.relative_to(PACKAGE).parts]
+NODES = sorted(path for path in (ROOT / "nodes").iterdir() if path.is_file()) + [
+    ROOT / "examples/separation/separation"
+]
+LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
+ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+
+#: What the library may import besides the standard library and itself. PyKDL is ROS's, but needs no ROS to run.
+THIRD_PARTY = {
+    "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
+    "coal", "pinocchio", "py_opw_kinematics", "manifold3d",
+}  # fmt: skip
+GENERATED = {"msg", "srv", "action"}
+#: Given in the launch files: deployment, not behaviour.
+DEPLOYMENT = {
+    "executor": {"arm", "auto_approve", "review_file", "planner", "neighbour", "realtime_priority"},
+    "separation": set(),
+    "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
+    "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
+    "experiment": {"results_dir"},
+    "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
+    "neighbour": {"name", "realtime_priority"},
+    "planner": {"self_collision", "tf_prefix"},
+    "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
+}
+#: Names of partner nodes: they follow from the launch files' own node names.
+PARTNERS = {"gate", "executor"}
+
+
+def relative(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def imported(path: Path) -> set[str]:
+    """Return every module that a file imports, at whatever depth of the code."""
+    modules = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            modules |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return modules
+
+
+def config(name: str) -> dict:
+    return yaml.safe_load((ROOT / "config" / f"{name}.yaml").read_text())
+
+
+def test_there_is_something_to_check():
+    assert len(LIBRARY) > 20 and len(SOURCES) > len(LIBRARY) and NODES and LAUNCHES
+
+
+@pytest.mark.parametrize("path", LIBRARY, ids=relative)
+def test_the_library_knows_no_ros(path):
+    for module in imported(path):
+        top, *rest = module.split(".")
+        if top == "construction_twin":
+            assert rest[0] not in GENERATED | {"ros"}, module
+        else:
+            assert top in sys.stdlib_module_names | THIRD_PARTY, module
+
+
+def undocumented(path: Path) -> list[str]:
+    tree = ast.parse(path.read_text())
+    missing = [] if ast.get_docstring(tree) or not tree.body else ["module"]
+
+    def look(node, prefix: str) -> None:
+        for child in node.body:
+            if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or child.name.startswith(
+                "_"
+            ):
+                continue
+            if not ast.get_docstring(child):
+                missing.append(prefix + child.name)
+            if isinstance(child, ast.ClassDef):
+                look(child, prefix + child.name + ".")
+
+    look(tree, "")
+    return missing
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_every_public_name_has_a_docstring(path):
+    assert undocumented(path) == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_files_and_functions_stay_small(path):
+    lines = path.read_text().splitlines()
+    assert len(lines) <= 400
+    assert max(map(len, lines), default=0) <= 132
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            # the limit is on code: a docstring with its shapes and units does not count
+            first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
+            assert node.end_lineno - first.lineno + 1 <= 60, node.name
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ExceptHandler):
+            assert node.type is not None and getattr(node.type, "id", "") not in ("Exception", "BaseException"), (
+                node.lineno
+            )
+        if isinstance(node, ast.ImportFrom):
+            assert node.names[0].name != "*"
+
+
+@pytest.mark.parametrize("path", NODES, ids=relative)
+def test_nodes_only_import_main_and_call_it(path):
+    assert len(path.read_text().splitlines()) <= 15
+    assert path.read_text().startswith("#!/usr/bin/env python3\n")
+
+
+@pytest.mark.parametrize("path", LAUNCHES, ids=relative)
+def test_every_launch_argument_is_documented(path):
+    arguments = [arg for arg in ElementTree.parse(path).getroot().iter("arg") if "value" not in arg.attrib]
+    assert [arg.get("name") for arg in arguments if not arg.get("doc", "").strip()] == []
+
+
+@pytest.mark.parametrize("path", LAUNCHES, ids=relative)
+def test_every_configuration_file_that_a_launch_file_loads_exists(path):
+    prefix = "$(find construction_twin)/"
+    for element in ElementTree.parse(path).getroot().iter():
+        name = element.get("file", "")
+        if name.startswith(prefix):
+            assert (ROOT / name.removeprefix(prefix)).is_file(), name
+
+
+@pytest.mark.parametrize("path", LAUNCHES, ids=relative)
+def test_every_node_that_a_launch_file_starts_exists(path):
+    for node in ElementTree.parse(path).getroot().iter("node"):
+        if node.get("pkg") == "construction_twin":
+            assert node.get("type") in {path.name for path in NODES}
+            assert node.get("name") == node.get("type")
+
+
+SETTINGS = {
+    "experiment": set(ExperimentSettings.model_fields),
+    "gateway": {field.name for field in fields(GatewayConfig)},
+    "mock_rsi": set(MockSettings.model_fields),
+    "executor": set(ExecutorSettings.model_fields),
+    "mqtt_bridge": set(BridgeSettings.model_fields),
+    "mqtt_review": set(ReviewSettings.model_fields),
+    "neighbour": set(NeighbourSettings.model_fields),
+    "pca_monitor": set(MonitorSettings.model_fields),
+    "planner": set(PlannerSettings.model_fields),
+    "tool_marker": set(MarkerSettings.model_fields),
+    "separation": set(SeparationSettings.model_fields),
+}
+
+
+@pytest.mark.parametrize("node", sorted(SETTINGS))
+def test_configuration_and_settings_have_the_same_keys(node):
+    assert set(config(node)) == SETTINGS[node] - DEPLOYMENT[node] - PARTNERS
+
+
+@pytest.mark.parametrize("node", sorted(SETTINGS))
+def test_every_key_of_a_configuration_is_explained_above_it(node):
+    lines = (ROOT / "config" / f"{node}.yaml").read_text().splitlines()
+    for key in config(node):
+        index = next(i for i, line in enumerate(lines) if line.startswith(f"{key}:"))
+        block = []
+        while index > 0 and lines[index - 1].strip():
+            index -= 1
+            block.append(lines[index])
+        assert any(line.startswith("#") for line in block), key
+
+
+@pytest.mark.parametrize(
+    "model, name, deployment",
+    [
+        (ExperimentSettings, "experiment", {"results_dir": "/tmp"}),
+        (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
+        (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
+        (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
+        (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3, "transition_file": "transitions.jsonl"}),
+        (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
+        (SeparationSettings, "separation", {}),
+        (NeighbourSettings, "neighbour", {"name": "b"}),
+        (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
+        (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
+    ],
+)
+def test_the_shipped_configuration_is_accepted(model, name, deployment):
+    settings = model(**config(name), **deployment)
+    for key, value in config(name).items():
+        assert getattr(settings, key) == value
+
+
+def test_the_shipped_gateway_settings_make_a_configuration():
+    shipped = gateway_config(ROBOT, config("gateway") | {"decimals": 3})
+    assert shipped == gateway_config(ROBOT, {})
+    assert shipped.axes == ("A1", "A2", "A3", "A4", "A5", "A6")
+
+
+def test_rviz_begins_at_the_robot_s_home():
+    publisher = config("joint_state_publisher")
+    assert home_positions(ROOT / "config/kr120.yaml") == dict(zip(ROBOT.joint_names, ROBOT.home))
+    assert (publisher["rate"], publisher["source_list"]) == (50, ["twin/joint_states"])

@@ -1,0 +1,132 @@
+"""From a distance to a speed limit."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import rospy
+import separation_node as module
+from distance_to_speed import SeparationLimit, SpeedTable
+from hypothesis import given
+from hypothesis import strategies as st
+from sensor_msgs.msg import Range
+
+from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.units import NANOSECONDS
+
+T0 = 1_790_000_000 * NANOSECONDS
+DEADLINE = 300_000_000
+ROWS = [[1.0, 0.1], [2.0, 0.5], [4.0, 1.0]]
+
+
+def separation() -> SeparationLimit:
+    return SeparationLimit(SpeedTable(ROWS), DEADLINE / NANOSECONDS)
+
+
+class TestTable:
+    @pytest.mark.parametrize(
+        "distance, share",
+        [(0.0, 0.1), (1.0, 0.1), (1.5, 0.3), (2.0, 0.5), (3.0, 0.75), (4.0, 1.0), (9.0, 1.0), (math.inf, 1.0)],
+    )
+    def test_is_linear_between_its_rows_and_constant_beyond(self, distance, share):
+        assert SpeedTable(ROWS).share(distance) == pytest.approx(share, abs=1e-15)
+
+    @given(st.lists(st.tuples(st.floats(0.01, 5.0), st.floats(0.0, 0.2)), min_size=1, max_size=6), st.data())
+    def test_never_allows_more_nearer_by(self, steps, data):
+        rows, distance, share = [], 0.0, 0.0
+        for way, rise in steps:
+            distance, share = distance + way, min(1.0, share + rise)
+            rows.append((distance, share))
+        table = SpeedTable(rows)
+        near, far = sorted(data.draw(st.tuples(*[st.floats(0.0, 40.0)] * 2)))
+        assert table.lowest <= table.share(near) <= table.share(far) + 1e-12 <= rows[-1][1] + 2e-12
+
+    @pytest.mark.parametrize(
+        "rows, row",
+        [
+            ([], "table"),
+            ([[1.0]], "row 1"),
+            ([[-0.1, 0.0]], "row 1"),
+            ([[1.0, 0.2], [1.0, 0.5]], "row 2"),
+            ([[1.0, 0.5], [2.0, 0.4]], "row 2"),
+            ([[1.0, 0.5], [2.0, 1.1]], "row 2"),
+            ([[1.0, -0.1]], "row 1"),
+            ([[math.nan, 0.5]], "row 1"),
+            ([[1.0, 0.0], [math.inf, 1.0]], "row 2"),
+        ],
+    )
+    def test_refuses_rows_that_make_no_table(self, rows, row):
+        with pytest.raises(ConfigurationError, match=row):
+            SpeedTable(rows)
+
+
+class TestLimit:
+    def test_before_the_first_distance_and_after_the_deadline_the_lowest_share_holds(self):
+        limit = separation()
+        assert limit.update(T0) == (0.1, "no separation distance was measured yet")
+        limit.on_range(3.0, 0.1, 10.0, 0, T0)
+        assert limit.update(T0 + DEADLINE) == (0.75, "separation 3.00 m")
+        share, reason = limit.update(T0 + DEADLINE + 1)
+        assert share == 0.1 and "0.3 s" in reason
+
+    @pytest.mark.parametrize("distance, share", [(math.inf, 1.0), (-math.inf, 0.1), (0.1, 0.1), (10.0, 1.0)])
+    def test_nothing_in_reach_and_too_near_to_tell(self, distance, share):
+        limit = separation()
+        limit.on_range(distance, 0.1, 10.0, 0, T0)
+        assert limit.update(T0)[0] == share
+
+    @pytest.mark.parametrize("distance", [math.nan, -1.0, 10.1])
+    def test_what_the_sensor_cannot_measure_is_refused(self, distance):
+        limit = separation()
+        limit.on_range(3.0, 0.1, 10.0, 0, T0)
+        with pytest.raises(PayloadError, match="0.1 to 10 m") as caught:
+            limit.on_range(distance, 0.1, 10.0, 0, T0 + DEADLINE)
+        assert caught.value.reason == "distance"
+        assert limit.update(T0 + DEADLINE)[0] == 0.75 and limit.update(T0 + DEADLINE + 1)[0] == 0.1
+
+    @pytest.mark.parametrize("distance", [0.0, 0.05])
+    def test_nearer_than_the_sensor_can_tell_is_as_slow_as_can_be(self, distance):
+        limit = separation()
+        limit.on_range(3.0, 0.1, 10.0, 0, T0)
+        limit.on_range(distance, 0.1, 10.0, 0, T0 + 1)
+        assert limit.update(T0 + 2) == (0.1, "nearer than the sensor can tell")
+
+    def test_a_distance_below_zero_is_refused_whatever_the_sensor_says(self):
+        with pytest.raises(PayloadError):
+            separation().on_range(-0.5, -1.0, 10.0, 0, T0)
+
+    def test_a_repeated_measurement_is_no_news(self):
+        limit = separation()
+        limit.on_range(3.0, 0.1, 10.0, T0, T0)
+        for later in (1, DEADLINE, 2 * DEADLINE):
+            with pytest.raises(PayloadError, match="repeats"):
+                limit.on_range(3.0, 0.1, 10.0, T0, T0 + later)
+        assert limit.update(T0 + DEADLINE + 1)[0] == 0.1
+
+    def test_an_older_measurement_counts_only_of_a_sensor_that_was_silent(self):
+        limit = separation()
+        limit.on_range(3.0, 0.1, 10.0, T0, T0)
+        with pytest.raises(PayloadError):
+            limit.on_range(4.0, 0.1, 10.0, T0 - 1, T0 + 1)
+        limit.on_range(4.0, 0.1, 10.0, T0 - 1, T0 + DEADLINE + 1)
+        assert limit.update(T0 + DEADLINE + 1)[0] == 1.0
+
+
+def test_the_node_takes_a_sensor_for_silent_although_the_wall_clock_was_set_back(monkeypatch):
+    wall, steady, said = [1000 * NANOSECONDS], [50 * NANOSECONDS], []
+    monkeypatch.setattr(module.time, "monotonic_ns", lambda: steady[0])
+    monkeypatch.setattr(module, "read_parameters", lambda _: module.Settings(table=ROWS, deadline=0.3, rate=20))
+    monkeypatch.setattr(module, "NodeDiagnostics", lambda *_: None)
+    monkeypatch.setattr(module, "Publisher", lambda *_, **__: SimpleNamespace(publish=said.append))
+    for name in ("Subscriber", "Timer"):
+        monkeypatch.setattr(rospy, name, lambda *_, **__: None)
+    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time.from_sec(wall[0] / NANOSECONDS))
+    node = module.SeparationNode()
+    node._on_range(Range(range=math.inf, max_range=5.0))
+    node._on_timer(None)
+    wall[0] -= 10 * NANOSECONDS
+    steady[0] += round(0.31 * NANOSECONDS)
+    node._on_timer(None)
+    assert [message.limit for message in said] == [1.0, ROWS[0][1]]

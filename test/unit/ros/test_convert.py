@@ -1,0 +1,118 @@
+"""Conversions between ROS messages and values: bit-exact, through the wire format. Needs no ROS master."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+import pytest
+from construction_twin.msg import Plan as PlanMsg
+from geometry_msgs.msg import Point, Quaternion, Transform, Vector3
+from geometry_msgs.msg import Pose as PoseMsg
+
+from construction_twin.core.motion_errors import KinematicsError, TrajectoryError
+from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.ros.messages import convert
+
+NAMES = ("joint_a1", "joint_a2")
+
+
+def trajectory(waypoints: int = 50) -> Trajectory:
+    rng = np.random.default_rng(waypoints)
+    return Trajectory(NAMES, np.linspace(0.0, 75.2 / 3, waypoints), *rng.normal(size=(3, waypoints, 2)))
+
+
+def plan(clearance: Clearance = Clearance(0.0123, ("link_3", "wall"), (1.0, -2.0, 1 / 3), 4.004)) -> Plan:
+    motion = trajectory()
+    shares = LimitShares((0.1, 1 / 3), (0.3, 0.4), (0.5, 0.6))
+    return Plan(
+        id="p1",
+        hash=motion.content_hash(),
+        source="request",
+        planner="RRTConnect",
+        scene="5c",
+        created_ns=1_700_000_000_123_456_789,
+        planning_time=0.1,
+        trajectory=motion,
+        report=PlanReport(clearance, shares, 0.017),
+    )
+
+
+def over_the_wire(msg):
+    buffer = io.BytesIO()
+    msg.serialize(buffer)
+    return type(msg)().deserialize(buffer.getvalue())
+
+
+@pytest.mark.parametrize("waypoints", [2, 3, 1500])
+def test_a_trajectory_survives_to_the_last_bit(waypoints):
+    sent = trajectory(waypoints)
+    received = convert.trajectory_from_msg(over_the_wire(convert.trajectory_to_msg(sent)))
+    assert received.content_hash() == sent.content_hash()
+
+
+def test_a_plan_survives_with_everything_it_carries():
+    sent = plan()
+    msg = over_the_wire(convert.plan_to_msg(sent, "base_link", np.arange(150.0).reshape(50, 3)))
+    received = convert.plan_from_msg(msg)
+    for name in ("id", "hash", "source", "planner", "scene", "created_ns", "planning_time", "report"):
+        assert getattr(received, name) == getattr(sent, name)
+    assert msg.header.frame_id == "base_link" and msg.duration == sent.trajectory.duration
+    assert (len(msg.tool_path), msg.tool_path[1].x, msg.tool_path[1].z) == (50, 3.0, 5.0)
+
+
+def test_a_plan_with_nothing_to_touch_survives():
+    sent = plan(Clearance(math.inf))
+    received = convert.plan_from_msg(over_the_wire(convert.plan_to_msg(sent, "base_link", np.zeros((50, 3)))))
+    assert received.report == sent.report and received.report.clearance.between == ()
+
+
+def test_a_plan_changed_on_its_way_is_refused():
+    msg = over_the_wire(convert.plan_to_msg(plan(), "base_link", np.zeros((50, 3))))
+    positions = list(msg.trajectory.points[7].positions)
+    positions[0] = math.nextafter(positions[0], 9.0)
+    msg.trajectory.points[7].positions = positions
+    with pytest.raises(TrajectoryError, match="hash"):
+        convert.plan_from_msg(msg)
+
+
+def test_an_empty_plan_is_refused():
+    with pytest.raises(TrajectoryError):
+        convert.plan_from_msg(PlanMsg())
+
+
+def test_waypoints_without_accelerations_are_refused():
+    msg = convert.trajectory_to_msg(trajectory())
+    msg.points[3].accelerations = []
+    with pytest.raises(TrajectoryError, match="accelerations"):
+        convert.trajectory_from_msg(msg)
+
+
+def test_a_pose_is_position_and_rotation():
+    half = math.sqrt(0.5)
+    pose = convert.pose_from_msg(PoseMsg(Point(1.0, 2.0, 3.0), Quaternion(0.0, 0.0, half, half)))
+    np.testing.assert_allclose(pose.rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
+    assert pose.position.tolist() == [1.0, 2.0, 3.0]
+    same = convert.pose_from_transform_msg(Transform(Vector3(1.0, 2.0, 3.0), Quaternion(0.0, 0.0, half, half)))
+    assert np.array_equal(same.position, pose.position) and np.array_equal(same.rotation, pose.rotation)
+
+
+@pytest.mark.parametrize("field", ["clearance", "clearance_time", "jerk_use"])
+def test_a_plan_whose_measurements_are_no_numbers_is_refused(field):
+    msg = convert.plan_to_msg(plan(), "base_link", np.zeros((50, 3)))
+    setattr(msg, field, [math.nan, 0.1] if field == "jerk_use" else math.nan)
+    with pytest.raises(TrajectoryError, match="measured"):
+        convert.plan_from_msg(msg)
+
+
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.002), (0.0, 0.0, 0.0, math.nan)])
+def test_a_quaternion_that_is_none_is_refused(quaternion):
+    with pytest.raises(KinematicsError, match="norm 1"):
+        convert.pose_from_msg(PoseMsg(orientation=Quaternion(*quaternion)))
+
+
+def test_a_nearly_normalised_quaternion_is_accepted():
+    pose = convert.pose_from_msg(PoseMsg(orientation=Quaternion(0.0, 0.0, 0.0, 1.0009)))
+    np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-15)

@@ -1,0 +1,208 @@
+"""The executor's node without ROS around it: what its cycle waits for, and by which clock others fall silent."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rospy
+from construction_twin.msg import Link, Scene, SpeedLimit, Sync
+from construction_twin.srv import ReviewPlanRequest
+from executor_bench import ROBOT, SCENE, make_plan
+
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.review.queue import Verdict
+from construction_twin.ros.messages.convert import plan_to_msg
+from construction_twin.ros.nodes import executor as module
+from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
+from construction_twin.ros.transport.joint_stream import to_time
+
+
+class World:
+    """What the node finds around itself: clocks, topics, services, its log."""
+
+    def __init__(self, monkeypatch, tmp_path):
+        self.wall, self.steady = 1000 * NANOSECONDS, 50 * NANOSECONDS
+        self.said: list[tuple[str, object]] = []
+        self.logged: list[tuple[str, str]] = []
+        self.services: dict[str, object] = {}
+        self.cycles = 0
+        patch = monkeypatch.setattr
+        patch(module, "now_ns", lambda: self.wall)
+        patch(module.time, "monotonic_ns", lambda: self.steady)
+        patch(module, "Cycles", self.grid)
+        patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
+        patch(rospy.Time, "now", lambda: to_time(self.wall))
+        patch(rospy, "resolve_name", lambda name: name)
+        patch(rospy, "on_shutdown", lambda _: None)
+        patch(rospy, "Subscriber", lambda *_, **__: SimpleNamespace(get_num_connections=lambda: 1))
+        patch(rospy, "Service", lambda name, _, handler: self.services.update({name: handler}))
+        patch(rospy, "Timer", lambda *_: None)
+        for level in ("loginfo", "logwarn", "logerr"):
+            patch(rospy, level, self.logger(level))
+        limits = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_required": False}
+        settings = module.Settings(arm="mock", review_file=str(tmp_path / "reviews.jsonl"), **limits)
+        patch(module, "read_parameters", lambda model: settings)
+        patch(module, "robot_from_parameters", lambda: ROBOT)
+        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
+        patch(module, "JointSubscriber", lambda *_, **__: None)
+        patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
+        patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
+        self.node = module.ExecutorNode()
+        self.logged.clear()
+
+    def logger(self, level: str):
+        """Return a log function that says which thread called it."""
+        return lambda *words: self.logged.append((threading.current_thread().name, words[0] % words[1:]))
+
+    def topic(self, name: str):
+        """Return a publisher."""
+        return SimpleNamespace(publish=lambda *message: self.said.append((name, message)))
+
+    def grid(self):
+        """Let both clocks run; the twin follows at once and the monitor is content."""
+        for _ in range(self.cycles):
+            self.wall, self.steady = self.wall + CYCLE_NS, self.steady + CYCLE_NS
+            if self.speaks:
+                self.node._on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan"))
+            yield self.wall, 0
+            setpoints = [message for name, message in self.said if name == "next/joint_states"]
+            self.node._on_twin(*(setpoints[-1] if setpoints else (self.wall, ROBOT.home)))
+
+    def run(self, cycles: int, speaks: bool = True) -> World:
+        """Run some cycles, while the monitor speaks or not."""
+        self.cycles, self.speaks = cycles, speaks
+        self.node.run()
+        return self
+
+    def playing(self) -> World:
+        """Play a plan."""
+        node = self.node
+        node._on_link(Link(state=Link.ARMED, session="s"))
+        node._on_scene(Scene(hash=SCENE))
+        self.run(5)
+        plan = make_plan(created_ns=self.wall)
+        node._executor.offer(plan)
+        node._approval.review(plan.id, plan.hash, True, "Ada")
+        return self.run(50)
+
+    def states(self) -> list[str]:
+        """Return what was published on `execution`."""
+        return [message[0].text for name, message in self.said if name == "execution"]
+
+
+@pytest.fixture
+def world(monkeypatch, tmp_path):
+    return World(monkeypatch, tmp_path)
+
+
+def limit(share: float) -> SpeedLimit:
+    message = SpeedLimit(limit=share, reason="somebody is near")
+    message._connection_header = {"callerid": "/sensor"}
+    return message
+
+
+class TestCycle:
+    def test_writes_no_log_the_background_does(self, world):
+        world.playing()
+        world.services["stop"](None)
+        world.run(100)
+        assert world.logged == []
+        world.node._on_timer(None)
+        lines = [line for _, line in world.logged]
+        assert "PLAYING: approved by Ada" in lines and any(line.startswith("stop: braking plan p") for line in lines)
+        assert lines.index("PLAYING: approved by Ada") < lines.index("STOPPING: stop requested")
+
+    def test_says_what_it_does_before_what_became_of_plans(self, world):
+        world.playing()
+        world.node._executor.offer(make_plan("q", created_ns=world.wall))
+        world.said.clear()
+        world.node._executor.stop(world.wall)
+        world.node._publish_changes()
+        assert [name for name, _ in world.said] == ["execution", "review"]
+
+    def test_a_limit_that_follows_a_sensor_fills_no_log(self, world):
+        world.playing()
+        world.node._on_timer(None)
+        world.logged.clear()
+        for k in range(20):
+            world.node._on_limit(limit(0.5 + 0.01 * k))
+            world.run(2)
+        world.node._on_timer(None)
+        assert [line for _, line in world.logged] == ["speed limit 0.5 by /sensor: somebody is near"]
+        assert world.node._executor.reason.startswith("approved by Ada; at 69% of the planned speed: speed limit 0.69")
+
+
+class TestClocks:
+    def test_a_wall_clock_set_back_does_not_let_a_silent_source_of_the_limit_speak(self, world):
+        world.playing()
+        world.node._on_limit(limit(0.9))
+        world.run(10)
+        world.wall -= 10 * NANOSECONDS
+        world.run(130)
+        assert world.node._limit.limit == 0.1 and "silent" in world.node._limit.reason
+
+    def test_nor_a_monitor_that_is_silent(self, world):
+        world.playing()
+        world.wall -= 10 * NANOSECONDS
+        world.run(130, speaks=False)
+        assert world.node._executor.outcome == "held"
+
+    @pytest.mark.parametrize("step", [-10.0, 10.0])
+    def test_a_wall_clock_that_is_set_ends_no_plan(self, world, step):
+        world.playing()
+        world.wall += round(step * NANOSECONDS)
+        world.run(30)
+        assert world.states()[-1] == "PLAYING"
+
+
+class TestPlansThatAreTurnedDown:
+    """Whoever shows a plan as waiting must hear that nobody can approve it."""
+
+    def offered(self, world, plan) -> list[tuple[str, bool, str]]:
+        message = plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3)))
+        message._connection_header = {"callerid": world.node._planner}
+        world.said.clear()
+        world.node._on_plan(message)
+        world.node._publish_changes()
+        return [(m[0].plan_id, m[0].approved, m[0].reason) for name, m in world.said if name == "review"]
+
+    def test_one_that_was_asked_for_before_a_stop(self, world):
+        asked = world.playing().wall - CYCLE_NS
+        world.services["stop"](None)
+        world.run(100)
+        ((plan_id, approved, reason),) = self.offered(world, make_plan("late", created_ns=asked))
+        assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
+
+    def test_one_from_before_this_executor(self, world):
+        ((plan_id, _, reason),) = self.offered(world, make_plan("old", created_ns=world.wall - NANOSECONDS))
+        assert plan_id == "old" and "older than this executor" in reason
+
+    def test_one_that_comes_twice_is_not(self, world):
+        plan = make_plan("p2", created_ns=world.run(5).wall)
+        assert self.offered(world, plan) == self.offered(world, plan) == []
+
+
+@pytest.mark.parametrize("reviewer", ["executor", "auto_approve", " executor "])
+def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer):
+    world.playing()
+    plan = make_plan("q", created_ns=world.wall)
+    world.node._executor.offer(plan)
+    answer = world.services["review_plan"](ReviewPlanRequest(plan.id, plan.hash, False, reviewer, ""))
+    assert not answer.success and "the name of a person" in answer.message
+    assert world.services["review_plan"](ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "")).success
+
+
+def test_a_full_log_forgets_the_oldest_lines():
+    log, lines = DeferredLog(), []
+    for k in range(KEPT + 5):
+        log.add(lines.append, k)
+    log.flush()
+    assert lines[0] == 5 and log.flush() is None
+
+
+def test_a_verdict_is_published_with_its_reason(world):
+    world.node._publish_verdict(Verdict("withdrawn", "p", "h", "executor", "replaced"))
+    assert world.said[-1][0] == "review" and world.said[-1][1][0].reason == "replaced"

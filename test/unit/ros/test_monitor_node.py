@@ -1,0 +1,250 @@
+"""The monitor's node without ROS around it: in which order it speaks, by which clock, what it asks for, how it begins."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+import rospy
+from construction_twin.msg import Execution, Link, Plan, Sync
+from executor_bench import ROBOT
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.monitor.states import SyncState
+from construction_twin.ros.nodes import pca_monitor as module
+from construction_twin.ros.shared.live_settings import Behaviour
+from construction_twin.ros.transport.joint_stream import to_time
+
+HOME = ROBOT.home
+SETTINGS = {
+    "threshold": 0.01, "threshold_linear": 0.005, "comparison": "aligned", "lag_allowance": 0.05, "lag_margin": 0.06,
+    "feedback_timeout": 0.1, "agree_share": 0.8, "agree_time": 0.1, "policy": "replan", "give_up_time": 30.0,
+    "escalate_count": 5, "escalate_time": 30.0,
+}  # fmt: skip
+
+
+class World:
+    """What the node finds around itself: clocks, parameters, topics."""
+
+    def __init__(self, monkeypatch):
+        self.wall, self.steady = 1000 * NANOSECONDS, 50 * NANOSECONDS
+        self.parameters: dict[str, str] = {}
+        self.said: list[tuple[str, object]] = []
+        self.logged: list[str] = []
+        self.planned = threading.Event()
+        patch = monkeypatch.setattr
+        patch(module, "now_ns", lambda: self.wall)
+        patch(module.time, "monotonic_ns", lambda: self.steady)
+        patch(rospy.Time, "now", lambda: to_time(self.wall))
+        patch(rospy, "has_param", lambda name: False)
+        patch(rospy, "get_param", lambda name, default: self.parameters.get(name, default))
+        patch(rospy, "set_param", self.parameters.__setitem__)
+        patch(rospy, "resolve_name", lambda name: name)
+        patch(rospy, "Subscriber", lambda *_, **__: None)
+        patch(rospy, "Timer", lambda *_: None)
+        patch(rospy, "ServiceProxy", lambda *_: self.plan_to_joints)
+        for level in ("loginfo", "logwarn", "logerr"):
+            patch(rospy, level, lambda *words: self.logged.append(words[0] % words[1:]))
+        settings = module.Settings(**SETTINGS, arm="mock", decimals=6, sync_rate=50, transition_file="none")
+        patch(module, "read_parameters", lambda model: settings)
+        patch(module, "robot_from_parameters", lambda: ROBOT)
+        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
+        patch(module, "LiveSettings", lambda *_: None)
+        patch(module, "JointSubscriber", lambda *_, **__: None)
+        patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
+        patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
+        patch(
+            module, "TransitionReport", lambda *_: SimpleNamespace(report=self.report, flush=lambda: None, problem="")
+        )
+
+    def topic(self, name: str):
+        """Return a publisher."""
+        return SimpleNamespace(publish=lambda *message: self.said.append((name, message[-1])))
+
+    def report(self, change) -> None:
+        """Take a transition."""
+        self.said.append(("transitions", change))
+
+    def plan_to_joints(self, **request):
+        """Take a request for a plan."""
+        self.request = request
+        self.planned.set()
+        return SimpleNamespace(success=True, message="planned")
+
+    def pass_time(self, seconds: float = CYCLE_NS / NANOSECONDS) -> None:
+        """Let both clocks run."""
+        self.wall += round(seconds * NANOSECONDS)
+        self.steady += round(seconds * NANOSECONDS)
+
+    def syncs(self) -> list[str]:
+        """Return the states that were published, in order."""
+        return [message.text for name, message in self.said if name == "sync"]
+
+
+@pytest.fixture
+def world(monkeypatch):
+    return World(monkeypatch)
+
+
+def feedback(world: World, offset: float = 0.0) -> tuple:
+    """Return what is heard of the arm now: stamp, pose, and that the link carries no properties."""
+    return world.wall, (HOME[0] + offset, *HOME[1:]), 0, 0
+
+
+def run(world: World, node, cycles: int) -> None:
+    """Let the stream of a standing robot pass."""
+    for _ in range(cycles):
+        world.pass_time()
+        node._on_twin(world.wall - CYCLE_NS, HOME)
+        node._on_feedback(*feedback(world))
+        node._on_next(world.wall, HOME)
+
+
+def opened(world: World, session: str = "s1"):
+    """Return a node whose gate is open."""
+    node = module.PcaMonitorNode()
+    node._on_link(Link(session=session, state=Link.ARMED))
+    run(world, node, 40)
+    assert node._gate.state is SyncState.IN_SYNC
+    return node
+
+
+def test_settings_of_this_test_are_all_there_are():
+    assert set(SETTINGS) | {"thresholds", "realtime_priority"} == set(Behaviour.model_fields)
+
+
+class TestOrder:
+    def test_the_executor_hears_of_a_hold_before_anybody_else(self, world):
+        node = opened(world)
+        world.said.clear()
+        node._on_feedback(*feedback(world, 0.2))
+        (first, sync), (second, change) = world.said
+        assert (first, sync.text, second) == ("sync", "HOLDING", "transitions")
+        assert change.target is SyncState.HOLDING and world.logged == []
+
+    def test_what_is_published_last_is_the_newest(self, world):
+        """A thread that is held up while it publishes keeps a newer state from overtaking it."""
+        node = opened(world)
+        entered, go_on, order = threading.Event(), threading.Event(), []
+
+        def slow(message: Sync) -> None:
+            if message.text == "HOLDING":
+                entered.set()
+                go_on.wait(10.0)
+            order.append(message.text)
+
+        node._sync = SimpleNamespace(publish=slow)
+        held = threading.Thread(target=node._on_feedback, args=feedback(world, 0.2))
+        held.start()
+        assert entered.wait(10.0)
+
+        def give_up():
+            world.pass_time(31.0)
+            node._on_timer(None)
+
+        newer = threading.Thread(target=give_up)
+        newer.start()
+        newer.join(0.2)
+        go_on.set()
+        held.join(10.0)
+        newer.join(10.0)
+        assert order == ["HOLDING", "STOPPED"]
+
+
+class TestClocks:
+    def test_a_wall_clock_set_back_does_not_make_dead_feedback_fresh(self, world):
+        node = opened(world)
+        world.wall -= 10 * NANOSECONDS
+        world.pass_time(0.11)
+        node._on_timer(None)
+        assert world.syncs()[-1] == "STALE"
+
+    @pytest.mark.parametrize("step", [-10.0, 10.0])
+    def test_a_wall_clock_that_is_set_closes_nothing_while_all_is_well(self, world, step):
+        node = opened(world)
+        late = feedback(world)
+        world.wall += round(step * NANOSECONDS)
+        stamp = world.wall - round(step * NANOSECONDS)
+        node._on_feedback(*late)
+        for k in range(1, 50):
+            world.pass_time()
+            node._on_twin(stamp + (k - 1) * CYCLE_NS, HOME)
+            node._on_feedback(*feedback(world))
+            node._on_next(stamp + k * CYCLE_NS, HOME)
+            node._on_timer(None)
+        assert node._gate.state is SyncState.IN_SYNC and node._gate.violations == 0
+
+    def test_feedback_that_waited_in_a_queue_is_not_fresh(self, world):
+        node = opened(world)
+        waited = feedback(world)
+        world.pass_time(0.11)
+        node._on_feedback(*waited)
+        node._on_timer(None)
+        assert world.syncs()[-1] == "STALE"
+
+    def test_changes_are_reported_in_ros_time(self, world):
+        node = opened(world)
+        node._on_feedback(*feedback(world, 0.2))
+        assert [change.at for name, change in world.said if name == "transitions"][-1] == world.wall
+
+
+class TestReplan:
+    def offer(self, node, velocity_use=(0.2, 0.1)) -> None:
+        points = [JointTrajectoryPoint(positions=HOME), JointTrajectoryPoint(positions=[0.5] * 6)]
+        use = {"velocity_use": velocity_use, "acceleration_use": (0.4, 0.1)}
+        node._on_plan(Plan(id="p", trajectory=JointTrajectory(points=points), **use))
+
+    def test_asks_for_the_same_goal_at_the_approved_pace(self, world):
+        node = opened(world)
+        self.offer(node)
+        known = Execution(state=Execution.PLAYING, plan_id="p")
+        known.header.stamp = to_time(world.wall)
+        node._on_execution(known)
+        world.pass_time()
+        node._on_feedback(*feedback(world, 0.2))
+        assert world.planned.wait(10.0) and node._gate.state is SyncState.REPLANNING
+        assert world.request["goal"] == (0.5,) * 6
+        assert (world.request["speed_scale"], world.request["acceleration_scale"]) == (0.2, 0.4)
+        # as of when the plan was known to be played: a stop since then voids the new one
+        assert world.request["asked"] == known.header.stamp
+
+    @pytest.mark.parametrize("state", [Execution.PAUSING, Execution.PAUSED, Execution.STOPPING, Execution.IDLE])
+    def test_what_a_person_has_halted_is_not_re_planned(self, world, state):
+        node = opened(world)
+        self.offer(node)
+        node._on_execution(Execution(state=state, plan_id="p"))
+        node._on_feedback(*feedback(world, 0.2))
+        assert node._gate.state is SyncState.HOLDING and not world.planned.is_set()
+
+
+class TestStopped:
+    def stop(self, world: World):
+        node = opened(world)
+        node._on_feedback(*feedback(world, 0.2))
+        world.pass_time(31.0)
+        node._on_timer(None)
+        node._stopped._writer.join(10.0)
+        assert world.parameters == {"stopped_session": "s1"}
+        return node
+
+    def test_a_monitor_in_its_place_stays_stopped_until_a_person_resets(self, world):
+        self.stop(world)
+        world.said.clear()
+        node = module.PcaMonitorNode()
+        run(world, node, 40)
+        node._on_link(Link(session="s1", state=Link.ARMED))
+        run(world, node, 100)
+        assert set(world.syncs()) == {"STOPPED"} and "command/joint_states" not in dict(world.said)
+        node._on_link(Link(session="s2", state=Link.ARMED))
+        run(world, node, 40)
+        assert node._gate.state is SyncState.IN_SYNC
+
+    def test_is_forgotten_with_the_session(self, world):
+        node = self.stop(world)
+        node._on_link(Link(session="s2", state=Link.ARMED))
+        node._on_timer(None)
+        node._stopped._writer.join(10.0)
+        assert world.parameters == {"stopped_session": ""}
+        opened(world)

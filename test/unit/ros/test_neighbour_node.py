@@ -1,0 +1,270 @@
+"""The node `neighbour`: what it publishes when, and what a failure does. And the other arm when something about it is not known."""
+
+from __future__ import annotations
+
+from collections import Counter
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rospy
+from construction_twin.msg import Conflict
+from neighbour_cell import AWAY, CLEAR, NEAR, other, plan
+
+from construction_twin.coordination.plan_book import PlanUnknownError
+from construction_twin.coordination.way_judge import Judgement
+from construction_twin.core.errors import PoseUnknownError
+from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
+from construction_twin.ros.nodes import executor as executor_node
+from construction_twin.ros.nodes import neighbour as neighbour_node
+from construction_twin.ros.nodes import planner as planner_node
+from construction_twin.ros.nodes.neighbour import NeighbourNode
+from construction_twin.ros.shared.arm_listener import OtherArm
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
+from construction_twin.scene.objects import Scene, SceneObject
+
+EMPTY = Scene((), 0.0)
+FREE = Judgement(False, -1.0, "its way is free")
+STAMP = rospy.Time(100, 5)
+
+
+class Bench:
+    """The node without its topics; notes in order what it does."""
+
+    def __init__(self, monkeypatch):
+        monkeypatch.setattr(neighbour_node.rospy.Time, "now", staticmethod(self._now))
+        self.did: list = []
+        self.node = node = object.__new__(NeighbourNode)
+        node._settings = SimpleNamespace(name="b", max_pose_age=0.5, rate=10.0)
+        node._horizon, node._looks, node._longest, node._said, node._failure = 2.9, 0, 0.0, {}, ""
+        node._own = SimpleNamespace(plans=self.plans, scene=EMPTY, poses=lambda _: (AWAY, AWAY))
+        node._other = SimpleNamespace(occupied=self.occupied, claim=None, unknown="", complete=True)
+        node._judge = SimpleNamespace(followed=self.followed, waiting=self.waiting, forget=lambda _: None)
+        node._publisher = SimpleNamespace(publish=self.did.append)
+
+    def _now(self):
+        self.did.append("time")
+        return STAMP
+
+    def plans(self):
+        return plan(CLEAR, NEAR, "played"), 5, plan(CLEAR, NEAR, "waiting")
+
+    def occupied(self, horizon):
+        assert horizon == self.node._horizon
+        self.did.append("read")
+        return other().between(AWAY, AWAY)
+
+    def followed(self, *_):
+        self.did.append("judge played")
+        return FREE
+
+    def waiting(self, *_):
+        self.did.append("judge waiting")
+        return FREE
+
+    def look(self) -> dict[str, Conflict]:
+        self.node.look()
+        return {item.plan_id: item for item in self.did if isinstance(item, Conflict)}
+
+
+@pytest.fixture
+def bench(monkeypatch) -> Bench:
+    return Bench(monkeypatch)
+
+
+def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_judged(bench):
+    bench.look()
+    names = [item.plan_id if isinstance(item, Conflict) else item for item in bench.did]
+    assert names == ["time", "read", "judge played", "played", "judge waiting", "waiting"]
+    assert bench.node._state[0] == OK
+
+
+def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_others_from_starting(bench):
+    waiting, calls = plan(CLEAR, NEAR, "waiting"), iter(range(9))
+    bench.node._own.plans = lambda: (None, 0, waiting) if next(calls) % 2 == 0 else (waiting, 5, None)
+    bench.node._judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its way has been checked so far")
+    assert not bench.look()
+    bench.node._own.plans = lambda: (None, 0, waiting)
+    assert bench.look()["waiting"].conflict
+
+
+def test_a_verdict_bears_the_time_before_the_poses_were_read(bench):
+    assert {message.header.stamp for message in bench.look().values()} == {STAMP}
+
+
+def test_a_load_that_cannot_be_used_blocks_its_plan_and_is_an_error_on_diagnostics(bench):
+    def broken(*_):
+        raise SceneError("mesh", "/gone.stl", "a readable file")
+
+    bench.node._judge.waiting = broken
+    verdicts = bench.look()
+    assert not verdicts["played"].conflict
+    assert verdicts["waiting"].conflict and "/gone.stl" in verdicts["waiting"].reason
+    level, sentence, _ = bench.node._state
+    assert level == ERROR and "/gone.stl" in sentence
+    bench.node._judge.waiting = lambda *_: FREE
+    assert not bench.look()["waiting"].conflict
+    assert bench.node._state[0] == OK
+
+
+def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostics(bench):
+    def unknown(horizon):
+        raise NeighbourUnknownError("b", "what it carries cannot be used")
+
+    bench.node._other.occupied = unknown
+    verdicts = bench.look()
+    assert all(message.conflict and "cannot be used" in message.reason for message in verdicts.values())
+    assert set(verdicts) == {"played", "waiting"} and bench.node._state[0] == ERROR
+
+
+def test_an_arm_of_unknown_pose_is_a_warning(bench):
+    bench.node._other.unknown = "where b is, is not known"
+    bench.look()
+    assert bench.node._state[:2] == (WARN, "where b is, is not known")
+
+
+def test_what_nobody_foresaw_ends_the_process(bench, monkeypatch):
+    """`run` is the main thread's work: see `run_node`."""
+
+    def broken(*_):
+        raise ZeroDivisionError
+
+    bench.node._judge.followed = broken
+    monkeypatch.setattr(neighbour_node.rospy, "Rate", lambda _: None)
+    with pytest.raises(ZeroDivisionError):
+        bench.node.run()
+
+
+def arm(poses, plans=lambda: (None, 0, None), scene=EMPTY) -> OtherArm:
+    made = object.__new__(OtherArm)
+    made._settings = SimpleNamespace(name="b", max_pose_age=0.5)
+    made._listener = SimpleNamespace(poses=poses, plans=plans, scene=scene)
+    made._bare = made._shape = other()
+    made._carried_by, made._sweeps, made._at, made.claim, made.unknown = "", {}, ("", 0), None, ""
+    return made
+
+
+def here(*_):
+    return AWAY, AWAY
+
+
+def nowhere(*_):
+    raise PoseUnknownError("/b/physical/joint_states", 3.0, 0.5)
+
+
+def without_plan():
+    raise PlanUnknownError("its executor has said nothing yet")
+
+
+@pytest.mark.parametrize("found", [arm(nowhere), arm(here, without_plan)])
+def test_of_an_arm_whose_pose_or_path_nobody_knows_the_whole_reach_counts(found):
+    (ball,) = found.occupied()
+    assert ball.owner == "other/whole reach" and found.claim is None
+    assert found.unknown.startswith("where b is, or goes, is not known")
+    # the same again: who has looked at it need not look again
+    assert found.occupied() == (ball,)
+
+
+def test_an_arm_that_is_found_again_takes_up_where_it_is():
+    found = arm(nowhere)
+    found.occupied()
+    found._listener.poses = here
+    assert len(found.occupied()) > 1 and found.unknown == ""
+
+
+def test_the_reach_holds_what_the_arm_carries():
+    pole = SceneObject("pole", "box", (0.1, 0.1, 4.0), (0.0, 0.0, 2.0), link="tool0", touch=("link_6",))
+    (bare,), (long,) = arm(nowhere).occupied(), arm(nowhere, scene=Scene((pole,), 0.0)).occupied()
+    assert long.geometry.radius > bare.geometry.radius + 3.0
+
+
+LONG = plan(AWAY, AWAY + 0.3, "long", 40.0)
+
+
+def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_after_some_looks():
+    found = arm(here, lambda: (LONG, 5, None))
+    counts = [len(found.occupied(horizon=3.0))]
+    assert not found.complete
+    ends = [found._sweeps["long"].share * 40.0]
+    while not found.complete:
+        counts.append(len(found.occupied(horizon=3.0)))
+        ends.append(found._sweeps["long"].share * 40.0)
+    assert ends[0] < 10.0 and all(0.0 < later - sooner <= 5.1 for sooner, later in zip(ends, ends[1:]))
+    assert counts == sorted(counts) and found.claim.since == 5
+
+
+def test_the_horizon_goes_with_the_arm():
+    found = arm(lambda *_: (q, q), lambda: (LONG, 5, None))
+    for at in (0.0, 6.0, 11.0, 19.0):
+        q = LONG.trajectory.sample_many(np.array([at]))[0][0]
+        found.occupied(horizon=9.0)
+        assert found._sweeps["long"].share * 40.0 >= at + 9.0
+
+
+def test_a_planner_asks_for_the_whole_path():
+    found = arm(here, lambda: (LONG, 5, None))
+    found.occupied()
+    assert found.complete
+
+
+def test_a_path_is_prepared_while_its_plan_waits():
+    found = arm(here, lambda: (None, 0, LONG))
+    for _ in range(9):
+        assert found.claim is None and found.occupied(horizon=3.0)
+    sweep = found._sweeps["long"]
+    assert sweep.complete
+    found._listener.plans = lambda: (LONG, 5, None)
+    found.occupied(horizon=3.0)
+    assert found._sweeps["long"] is sweep and found.complete
+
+
+@pytest.mark.parametrize("poses", [here, nowhere])
+def test_without_knowing_what_it_carries_nobody_knows_how_far_it_reaches(poses):
+    with pytest.raises(NeighbourUnknownError, match="was not received"):
+        arm(poses, scene=None).occupied()
+    foreign = SceneObject("pole", "box", (0.1, 0.1, 4.0), (0.0, 0.0, 2.0), link="no_such_link")
+    with pytest.raises(NeighbourUnknownError, match="what it carries cannot be used: .*no_such_link"):
+        arm(poses, scene=Scene((foreign,), 0.0)).occupied()
+
+
+@pytest.mark.parametrize("age, refused", [(0.2, 0), (0.6, 1), (-0.5, 1)])
+def test_the_executor_counts_a_verdict_by_its_stamp(monkeypatch, age, refused):
+    node = object.__new__(executor_node.ExecutorNode)
+    reasons, taken = [], []
+    node._lock = executor_node.threading.Lock()
+    node._executor = SimpleNamespace(neighbour=executor_node.NeighbourWatch("b"))
+    node._diagnostics = SimpleNamespace(refuse=lambda reason, _: reasons.append(reason))
+    on_verdict = node._executor.neighbour.on_verdict
+    node._executor.neighbour.on_verdict = lambda *given: taken.append(given[3]) or on_verdict(*given)
+    monkeypatch.setattr(executor_node.rospy.Time, "now", staticmethod(lambda: STAMP))
+    message = Conflict(plan_id="p1", conflict=False, reason="its way is free")
+    message.header.stamp = STAMP - rospy.Duration(age)
+    node._on_conflict(message)
+    assert reasons == ["conflict_age"] * refused
+    np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
+
+
+def planner(unknown: str) -> planner_node.PlannerNode:
+    node = object.__new__(planner_node.PlannerNode)
+    node._beside = SimpleNamespace(name="b", max_pose_age=0.5, padding=0.1)
+    node._other = SimpleNamespace(occupied=lambda _: other().anywhere(), unknown=unknown)
+    node._busy = planner_node.threading.Lock()
+    node._demand_scene = lambda: None
+    node._diagnostics = SimpleNamespace(refused=Counter())
+    node._publish_outcome = lambda *_: None
+    return node
+
+
+def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
+    def blocked(node):
+        assert [item.padding for item in node._occupied()] == [pytest.approx(0.1, abs=2e-3)]
+        raise PlanningError("the start is in collision")
+
+    node = planner("where b is, or goes, is not known: no message")
+    success, sentence, *_ = node._answer(lambda _: blocked(node), None)
+    assert not success
+    assert sentence.startswith(
+        "the start is in collision; plans keep clear of the whole reach of b, because where b is"
+    )
+    node._other.unknown = ""
+    assert node._answer(lambda _: blocked(node), None)[1] == "the start is in collision"

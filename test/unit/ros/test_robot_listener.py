@@ -1,0 +1,84 @@
+"""The listener behind command line, watch and marker: the newest of each report, and who has fallen silent."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+from construction_twin.msg import Execution, Link, Plan, Review, Sync
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from executor_bench import ROBOT, make_plan
+
+from construction_twin.ros.shared import robot_listener as module
+from construction_twin.ros.shared.robot_listener import RobotListener
+
+
+class World:
+    """ROS and the clock, without either."""
+
+    def __init__(self, monkeypatch):
+        self.now = 100.0
+        self.publishers = 1
+        patch = monkeypatch.setattr
+        patch(module.time, "monotonic", lambda: self.now)
+        patch(module.rospy, "get_time", lambda: self.now)
+        patch(
+            module.rospy,
+            "Subscriber",
+            lambda *_, **__: SimpleNamespace(get_num_connections=lambda: self.publishers),
+        )
+        patch(module, "plan_from_msg", lambda message: make_plan(message.id))
+        self.listener = RobotListener("/kr120", ROBOT, rates=True)
+
+    def hear(self, name: str, message) -> None:
+        self.listener._receive(message, name)
+
+    def all_report(self) -> None:
+        self.hear("link", Link(text="ARMED"))
+        self.hear("sync", Sync(text="IN_SYNC"))
+        self.hear("execution", Execution(text="IDLE"))
+        status = DiagnosticStatus(name="kr120/planner: planner", level=0, message="ready")
+        self.listener._on_diagnostics(DiagnosticArray(status=[status]))
+
+
+@pytest.fixture
+def world(monkeypatch):
+    return World(monkeypatch)
+
+
+def test_other_reports_leave_the_plan_alone(world):
+    world.hear("plan", Plan(id="p1"))
+    for name, message in (("sync", Sync()), ("link", Link()), ("execution", Execution(plan_id="p0"))):
+        world.hear(name, message)
+    assert world.listener.under_review().id == "p1"
+    assert world.listener.plan("p1").id == "p1" and world.listener.plan("p0") is None
+    world.hear("review", Review(plan_id="p1"))
+    assert world.listener.under_review() is None
+
+
+def test_what_is_reported_again_and_again_falls_silent(world):
+    world.all_report()
+    assert dict(world.listener.snapshot().silent) == {}
+    world.now += 2.0
+    snapshot = world.listener.snapshot()
+    assert dict(snapshot.silent) == {"sync": 2.0}
+    world.now += 4.0
+    snapshot = world.listener.snapshot()
+    assert dict(snapshot.silent) == {"sync": 6.0, "link": 6.0}
+    (node,) = snapshot.nodes
+    assert (node.name, node.level) == ("planner", 3) and node.sentence == "silent for 6 s; the last was: ready"
+    world.all_report()
+    assert dict(world.listener.snapshot().silent) == {}
+
+
+def test_the_executor_is_silent_when_it_is_gone(world):
+    world.all_report()
+    world.now += 60.0
+    assert "execution" not in world.listener.snapshot().silent
+    world.publishers = 0
+    assert world.listener.snapshot().silent["execution"] == 60.0
+
+
+def test_who_was_never_heard_is_not_silent_but_unknown(world):
+    world.now += 60.0
+    assert dict(world.listener.snapshot().silent) == {} and world.listener.snapshot().sync is None

@@ -1,0 +1,79 @@
+"""STOPPED outlasts the monitor: kept in a thread of its own, tried again when the master does not answer."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from xml.etree import ElementTree
+
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
+
+
+class Server:
+    """A parameter server that can be away, or slow."""
+
+    def __init__(self):
+        self.written: list[str] = []
+        self.away = False
+        self.go_on = threading.Event()
+        self.go_on.set()
+
+    def write(self, session: str) -> None:
+        """Take a session."""
+        self.go_on.wait(10.0)
+        if self.away:
+            raise ConnectionRefusedError("nobody there")
+        self.written.append(session)
+
+
+def keep(memory: StopMemory, session: str, now: int) -> None:
+    memory.keep(session, now)
+    if memory._writer is not None:
+        memory._writer.join(10.0)
+
+
+def test_a_new_launch_begins_without():
+    launch = ElementTree.parse(Path(__file__).parents[3] / "launch/twin.launch").getroot()
+    assert [param.get("value") for param in launch.findall("param") if param.get("name") == PARAMETER] == [""]
+
+
+def test_writes_changes_only():
+    server = Server()
+    memory = StopMemory("", server.write)
+    for now, session in enumerate(("", "", "s1", "s1", "", "s2", "s2")):
+        keep(memory, session, now)
+    assert server.written == ["s1", "", "s2"] and memory.problem == ""
+
+
+def test_what_is_there_already_is_not_written_again():
+    server = Server()
+    keep(StopMemory("s1", server.write), "s1", 0)
+    assert server.written == []
+
+
+def test_a_slow_master_holds_nobody_up_and_the_newest_is_written_in_the_end():
+    server = Server()
+    server.go_on.clear()
+    memory = StopMemory("", server.write)
+    memory.keep("s1", 0)
+    memory.keep("", 1)
+    memory.keep("s2", 2)
+    assert server.written == []
+    server.go_on.set()
+    memory._writer.join(10.0)
+    keep(memory, "s2", 3)
+    assert server.written == ["s1", "s2"]
+
+
+def test_says_that_it_could_not_be_kept_and_tries_again_after_a_while():
+    server = Server()
+    server.away = True
+    memory = StopMemory("", server.write)
+    keep(memory, "s1", 0)
+    assert "nobody there" in memory.problem
+    server.away = False
+    keep(memory, "s1", NANOSECONDS // 2)
+    assert server.written == []
+    keep(memory, "s1", NANOSECONDS)
+    assert server.written == ["s1"] and memory.problem == ""

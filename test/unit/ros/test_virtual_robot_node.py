@@ -1,0 +1,173 @@
+"""The twin's node without ROS around it: when it repeats its pose, with which stamps, by which clock."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import rospy
+from construction_twin.msg import Link
+from executor_bench import ROBOT
+
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.execution.executor import TWIN_TIMEOUT
+from construction_twin.ros.nodes import virtual_robot as module
+from construction_twin.ros.transport import cycle
+from construction_twin.twin.virtual_robot import SILENCE
+
+HOME = ROBOT.home
+MS = NANOSECONDS // 1000
+
+
+class World:
+    """What the node finds around itself: clocks that run while it waits, and what happens at which time."""
+
+    def __init__(self, monkeypatch):
+        self.wall, self.steady = 1000 * NANOSECONDS, 52 * NANOSECONDS
+        self._events: list[tuple[int, object]] = []
+        self._end = 0
+        # time of publication, stamp
+        self.published: list[tuple[int, int]] = []
+        self.cycles = 0
+        patch = monkeypatch.setattr
+        patch(cycle, "now_ns", lambda: self.wall)
+        patch(module, "now_ns", lambda: self.wall)
+        patch(cycle, "time", SimpleNamespace(monotonic_ns=lambda: self.steady, sleep=self.sleep))
+        patch(rospy, "is_shutdown", self.is_over)
+        patch(rospy, "loginfo", lambda *_: None)
+        patch(rospy, "resolve_name", lambda name: name)
+        patch(rospy, "Subscriber", lambda *_, **__: None)
+        patch(module, "read_parameters", lambda model: module.Settings(arm="mock"))
+        patch(module, "robot_from_parameters", lambda: ROBOT)
+        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
+        patch(module, "JointSubscriber", lambda *_, **__: None)
+        patch(module, "JointPublisher", lambda *_: SimpleNamespace(publish=self.publish))
+        self.node = module.VirtualRobotNode()
+        self._woken = False
+        self.node._restarted = SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait)
+        # the grid that stamps the commands: nothing disturbs it
+        self.offset = self.wall - self.steady
+        self.node._on_link(Link(session="s1", state=Link.ARMED))
+        self.node._on_physical(self.wall, HOME)
+
+    def publish(self, stamp: int, q) -> None:
+        """Take a pose of the twin."""
+        assert q == HOME
+        self.published.append((self.steady, stamp))
+
+    def is_over(self) -> bool:
+        """Whether the test's time is up; asked once per cycle."""
+        self.cycles += 1
+        return self.steady >= self._end
+
+    def clear(self) -> None:
+        """Forget the last wake-up."""
+        self._woken = False
+
+    def wake(self) -> None:
+        """End a wait."""
+        self._woken = True
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass, and happen what is to happen."""
+        self.pass_time(self.steady + round(seconds * NANOSECONDS), lambda: False)
+
+    def wait(self, seconds: float) -> None:
+        """The same until somebody wakes the node."""
+        self.pass_time(self.steady + round(seconds * NANOSECONDS), lambda: self._woken)
+
+    def pass_time(self, until: int, ends) -> None:
+        """Let both clocks run."""
+        while self._events and self._events[0][0] <= until and not ends():
+            at, event = self._events.pop(0)
+            self.wall, self.steady = self.wall + max(at - self.steady, 0), max(at, self.steady)
+            event()
+        if not ends():
+            self.wall, self.steady = self.wall + until - self.steady, until
+
+    def command(self) -> None:
+        """Take a setpoint of the stream."""
+        self.node._on_command((self.steady + self.offset) // CYCLE_NS * CYCLE_NS, HOME)
+
+    def play(self, duration: int, commands=(), **events) -> int:
+        """Run the node for `duration` [ns] with commands in spans [ms], other events at their times [ms]; return the beginning."""
+        began = self.steady
+        for first, last in commands:
+            for at in range(first * MS, last * MS, CYCLE_NS):
+                # a little behind the grid, as a message is
+                self._events.append((began + at + 300_000, self.command))
+        self._events += [(began + int(at[1:]) * MS, event) for at, event in events.items()]
+        self._events.sort(key=lambda event: event[0])
+        self._end = began + duration
+        self.node.run()
+        return began
+
+    def between(self, first: int, last: int) -> list[tuple[int, int]]:
+        """Return what was published in a span of the monotonic clock [ns]."""
+        return [one for one in self.published if first <= one[0] < last]
+
+
+@pytest.fixture
+def world(monkeypatch):
+    return World(monkeypatch)
+
+
+def test_while_commands_come_the_clock_hardly_runs(world):
+    began = world.play(2 * NANOSECONDS, [(0, 2000)])
+    assert len(world.between(began, world.steady)) == 500 and world.cycles < 20
+
+
+@pytest.mark.parametrize("phase", range(0, 260, 20))
+def test_after_a_silence_the_pose_is_repeated_at_once_and_in_time(world, phase):
+    last = 1000 + phase
+    began = world.play(2 * NANOSECONDS, [(0, last)])
+    silent = began + last * MS - CYCLE_NS + SILENCE
+    repeated = world.between(began + last * MS, world.steady)
+    assert 0 <= repeated[0][0] - silent <= 2 * CYCLE_NS
+    assert [at + world.offset - stamp for at, stamp in repeated] == [0] * len(repeated)
+    assert len(repeated) >= (world.steady - silent) // CYCLE_NS - 2
+
+
+def test_a_new_session_wakes_it_up(world):
+    restart = {
+        "t1000": lambda: world.node._on_link(Link(session="s2", state=Link.ARMED)),
+        "t1001": lambda: world.node._on_physical(world.wall, HOME),
+    }
+    began = world.play(NANOSECONDS * 11 // 10, [(0, 990)], **restart)
+    assert world.between(began + 1000 * MS, began + 1012 * MS)
+
+
+def test_a_silence_after_commands_by_a_clock_that_was_set_forward_is_none_of_the_twin(world):
+    """An executor that is started again begins on ROS time, which was set since the twin began."""
+
+    def restart() -> None:
+        world.wall += 5 * NANOSECONDS
+        world.offset += 5 * NANOSECONDS
+
+    began = world.play(5 * NANOSECONDS, [(0, 2000), (4000, 5000)], t1000=restart)
+    times = [at for at, _ in world.published if at >= began]
+    assert max(later - earlier for earlier, later in zip(times, times[1:])) < SILENCE + 3 * CYCLE_NS
+    stamps = [stamp for _, stamp in world.published]
+    assert stamps == sorted(set(stamps)) and len(world.between(began + 4000 * MS, world.steady)) >= 250
+
+
+@pytest.mark.parametrize("session", ["s1", "s2"])
+@pytest.mark.parametrize("step", [-5.0, -0.3, 0.3, 5.0])
+def test_a_wall_clock_that_is_set_is_of_no_account(world, step, session):
+    """Commands, a pause, commands; the wall clock is set in the middle of the first ones, a session begins in the pause."""
+
+    def set_clock() -> None:
+        world.wall += round(step * NANOSECONDS)
+
+    def begin() -> None:
+        world.node._on_link(Link(session=session, state=Link.ARMED))
+        world.node._on_physical(world.wall, HOME)
+
+    began = world.play(6 * NANOSECONDS, [(0, 2000), (4000, 6000)], t1000=set_clock, t3990=begin)
+    times = [at for at, _ in world.published if at >= began]
+    assert max(later - earlier for earlier, later in zip(times, times[1:])) < SILENCE + 3 * CYCLE_NS < TWIN_TIMEOUT
+    # every pose of the second stream
+    assert len(world.between(began + 4000 * MS, world.steady)) >= 500
+    stamps = [stamp for _, stamp in world.published]
+    assert stamps == sorted(set(stamps))
+    assert all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in world.published if at >= began)

@@ -1,0 +1,256 @@
+"""RSI telegrams: golden bytes, round trips, and hostile input that must end in TelegramError."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from construction_twin.core.errors import ConfigurationError, TelegramError
+from construction_twin.core.units import radians
+from construction_twin.rsi.gateway_codec import (
+    MAX_TELEGRAM,
+    RobotEncoder,
+    RobotTelegram,
+    SensorEncoder,
+    SensorTelegram,
+    parse_robot,
+    parse_sensor,
+)
+
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+HOME = radians((0, -90, 90, 0, 90, 0))
+POSE = (1.35, 0.0, 1.569, math.pi, 0.0, math.pi)
+#: The facts sheet's example, written out: KE's set of blocks at Precision 4 (rsi.md section 2).
+GOLDEN_ROB = (
+    b'<Rob Type="KUKA"><RIst X="1350.0000" Y="0.0000" Z="1569.0000" A="180.0000" B="0.0000" C="180.0000"/>'
+    b'<RSol X="1350.0000" Y="0.0000" Z="1569.0000" A="180.0000" B="0.0000" C="180.0000"/>'
+    b'<AIPos A1="0.0000" A2="-90.0000" A3="90.0000" A4="0.0000" A5="90.0000" A6="0.0000"/>'
+    b'<ASPos A1="0.0000" A2="-90.0000" A3="90.0000" A4="0.0000" A5="90.0000" A6="0.0000"/>'
+    b'<Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
+)
+GOLDEN_SEN = (
+    b'<Sen Type="ImFree"><AK A1="0.012500" A2="-0.300000" A3="0.000000" A4="0.000000" A5="0.000000" A6="0.000000"/>'
+    b"<IPOC>4208163634</IPOC></Sen>"
+)
+CORRECTION = radians((0.0125, -0.3, 0, 0, 0, 0))
+
+angles = st.floats(-100.0, 100.0, allow_nan=False)
+six_angles = st.tuples(*[angles] * 6)
+ipocs = st.integers(0, 2**64 - 1)
+
+
+def rob(inner: str) -> bytes:
+    return f"<Rob Type='KUKA'>{inner}</Rob>".encode()
+
+
+def aipos(**changes: str) -> str:
+    values = dict.fromkeys(AXES, "1.5") | changes
+    return "<AIPos " + " ".join(f'{name}="{value}"' for name, value in values.items()) + "/>"
+
+
+def refused(data: bytes) -> str:
+    with pytest.raises(TelegramError) as caught:
+        parse_robot(data, AXES)
+    return caught.value.reason
+
+
+def test_robot_telegram_has_the_golden_bytes():
+    assert RobotEncoder(AXES, 4).encode(4208163634, HOME, HOME, POSE, POSE, 0) == GOLDEN_ROB
+
+
+def test_golden_robot_telegram_is_read():
+    assert parse_robot(GOLDEN_ROB, AXES) == RobotTelegram(4208163634, HOME, HOME, 0)
+
+
+def test_sensor_telegram_has_the_golden_bytes():
+    encoder = SensorEncoder("ImFree", AXES)
+    assert encoder.encode(CORRECTION, 4208163634) == GOLDEN_SEN
+    assert b"<Stop>1</Stop><AK " in encoder.encode(CORRECTION, 4, stop=True)
+    assert b'<Sen Type="ImFree"><Stop>0</Stop>' in encoder.encode(CORRECTION, 4, stop=False)
+
+
+def test_golden_sensor_telegram_is_read():
+    assert parse_sensor(GOLDEN_SEN, "ImFree", AXES) == SensorTelegram(4208163634, CORRECTION, None)
+
+
+def test_zero_has_no_sign_in_either_direction():
+    tiny = (-1e-12,) * 6
+    assert b"-0.0" not in SensorEncoder("ImFree", AXES).encode(tiny, 1)
+    assert b"-0.0" not in RobotEncoder(AXES, 3).encode(1, tiny, tiny, tiny, tiny, 0)
+    assert b'A1="-0.000001"' in SensorEncoder("ImFree", AXES).encode(radians((-1e-6,) * 6), 1)
+
+
+def test_axis_names_choose_the_attributes_and_their_order():
+    telegram = parse_robot(rob(aipos(A2="-90.0", A6="7") + "<IPOC>12</IPOC>"), ("A6", "A2"))
+    assert telegram.measured == radians((7, -90))
+    assert telegram.setpoint is None and telegram.delay is None
+
+
+def test_nearly_empty_first_packet_is_legal():
+    telegram = parse_robot(b"<Rob TYPE='KUKA'><IPOC>123645634563</IPOC></Rob>", AXES)
+    assert telegram == RobotTelegram(123645634563, None, None, None)
+
+
+def test_unknown_elements_white_space_and_root_attribute_do_not_matter():
+    data = rob(f"\n <Digout o1='1' /> {aipos()} <EStr>hello</EStr><Source1>x</Source1>\n<IPOC>8</IPOC>\n")
+    assert parse_robot(data, AXES).measured == radians((1.5,) * 6)
+    assert parse_robot(b"<Rob><IPOC>8</IPOC></Rob>", AXES).ipoc == 8
+
+
+@pytest.mark.parametrize(
+    "number",
+    "nan|inf|-inf|1e-05|1E5|1_0| 1|1 |1 0||-|.|1.|.5|1,5|0x10|--1".split("|") + ["1" * 400],
+)
+def test_numbers_other_than_plain_decimals_are_refused(number):
+    assert refused(rob(aipos(A3=number) + "<IPOC>8</IPOC>")) == "number"
+
+
+@pytest.mark.parametrize("number, value", [("+1.25", 1.25), ("-0.0", 0.0), ("007", 7.0), ("1." + 31 * "0" + "1", 1.0)])
+def test_plain_decimals_are_read(number, value):
+    assert parse_robot(rob(aipos(A3=number) + "<IPOC>8</IPOC>"), AXES).measured[2] == math.radians(value)
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        "",
+        "<IPOC></IPOC>",
+        "<IPOC>-4</IPOC>",
+        "<IPOC>4.0</IPOC>",
+        "<IPOC>4 </IPOC>",
+        "<IPOC>1e3</IPOC>",
+        "<IPOC>18446744073709551616</IPOC>",
+        "<IPOC>" + "1" * 5000 + "</IPOC>",
+        "<IPOC>4</IPOC><IPOC>4</IPOC>",
+        "<IPOC>4<A/></IPOC>",
+        "<Nested><IPOC>4</IPOC></Nested>",
+    ],
+)
+def test_ipoc_must_be_there_once_and_whole(inner):
+    assert refused(rob(inner)) == "ipoc"
+
+
+@pytest.mark.parametrize(
+    "data, reason",
+    [
+        (b"", "size"),
+        (b"<Rob>" + b" " * MAX_TELEGRAM + b"</Rob>", "size"),
+        (b"\xff\xfe\x00", "encoding"),
+        ("<Rob><X>ä</X><IPOC>4</IPOC></Rob>".encode(), "encoding"),
+        (b"<?xml version='1.0'?><Rob><IPOC>4</IPOC></Rob>", "markup"),
+        (b"<!DOCTYPE Rob [<!ENTITY a 'b'>]><Rob><IPOC>4</IPOC></Rob>", "markup"),
+        (b"<Rob><!-- --><IPOC>4</IPOC></Rob>", "markup"),
+        (b"<Rob><![CDATA[x]]><IPOC>4</IPOC></Rob>", "markup"),
+        ("<!DOCTYPE Rob []><Rob/>".encode("utf-16-le"), "encoding"),
+        (b"<Rob><IPOC>4</IPOC>", "xml"),
+        (b"<Rob><IPOC>4</IPOC></Rob><Rob/>", "xml"),
+        (b"<Rob><IPOC>&a;</IPOC></Rob>", "xml"),
+        (b"\x00" * 10, "encoding"),
+        (b"hello", "xml"),
+        (b"<a:Rob><IPOC>4</IPOC></a:Rob>", "xml"),
+        (b"<Sen><IPOC>4</IPOC></Sen>", "root"),
+        (b"<Rob><Delay D='x'/><IPOC>4</IPOC></Rob>", "number"),
+        (b"<Rob><Delay/><IPOC>4</IPOC></Rob>", "number"),
+        (b"<Rob><AIPos A1='1'/><IPOC>4</IPOC></Rob>", "attribute"),
+        (b"<Rob><Delay D='0'/><Delay D='1'/><IPOC>4</IPOC></Rob>", "element"),
+    ],
+)
+def test_malformed_telegrams_are_refused_with_their_reason(data, reason):
+    assert refused(data) == reason
+
+
+def test_deeply_nested_telegrams_are_refused_or_read_without_harm():
+    depth = (MAX_TELEGRAM - 40) // 7
+    assert depth > 1000 and refused(b"<Rob>" + b"<a>" * depth) == "xml"
+    assert parse_robot(b"<Rob>" + b"<a>" * depth + b"</a>" * depth + b"<IPOC>4</IPOC></Rob>", AXES).ipoc == 4
+
+
+@pytest.mark.parametrize(
+    "old, new, reason",
+    [
+        (b"ImFree", b"KROSHU", "sentype"),
+        (b' Type="ImFree"', b"", "sentype"),
+        (b"<Sen ", b"<Rob ", "xml"),
+        (b'A6="0.000000"', b"", "attribute"),
+        (b"0.012500", b"nan", "number"),
+        (b"<IPOC>", b"<Stop>2</Stop><IPOC>", "number"),
+        (b"<IPOC>4208163634</IPOC>", b"", "ipoc"),
+    ],
+)
+def test_unusable_replies_are_refused_with_their_reason(old, new, reason):
+    with pytest.raises(TelegramError) as caught:
+        parse_sensor(GOLDEN_SEN.replace(old, new), "ImFree", AXES)
+    assert caught.value.reason == reason
+
+
+def test_a_reply_without_corrections_is_refused():
+    with pytest.raises(TelegramError, match="no AK"):
+        parse_sensor(b"<Sen Type='ImFree'><IPOC>4</IPOC></Sen>", "ImFree", AXES)
+
+
+@pytest.mark.parametrize("correction", [(0.0,) * 5, (0.0,) * 7, (math.nan,) + (0.0,) * 5, (0.0,) * 5 + (math.inf,)])
+def test_corrections_that_cannot_be_sent_are_refused(correction):
+    with pytest.raises(TelegramError) as caught:
+        SensorEncoder("ImFree", AXES).encode(correction, 4)
+    assert caught.value.reason == "number"
+
+
+def test_robot_values_that_cannot_be_sent_are_refused():
+    with pytest.raises(TelegramError, match="RIst"):
+        RobotEncoder(AXES, 4).encode(4, HOME, HOME, (math.nan,) * 6, POSE, 0)
+
+
+@pytest.mark.parametrize("name", ['Im"Free', "", "<", "A 1", "1A", "A&amp;"])
+def test_names_that_would_break_the_xml_are_refused(name):
+    with pytest.raises(ConfigurationError):
+        SensorEncoder(name, AXES)
+    with pytest.raises(ConfigurationError):
+        RobotEncoder((name,), 4)
+
+
+@pytest.mark.parametrize("precision", [0, 33])
+def test_precision_outside_the_controllers_range_is_refused(precision):
+    with pytest.raises(ConfigurationError, match="1 to 32"):
+        RobotEncoder(AXES, precision)
+
+
+@given(six_angles, ipocs, st.sampled_from([None, False, True]))
+def test_corrections_survive_the_wire_to_half_a_decimal(correction, ipoc, stop):
+    telegram = parse_sensor(SensorEncoder("ImFree", AXES).encode(correction, ipoc, stop), "ImFree", AXES)
+    assert (telegram.ipoc, telegram.stop) == (ipoc, stop)
+    for sent, received in zip(correction, telegram.correction):
+        assert abs(sent - received) <= math.radians(0.5e-6) * (1 + 1e-6)
+
+
+@given(six_angles, six_angles, ipocs, st.integers(0, 2**31), st.integers(1, 32))
+def test_positions_survive_the_wire_to_half_a_decimal(measured, setpoint, ipoc, delay, precision):
+    telegram = parse_robot(RobotEncoder(AXES, precision).encode(ipoc, measured, setpoint, POSE, POSE, delay), AXES)
+    assert (telegram.ipoc, telegram.delay) == (ipoc, delay)
+    tolerance = math.radians(0.5 * 10.0**-precision) * (1 + 1e-6) + 1e-13
+    for sent, received in zip(measured + setpoint, telegram.measured + telegram.setpoint):
+        assert abs(sent - received) <= tolerance
+
+
+@given(st.binary(max_size=200))
+def test_garbage_raises_nothing_but_telegram_errors(data):
+    for parse in (lambda: parse_robot(data, AXES), lambda: parse_sensor(data, "ImFree", AXES)):
+        with pytest.raises(TelegramError):
+            parse()
+
+
+@given(st.data())
+def test_mutated_telegrams_raise_nothing_but_telegram_errors(data):
+    original = data.draw(st.sampled_from([GOLDEN_ROB, GOLDEN_SEN]))
+    start = data.draw(st.integers(0, len(original)))
+    end = min(len(original), start + data.draw(st.integers(0, 12)))
+    insert = data.draw(st.one_of(st.binary(max_size=8), st.text("<>&;!?'\"=/ A1IPOC0-.e", max_size=8).map(str.encode)))
+    mutated = original[:start] + insert + original[end:]
+    for parse in (lambda: parse_robot(mutated, AXES), lambda: parse_sensor(mutated, "ImFree", AXES)):
+        try:
+            telegram = parse()
+        except TelegramError:
+            continue
+        assert 0 <= telegram.ipoc < 2**64

@@ -1,0 +1,185 @@
+"""RSI telegrams as an Ethernet XML declares them: names, order, Stop, external and linear axes, units."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from rsi_mutations import mutate
+
+from construction_twin.core.errors import ConfigurationError, TelegramError
+from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, SensorDecoder, SensorEncoder
+from construction_twin.rsi.layout import AxisUnit, RsiLayout
+
+#: The track first, as other drivers order their joints; the XML has it last.
+AXES = ("E1", "A1", "A2", "A3", "A4", "A5", "A6")
+UNITS = (AxisUnit(linear=True), *(AxisUnit(),) * 6)
+LAYOUT = dataclasses.replace(
+    RsiLayout.plain(AXES),
+    sentype="KROSHU",
+    receive=("Stop", *(f"AKorr.A{i}" for i in (2, 1, 3, 4, 5, 6)), "EKorr.E1"),
+    holdon=(False, *(True,) * 7),
+)
+POSE = (0.0,) * 6
+Q = (1.25, *map(math.radians, (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)))
+
+
+def encode(q, units=UNITS, precision=4):
+    return RobotEncoder(AXES, precision, LAYOUT.send, units).encode(8, q, q, POSE, POSE, 3)
+
+
+def test_a_track_stands_in_its_own_blocks_in_millimetres():
+    data = encode(Q).decode()
+    assert re.findall(r"<(\w+)", data) == ["Rob", "RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "Delay", "IPOC"]
+    rest = " ".join(f'E{i}="0.0000"' for i in range(2, 7))
+    assert f'<EIPos E1="1250.0000" {rest}/><ESPos E1="1250.0000" {rest}/>' in data
+    assert '<AIPos A1="0.0000" A2="-90.0000"' in data
+
+
+def test_a_packet_of_a_track_is_read_in_metres():
+    telegram = RobotDecoder(AXES, UNITS).parse(encode(Q))
+    assert telegram.measured == pytest.approx(Q) and telegram.setpoint == pytest.approx(Q)
+    assert (telegram.ipoc, telegram.delay) == (8, 3)
+
+
+def test_blocks_have_six_attributes_however_many_axes_there_are():
+    data = RobotEncoder(("A2",), 1).encode(4, (0.1,), (0.1,), POSE, POSE, 0)
+    assert b'<AIPos A1="0.0" A2="5.7" A3="0.0" A4="0.0" A5="0.0" A6="0.0"/>' in data
+
+
+def test_blocks_come_in_the_files_order_and_an_unknown_one_is_refused():
+    data = RobotEncoder(AXES, 1, ("Delay", "EIPos", "AIPos"), UNITS).encode(4, Q, Q, POSE, POSE, 0).decode()
+    assert re.findall(r"<(\w+)", data) == ["Rob", "Delay", "EIPos", "AIPos", "IPOC"]
+    with pytest.raises(ConfigurationError, match="MACur"):
+        RobotEncoder(AXES, 1, ("MACur",), UNITS)
+
+
+def test_a_reply_has_the_files_names_order_and_stop():
+    data = SensorEncoder.of(LAYOUT, AXES, UNITS).encode((0.002, *map(math.radians, (1, 2, 3, 4, 5, 6))), 12)
+    assert data == (
+        b'<Sen Type="KROSHU"><Stop>0</Stop><AKorr A2="2.000000" A1="1.000000" A3="3.000000" A4="4.000000" A5="5.000000" '
+        b'A6="6.000000"/><EKorr E1="2.000000"/><IPOC>12</IPOC></Sen>'
+    )
+
+
+def test_stop_is_sent_where_it_is_declared():
+    encoder = SensorEncoder.of(LAYOUT, AXES, UNITS)
+    assert b"<Stop>1</Stop>" in encoder.encode(POSE + (0.0,), 4, stop=True)
+    last = dataclasses.replace(LAYOUT, receive=(*LAYOUT.receive[1:], "Stop"))
+    assert b"<Stop>0</Stop><IPOC>" in SensorEncoder.of(last, AXES, UNITS).encode(POSE + (0.0,), 4)
+    assert b"Stop" not in SensorEncoder("ImFree", AXES).encode(POSE + (0.0,), 4)
+
+
+def test_the_controller_reads_what_the_gateway_wrote_and_misses_what_is_not_there():
+    decoder = SensorDecoder(LAYOUT.sentype, AXES, LAYOUT.receive, UNITS)
+    correction = (0.002, *map(math.radians, (1, 2, 3, 4, 5, 6)))
+    data = SensorEncoder.of(LAYOUT, AXES, UNITS).encode(correction, 12, stop=True)
+    telegram = decoder.parse(data)
+    assert telegram.correction == pytest.approx(correction) and telegram.stop is True
+    for part in (b"<Stop>1</Stop>", b'<EKorr E1="2.000000"/>', b' A4="4.000000"', b"AKorr"):
+        with pytest.raises(TelegramError):
+            decoder.parse(data.replace(part, b"" if part != b"AKorr" else b"AK"))
+
+
+def test_a_stop_that_is_not_declared_does_not_count():
+    layout = RsiLayout.plain(("A1",))
+    data = SensorEncoder("ImFree", ("A1",)).encode((0.0,), 4, stop=True)
+    assert b"<Stop>1</Stop>" in data
+    assert SensorDecoder("ImFree", ("A1",), layout.receive).parse(data).stop is None
+
+
+@pytest.mark.parametrize("receive", [("AK.A1",), ("AK.A1", "AK.A2", "AK.A3"), ("AK.A1", "AK.A1"), ("AK.A1", "A<K.A2")])
+def test_channels_that_are_not_those_of_the_axes_are_refused(receive):
+    with pytest.raises(ConfigurationError):
+        SensorEncoder("ImFree", ("A1", "A2"), receive)
+
+
+@pytest.mark.parametrize("missing, said", [(b"EIPos", "EIPos"), (b"ASPos", "ASPos")])
+def test_half_a_position_is_refused(missing, said):
+    data = re.sub(rb"<%s [^>]*/>" % missing, b"", encode(Q))
+    with pytest.raises(TelegramError, match=f"no {said}") as caught:
+        RobotDecoder(AXES, UNITS).parse(data)
+    assert caught.value.reason == "element"
+
+
+# -- units ------------------------------------------------------------------------------------------------------------
+
+
+def test_sign_and_offset_of_a_track_are_the_controllers():
+    units = (AxisUnit(linear=True, sign=-1, offset=0.15), *UNITS[1:])
+    data = encode((2.0, *Q[1:]), units)
+    # -1 * 2 m + 0.15 m
+    assert b'<EIPos E1="-1850.0000"' in data
+    assert RobotDecoder(AXES, units).parse(data).measured[0] == pytest.approx(2.0)
+    # a correction turns with the sign, and knows no offset
+    assert b'E1="-2.000000"' in SensorEncoder.of(LAYOUT, AXES, units).encode((0.002, *(0.0,) * 6), 4)
+
+
+def test_a_controller_that_reports_millimetres_as_if_they_were_radians_is_covered_by_the_scale():
+    units = (AxisUnit(linear=True, feedback_scale=180 / math.pi), *UNITS[1:])
+    data = encode((1.0, *Q[1:]), units)
+    assert f'<EIPos E1="{1000 * 180 / math.pi:.4f}"'.encode() in data
+    assert RobotDecoder(AXES, units).parse(data).measured[0] == pytest.approx(1.0)
+    # it takes corrections in mm all the same
+    assert b'E1="2.000000"' in SensorEncoder.of(LAYOUT, AXES, units).encode((0.002, *(0.0,) * 6), 4)
+
+
+@given(
+    st.floats(-30.0, 30.0),
+    st.booleans(),
+    st.sampled_from([1, -1]),
+    st.floats(-10.0, 10.0),
+    st.floats(0.01, 100.0),
+    st.floats(0.01, 100.0),
+)
+def test_positions_and_corrections_survive_any_unit(value, linear, sign, offset, feedback, correction):
+    unit = AxisUnit(linear, sign, offset, feedback, correction)
+    encoder, decoder = RobotEncoder(("E1",), 6, ("EIPos", "ESPos"), (unit,)), RobotDecoder(("E1",), (unit,))
+    telegram = decoder.parse(encoder.encode(4, (value,), (offset,), POSE, POSE, 0))
+    step = 1e-6 / abs(unit.feedback_factor)
+    assert telegram.measured == pytest.approx((value,), abs=step + 1e-9)
+    assert telegram.setpoint == pytest.approx((offset,), abs=step + 1e-9)
+    reply = SensorEncoder("ImFree", ("E1",), (), (unit,)).encode((value,), 4)
+    read = SensorDecoder("ImFree", ("E1",), (), (unit,)).parse(reply).correction
+    assert read == pytest.approx((value,), abs=1e-6 / abs(unit.correction_factor) + 1e-9)
+
+
+# -- hostile telegrams -------------------------------------------------------------------------------------------------
+
+REAL_ROB = encode(Q)
+REAL_SEN = SensorEncoder.of(LAYOUT, AXES, UNITS).encode((0.002, *(0.01,) * 6), 12)
+
+
+@given(st.integers(0, 2**32))
+@example(0)
+def test_mutated_telegrams_are_read_or_refused_with_a_known_reason(seed):
+    decoders = (RobotDecoder(AXES, UNITS).parse, SensorDecoder(LAYOUT.sentype, AXES, LAYOUT.receive, UNITS).parse)
+    reasons = {"size", "encoding", "markup", "xml", "root", "sentype", "ipoc", "element", "attribute", "number"}
+    for data in (mutate(REAL_ROB, seed), mutate(REAL_SEN, seed)):
+        for parse in decoders:
+            try:
+                telegram = parse(data)
+            except TelegramError as error:
+                assert error.reason in reasons
+                continue
+            assert 0 <= telegram.ipoc < 2**64
+            for values in filter(
+                None, (getattr(telegram, name, None) for name in ("measured", "setpoint", "correction"))
+            ):
+                assert len(values) == len(AXES) and all(map(math.isfinite, values))
+
+
+def test_the_mutations_reach_every_kind_of_refusal():
+    parse = RobotDecoder(AXES, UNITS).parse
+    reasons = set()
+    for seed in range(3000):
+        try:
+            parse(mutate(REAL_ROB, seed))
+            reasons.add("read")
+        except TelegramError as error:
+            reasons.add(error.reason)
+    assert reasons == {"read", "size", "encoding", "markup", "xml", "ipoc", "element", "attribute", "number"}

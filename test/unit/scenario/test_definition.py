@@ -1,0 +1,125 @@
+"""Scenario files: read as a whole, refused with one sentence; those that are shipped."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from construction_twin.core.errors import ScenarioError
+from construction_twin.core.units import from_wire
+from construction_twin.mock.faults import KINDS, Fault, FaultBoard
+from construction_twin.robot.description import read_robot_files
+from construction_twin.scenario.definition import make_scenario, read_scenario
+
+ROOT = Path(__file__).resolve().parents[3]
+FILES = sorted((ROOT / "config/scenarios").glob("*.yaml"))
+ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+MOVE = {"move": {"goal_deg": [0, -90, 90, 0, 90, 0]}}
+EXPECT = {"sync": ["IN_SYNC"], "final": {"sync": "IN_SYNC"}, "ends": "goal"}
+
+
+def scenario(**changes):
+    return make_scenario("test", {"title": "a test", "steps": [MOVE], "expect": EXPECT} | changes)
+
+
+@pytest.mark.parametrize(
+    "changes, place",
+    [
+        ({"title": ""}, "title"),
+        ({"steps": []}, "steps"),
+        ({"steps": [{"when": "now"}]}, "steps/0"),
+        ({"steps": [MOVE | {"call": "stop"}]}, "steps/0"),
+        ({"steps": [{"call": "shutdown"}]}, "steps/0/call"),
+        ({"steps": [{"when": "later", "call": "stop"}]}, "steps/0/when"),
+        ({"steps": [{"after": -1.0, "call": "stop"}]}, "steps/0/after"),
+        ({"steps": [{"inject": {"fault": "melt"}}]}, "steps/0/inject/fault"),
+        ({"steps": [{"inject": {"fault": "estop", True: False}}]}, "steps/0/inject"),
+        ({"expect": EXPECT | {"ends": "anywhere"}}, "expect/ends"),
+        ({"expect": EXPECT | {"final": {"weather": "fine"}}}, "expect/final"),
+        ({"expect": EXPECT | {"max_error": 1.0}}, "expect/max_error"),
+        ({"limit": 0.0}, "limit"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_its_place(changes, place):
+    with pytest.raises(ScenarioError, match=f"^test: {place}"):
+        scenario(**changes)
+
+
+@pytest.mark.parametrize("text", ["- 1", "title: x", "scenario: 3", "scenario: [", ""])
+def test_a_file_that_is_none_is_refused(tmp_path, text):
+    path = tmp_path / "broken.yaml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match="broken"):
+        read_scenario(path)
+
+
+def test_faulted_joints_are_those_that_do_not_do_what_they_are_told():
+    def inject(**fault):
+        return {"inject": fault}
+
+    stall = inject(fault="stall", joint="joint_a3")
+    assert scenario(steps=[MOVE, stall, inject(fault="noise", value=[1e-4])]).faulted == {"joint_a3"}
+    assert scenario(steps=[inject(fault="estop")]).faulted == frozenset()
+    assert scenario(steps=[stall, inject(fault="drop", value=[0.1])]).faulted == {"joint_a3"}
+
+
+def test_at_least_ten_are_shipped_and_each_has_a_test():
+    assert len(FILES) >= 10
+    for path in FILES:
+        assert (ROOT / f"test/integration/scenario_{path.stem}.test").is_file(), path.stem
+    tests = sorted((ROOT / "test/integration").glob("scenario_*.test"))
+    assert [test.stem.removeprefix("scenario_") for test in tests] == [path.stem for path in FILES]
+
+
+def test_the_tests_of_scenarios_use_ports_of_their_own():
+    found = [
+        re.findall(r"(?:broker|rsi)_port:=(\d+)", path.read_text())
+        for path in (ROOT / "test/integration").glob("scenario_*.test")
+    ]
+    ports = [port for pair in found for port in pair]
+    assert len(ports) == 2 * len(FILES) == len(set(ports))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_shipped_scenarios_are_valid_fit_the_robot_and_are_documented(path):
+    found = read_scenario(path)
+    assert found.name == path.stem
+    assert path.read_text().startswith("# ")
+    assert f"`{path.stem}`" in (ROOT / "docs/scenarios.md").read_text()
+    for step in found.steps:
+        if step.move:
+            ROBOT.check_range(from_wire(step.move.goal_deg, ROBOT.linear))
+        if step.inject and not step.inject.end:
+            assert step.inject.joint in ("", *ROBOT.joint_names)
+            axis = ROBOT.axes[ROBOT.joint_names.index(step.inject.joint)].rsi if step.inject.joint else ""
+            fault = Fault(
+                step.inject.fault, axis, tuple(step.inject.values), step.inject.direction, step.inject.duration
+            )
+            board().inject(fault)
+
+
+def board():
+    from test_mock_controller import Cell
+
+    return FaultBoard(Cell().mock, 0)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_shipped_scenarios_change_only_parameters_that_there_are(path):
+    for node, values in yaml.safe_load(path.read_text()).items():
+        if node == "scenario":
+            continue
+        if node == "executor":
+            assert set(values) == {"auto_approve"}
+            continue
+        known = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())
+        assert set(values) <= set(known), node
+
+
+def test_every_fault_is_in_a_scenario_or_is_motion_of_its_own():
+    used = {step.inject.fault for path in FILES for step in read_scenario(path).steps if step.inject}
+    assert used == set(KINDS) - {"jog"}

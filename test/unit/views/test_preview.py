@@ -1,0 +1,174 @@
+"""The preview: the ghost plays the plan under review and nothing else, and the drawing says what was measured."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plan_samples import make_plan
+
+from construction_twin.core.errors import ReviewError
+from construction_twin.robot.plan import Clearance, Plan
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.views.preview import LOOP_REST, PATH_POINTS, TEXT_HEIGHT, Preview, describe, picture
+
+NAMES = ("joint_a1", "joint_a2")
+TWIN = (0.3, -0.3)
+DURATION = 2.0
+
+
+def plan(name: str = "p", duration: float = DURATION, clearance: Clearance | None = None) -> Plan:
+    rest = [[0.0, 0.0]] * 2
+    made = make_plan(Trajectory(NAMES, [0.0, duration], [[0.0, 0.0], [1.0, 2.0]], rest, rest), name)
+    return made if clearance is None else replace(made, report=replace(made.report, clearance=clearance))
+
+
+@pytest.fixture
+def preview() -> Preview:
+    preview = Preview()
+    preview.on_twin(TWIN)
+    preview.on_plan(plan())
+    return preview
+
+
+class TestGhost:
+    def test_hides_inside_the_twin_until_it_is_asked_to_play(self, preview):
+        assert preview.pose(0.0) == TWIN
+        preview.on_twin((0.4, 0.0))
+        assert preview.pose(1.0) == (0.4, 0.0)
+
+    def test_is_nowhere_before_the_twin_is_known(self):
+        assert Preview().pose(0.0) is None
+
+    @pytest.mark.parametrize("speed", [0.1, 1.0, 3.0])
+    def test_plays_the_plan_at_the_chosen_speed(self, preview, speed):
+        sentence = preview.play(speed, False, 10.0)
+        assert f"{DURATION / speed:.3f} s" in sentence
+        trajectory = preview.plan.trajectory
+        for share in (0.0, 0.25, 0.5, 0.9):
+            expected = tuple(trajectory.sample(share * DURATION)[0].tolist())
+            assert preview.pose(10.0 + share * DURATION / speed) == pytest.approx(expected, abs=1e-12)
+
+    def test_stays_at_the_goal_until_the_plan_is_decided(self, preview):
+        preview.play(1.0, False, 0.0)
+        assert preview.pose(DURATION) == preview.pose(100.0) == (1.0, 2.0)
+        preview.on_verdict("p", True)
+        assert preview.pose(100.0) == TWIN
+
+    def test_plays_again_and_again_with_a_rest_at_the_goal(self, preview):
+        assert "again and again" in preview.play(2.0, True, 0.0)
+        period = DURATION / 2.0 + LOOP_REST
+        assert preview.pose(DURATION / 2.0 + LOOP_REST / 2) == (1.0, 2.0)
+        for time in (0.2, 0.7):
+            assert preview.pose(3 * period + time) == pytest.approx(preview.pose(time), abs=1e-9)
+
+    def test_begins_anew_when_asked_again(self, preview):
+        preview.play(1.0, False, 0.0)
+        preview.play(1.0, False, 1.0)
+        assert preview.pose(1.0) == (0.0, 0.0)
+
+    def test_ends_at_speed_zero(self, preview):
+        preview.play(1.0, True, 0.0)
+        assert "ended" in preview.play(0.0, False, 0.5)
+        assert preview.pose(1.0) == TWIN
+
+    @pytest.mark.parametrize("speed", [-1.0, math.inf, math.nan])
+    def test_refuses_a_speed_that_makes_no_sense(self, preview, speed):
+        with pytest.raises(ReviewError, match="speed"):
+            preview.play(speed, False, 0.0)
+        assert preview.pose(0.5) == TWIN
+
+    @pytest.mark.parametrize("approved", [True, False, None])
+    def test_plays_nothing_that_is_not_under_review(self, preview, approved):
+        if approved is None:
+            preview = Preview()
+        else:
+            preview.on_verdict("p", approved)
+        with pytest.raises(ReviewError, match="no plan is under review"):
+            preview.play(1.0, False, 0.0)
+
+    @pytest.mark.parametrize("approved", [True, False])
+    def test_a_verdict_ends_it(self, preview, approved):
+        preview.play(1.0, True, 0.0)
+        preview.on_verdict("p", approved)
+        assert preview.pose(0.5) == TWIN
+
+    def test_a_verdict_on_another_plan_changes_nothing(self, preview):
+        preview.play(1.0, False, 0.0)
+        preview.on_verdict("q", False)
+        preview.on_ending("q")
+        assert preview.pose(DURATION) == (1.0, 2.0)
+
+    def test_a_newer_plan_ends_it_but_the_same_again_does_not(self, preview):
+        preview.play(1.0, False, 0.0)
+        preview.on_plan(plan())
+        assert preview.pose(DURATION) == (1.0, 2.0)
+        preview.on_plan(plan("q"))
+        assert preview.pose(DURATION) == TWIN and preview.under_review.id == "q"
+
+
+class TestShown:
+    def test_an_approved_plan_is_shown_until_its_execution_ends(self, preview):
+        preview.on_verdict("p", True)
+        assert preview.plan.id == "p" and preview.under_review is None
+        preview.on_ending("p")
+        assert preview.plan is None
+
+    def test_a_rejected_plan_is_not_shown(self, preview):
+        preview.on_verdict("p", False)
+        assert preview.plan is None
+
+    def test_a_plan_that_arrives_after_its_verdict_is_not_played(self):
+        preview = Preview()
+        preview.on_verdict("p", True)
+        preview.on_plan(plan())
+        assert preview.plan is not None and preview.under_review is None
+
+    @pytest.mark.parametrize("end", [lambda p: p.on_verdict("p", False), lambda p: p.on_ending("p")], ids=["no", "end"])
+    def test_a_plan_that_arrives_after_its_end_is_not_shown(self, end):
+        preview = Preview()
+        end(preview)
+        preview.on_plan(plan())
+        assert preview.plan is None
+
+
+def tool(q: np.ndarray) -> np.ndarray:
+    return np.array([q[0], q[1], 1.0 - (q[0] - 0.5) ** 2])
+
+
+class TestPicture:
+    def test_the_path_is_the_tool_s_along_the_motion(self):
+        drawing = picture(plan(), tool)
+        assert drawing.path.shape == (101, 3)
+        np.testing.assert_allclose(drawing.path[0], tool(np.zeros(2)))
+        np.testing.assert_allclose(drawing.path[-1], tool(np.array([1.0, 2.0])))
+        np.testing.assert_allclose(drawing.path[:, 1], 2.0 * drawing.path[:, 0], atol=1e-12)
+
+    @pytest.mark.parametrize("duration, points", [(0.001, 2), (3600.0, PATH_POINTS)])
+    def test_the_number_of_points_is_bounded(self, duration, points):
+        assert len(picture(plan(duration=duration), tool).path) == points
+
+    def test_the_text_hangs_above_the_highest_point(self):
+        drawing = picture(plan(), tool)
+        assert drawing.text_at == pytest.approx((0.5, 1.0, 1.0 + TEXT_HEIGHT), abs=0.05)
+
+    def test_the_closest_point_is_marked_only_where_there_is_something_to_touch(self):
+        assert picture(plan(), tool).closest is None
+        clearance = Clearance(0.0312, ("link_5", "wall"), (1.2, -0.4, 0.9), 0.752)
+        assert picture(plan(clearance=clearance), tool).closest == (1.2, -0.4, 0.9)
+
+    def test_the_text_tells_duration_clearance_and_shares(self):
+        clearance = Clearance(0.0312, ("link_5", "wall"), (1.2, -0.4, 0.9), 0.752)
+        lines = describe(plan(clearance=clearance)).splitlines()
+        assert lines == [
+            "2.00 s, none for test",
+            "closest 0.031 m, link_5 to wall, after 0.75 s at (1.20, -0.40, 0.90) m",
+            "largest share of velocity / acceleration / jerk:",
+            "joint_a1: 25% / 30% / 35%",
+            "joint_a2: 50% / 60% / 70%",
+        ]
+
+    def test_the_text_says_when_there_is_nothing_to_touch(self):
+        assert "nothing to touch" in describe(plan())

@@ -1,0 +1,153 @@
+"""What a start waits for, in order, each told once; and launch arguments that cannot work."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from construction_twin.views import preflight
+from construction_twin.views.startup import PATIENCE, Deployment, Seen, StartUp, first_missing
+
+CELL = Deployment("/kr120", "real", "10.0.0.5:8883", "10.0.0.6:49152", gateway=False)
+HERE = replace(CELL, arm="mock", gateway=True)
+GOOD = Seen(
+    link=("ARMED", "commands flow"),
+    sync=("IN_SYNC", "the poses agree"),
+    execution=("IDLE", ""),
+    feedback=True,
+    twin=True,
+    scene=True,
+)
+
+
+@pytest.mark.parametrize(
+    "change, what, action",
+    [
+        ({"link": None}, "the bridge", "its log"),
+        ({"link": ("DISCONNECTED", "nobody listens there")}, "the MQTT broker 10.0.0.5:8883", "broker_host"),
+        ({"link": ("GATEWAY_OFFLINE", "")}, "the gateway", "on the cell PC with --broker 10.0.0.5:8883"),
+        ({"link": ("MISMATCH", "its hash differs")}, "the gateway's configuration", "export"),
+        ({"link": ("NO_CONTROLLER", "")}, "the controller (RSI)", "start the RSI program"),
+        ({"feedback": False}, "the first pose of the arm", "mqtt_bridge"),
+        ({"twin": False}, "the twin", "virtual_robot"),
+        ({"scene": False}, "the scene", "/kr120/scene"),
+        ({"link": ("NEEDS_RESET", "it braked")}, "a reset", "rosservice call /kr120/reset"),
+        ({"link": ("RESYNC", "")}, "twin and arm to take the same pose", "by itself"),
+        ({"sync": ("HOLDING", "joint_a3")}, "the gate to open", "agree"),
+        ({"sync": ("STOPPED", "held too long")}, "the gate to open", "reset"),
+        ({"execution": ("WAITING", "")}, "the executor", "gate"),
+        ({"execution": None}, "the executor", "gate"),
+    ],
+)
+def test_what_is_missing_is_named_with_what_to_do(change, what, action):
+    missing = first_missing(replace(GOOD, **change), CELL)
+    assert missing.what == what and action in missing.action
+
+
+def test_the_first_missing_thing_is_named():
+    assert first_missing(Seen(link=("NO_CONTROLLER", "")), CELL).what == "the controller (RSI)"
+    assert first_missing(Seen(), CELL).what == "the bridge"
+    assert first_missing(GOOD, CELL) is None
+
+
+def test_advice_fits_what_was_started_here():
+    assert "49152 taken?" in first_missing(replace(GOOD, link=("GATEWAY_OFFLINE", "")), HERE).action
+    assert "mock_rsi" in first_missing(replace(GOOD, link=("NO_CONTROLLER", "")), HERE).action
+
+
+def test_the_port_is_named_where_it_is_known():
+    of_the_xml = replace(HERE, rsi="127.0.0.1:0")
+    taken = first_missing(replace(GOOD, link=("GATEWAY_OFFLINE", "")), of_the_xml).action
+    assert "127.0.0.1, PORT of the Ethernet XML taken?" in taken
+    elsewhere = first_missing(replace(GOOD, link=("NO_CONTROLLER", "")), CELL).action
+    assert "sends to the address given to rsi_gateway --listen" in elsewhere
+
+
+def test_without_an_arm_nobody_waits_for_a_link():
+    alone = replace(CELL, arm="none")
+    assert first_missing(replace(GOOD, link=None, feedback=False), alone) is None
+    assert first_missing(Seen(), alone).what == "the twin"
+
+
+def test_a_mirrored_arm_needs_no_open_gate():
+    assert first_missing(replace(GOOD, link=("MIRROR", ""), sync=("WAITING", "")), CELL) is None
+
+
+def test_each_line_is_said_once_and_ready_at_the_end():
+    startup = StartUp(CELL)
+    waiting = Seen(link=("DISCONNECTED", "nobody listens there"))
+    assert startup.update(waiting, 10.0) == []
+    (line,) = startup.update(waiting, 10.0 + PATIENCE)
+    assert line.startswith("waiting for the MQTT broker 10.0.0.5:8883 (nobody listens there): start it")
+    assert startup.update(waiting, 60.0) == []
+    (line,) = startup.update(GOOD, 61.0)
+    assert line.startswith("ready; plan with") and "--robot kr120" in line and startup.missing is None
+    assert startup.update(GOOD, 99.0) == []
+    lost = replace(GOOD, link=("NO_CONTROLLER", "RSI stopped"))
+    assert startup.update(lost, 100.0) == []
+    (line,) = startup.update(lost, 100.0 + PATIENCE)
+    assert line.startswith("not ready any more, waiting for the controller (RSI) (RSI stopped)")
+    assert len(startup.update(GOOD, 102.0)) == 1
+
+
+def test_what_comes_up_by_itself_is_no_news():
+    startup = StartUp(CELL)
+    assert startup.update(Seen(), 1.0) == []
+    assert startup.update(Seen(link=("DISCONNECTED", "")), 1.0 + 0.6 * PATIENCE) == []
+    assert startup.update(Seen(link=("RESYNC", "")), 1.0 + 1.2 * PATIENCE) == []
+    assert len(startup.update(GOOD, 1.0 + 1.5 * PATIENCE)) == 1
+
+
+FINE = {
+    "robot": "kr120_1",
+    "arm": "mock",
+    "decimals": "3",
+    "rsi_port": "0",
+    "broker": "true",
+    "scene": "",
+    "robot_config": "/a",
+}
+
+
+@pytest.mark.parametrize(
+    "change, sentence",
+    [
+        ({"arm": "foo"}, "arm:=foo: expected mock, real or none"),
+        ({"robot": "KR 120"}, "robot:=KR 120: expected a name"),
+        ({"robot": ""}, "robot:='': expected a name"),
+        ({"decimals": "7"}, "decimals:=7: expected a whole number from 1 to 6"),
+        ({"rsi_port": "-1"}, "rsi_port:=-1: expected a whole number"),
+        ({"rsi_port": "²"}, "rsi_port:=²: expected a whole number"),
+        ({"frame_rate": "0"}, "frame_rate:=0: expected a whole number from 1 to 250"),
+        ({"frame_rate": "251"}, "frame_rate:=251: expected a whole number from 1 to 250"),
+        ({"frame_rate": "12.5"}, "frame_rate:=12.5: expected a whole number from 1 to 250"),
+        ({"broker": "yes"}, "broker:=yes: expected true or false"),
+        ({"track": "off"}, "track:=off: expected true or false"),
+        ({"robot_config": "/nope"}, "robot_config:=/nope: expected the absolute path"),
+        ({"robot_config": ""}, "robot_config:='': expected the absolute path"),
+        ({"scene": "/nope"}, "scene:=/nope: expected the absolute path"),
+        ({"broker_config": "/nope"}, "broker_config:=/nope: expected"),
+        ({"rsi_listen": "192.168.1.10", "rsi_controller": ""}, "rsi_controller:='': expected the controller's address"),
+        ({"servo": "perfect"}, "servo:=perfect: expected ideal or realistic"),
+    ],
+)
+def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
+    assert preflight.problem(FINE | change, "/a".__eq__).startswith(sentence)
+
+
+def test_arguments_that_can_work_pass():
+    assert preflight.problem(FINE, "/a".__eq__) == ""
+    network = {"rsi_listen": "192.168.1.10", "rsi_controller": ""}
+    for fine in ({"rsi_controller": "krc4"}, {"rsi_listen": "127.0.0.2"}, {"gateway": "false"}, {"arm": "none"}):
+        assert preflight.problem(FINE | network | fine, "/a".__eq__) == ""
+    assert preflight.problem(FINE | {"broker": "false", "broker_config": "/nope"}, "/a".__eq__) == ""
+
+
+def test_preflight_as_a_program(capsys, tmp_path):
+    assert preflight.main(["arm:=mock", f"robot_config:={Path(__file__).resolve()}"]) == 0
+    assert capsys.readouterr().out == "ok\n"
+    assert preflight.main([f"robot_config:={tmp_path}"]) == 1
+    assert preflight.main(["robot_config:=test_startup.py"]) == 1
+    assert capsys.readouterr().err.count("preflight: robot_config:=") == 2

@@ -1,0 +1,206 @@
+"""The command line's words, goals and texts, and its completion in a real bash."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plan_samples import make_plan
+from scene_samples import kr120, track7
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.planning.timing import time_path
+from construction_twin.robot.frames import rotation_to_abc
+from construction_twin.views.arguments import Exit, check, parser
+from construction_twin.views.completion import bash_completion
+from construction_twin.views.goals import joint_goal, pose_goal
+from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
+from construction_twin.views.texts import joint_value, plan_lines, range_sentence, status_lines
+
+ANGLES = st.floats(-89.0, 89.0)
+
+
+def parsed(text: str):
+    return parser("kr120").parse_args(text.split())
+
+
+def snapshot(**changes) -> Snapshot:
+    robot = kr120()
+    facts = {
+        "link": LinkFacts("ARMED", "commands flow"),
+        "sync": SyncFacts("IN_SYNC", "the poses agree"),
+        "execution": ExecutionFacts("IDLE", "twin and arm agree"),
+    }
+    return Snapshot("kr120", 100.0, robot.joint_names, robot.linear, **(facts | changes))
+
+
+# -- words
+
+
+def test_options_go_before_and_after_the_command():
+    assert parsed("--robot a stop").robot == parsed("stop --robot a").robot == "a"
+    assert parsed("stop").robot == "kr120" and parsed("--timeout 2 stop").timeout == 2.0
+
+
+def test_a_plan_s_options():
+    options = parsed("plan --joints -30 -75.5 70 20 70 -40 --speed 30 --duration 4")
+    assert options.joints == [-30.0, -75.5, 70.0, 20.0, 70.0, -40.0]
+    assert options.speed == pytest.approx(0.3) and options.duration == 4.0 and check(options) == ""
+    assert check(parsed("plan --pose 1 2 3 -4 5 6 --line --tool-speed 50")) == ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "dance", "plan", "plan --pose 1 2 3", "plan --joints 1 --csv a", "plan --joints nan", "plan --joints 1 --speed 101",
+        "plan --joints 1 --speed 0", "plan --joints 1 --duration -1", "watch --rate 11", "--completion zsh", "status --rea dy x",
+    ],
+)  # fmt: skip
+def test_nonsense_is_a_usage_error(text, capsys):
+    with pytest.raises(SystemExit) as ending:
+        parsed(text)
+    assert ending.value.code == Exit.USAGE and "usage" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text, part",
+    [
+        ("plan --joints 1 --line", "--line belongs to --pose"),
+        ("plan --csv a --frame b", "--frame belongs to --pose"),
+        ("plan --joints 1 --configuration front", "--configuration belongs"),
+        ("plan --pose 1 2 3 4 5 6 --tool-speed 5", "belongs to --line"),
+        ("plan --pose 1 2 3 4 5 6 --line --configuration front", "does not go with --line"),
+        ("plan --csv a --duration 5", "--duration does not go with --csv"),
+    ],
+)
+def test_options_that_do_not_fit_together(text, part):
+    assert part in check(parsed(text))
+
+
+# -- goals
+
+
+def test_joint_goals_in_deg_and_mm():
+    np.testing.assert_allclose(joint_goal([10.0] * 6, kr120()), np.radians([10.0] * 6))
+    track = track7()
+    q = joint_goal([1500.0, *[10.0] * 6], track)
+    assert track.linear[0] and q[0] == pytest.approx(1.5) and q[1] == pytest.approx(math.radians(10.0))
+    with pytest.raises(ConfigurationError, match="expected 6 values, one for each of joint_a1"):
+        joint_goal([1.0], kr120())
+
+
+@settings(deadline=None)
+@given(st.tuples(*[st.floats(-5000.0, 5000.0)] * 3, ANGLES, ANGLES, ANGLES))
+def test_poses_in_mm_and_kuka_s_angles(values):
+    pose = pose_goal(values)
+    np.testing.assert_allclose(pose.position * 1e3, values[:3], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(rotation_to_abc(pose.rotation)), values[3:], atol=1e-9)
+
+
+# -- texts
+
+
+def test_a_plan_for_its_reviewer():
+    robot = kr120()
+    sample = make_plan(time_path(np.array([robot.home, np.array(robot.home) + 0.1]), robot, None, 0.5, None, 20))
+    text = "\n".join(plan_lines(sample, [False] * len(sample.trajectory.joint_names)))
+    assert sample.id in text and sample.hash in text
+    assert f"duration   {sample.trajectory.duration:.3f} s" in text
+    assert "clearance" in text and "largest shares: velocity" in text
+    first = sample.trajectory.joint_names[0]
+    assert f"{first} {math.degrees(sample.trajectory.positions[-1][0]):.3f} deg" in text
+
+
+def test_values_for_people():
+    assert joint_value(math.pi, False) == "180.000 deg" and joint_value(1.5, True, 1) == "1500.0 mm"
+    assert range_sentence("joint_a5", math.radians(131.0), kr120()).startswith(
+        "joint_a5 would have to be 131.0 deg; its range is -"
+    )
+
+
+def test_status_tells_states_reasons_and_troubled_nodes():
+    lines = status_lines(snapshot(nodes=(NodeFacts("planner", 0, "fine"), NodeFacts("scene", 2, "no file"))))
+    text = "\n".join(lines)
+    assert "link       ARMED: commands flow" in text and "no plan waits" in text
+    assert "scene: no file" in text and "fine" not in text
+    assert "link       no report" in "\n".join(status_lines(snapshot(link=None)))
+
+
+def test_ready_only_when_a_plan_could_be_approved():
+    assert snapshot().not_ready() == []
+    assert snapshot(link=None).not_ready() == []
+    assert snapshot(sync=None).not_ready() == ["sync is silent; expected IN_SYNC"]
+    (why,) = snapshot(link=LinkFacts("NEEDS_RESET", "it braked")).not_ready()
+    assert why == "link is NEEDS_RESET, expected ARMED: it braked"
+
+
+def test_not_ready_when_the_monitor_fell_silent():
+    facts = {"link": LinkFacts("ARMED", ""), "sync": SyncFacts("IN_SYNC", ""), "execution": ExecutionFacts("IDLE", "")}
+    robot = kr120()
+    snapshot = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts)
+    assert snapshot.not_ready() == []
+    silent = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts, silent={"sync": 3.0})
+    assert silent.not_ready() == ["sync has been silent for 3 s; expected IN_SYNC"]
+
+
+def test_progress_is_known_while_playing():
+    playing = ExecutionFacts("PLAYING", "", start=90.0, duration=20.0)
+    assert playing.progress(100.0) == 0.5 and playing.progress(0.0) == 0.0 and playing.progress(1e3) == 1.0
+    assert ExecutionFacts("PAUSED", "", start=90.0, duration=20.0).progress(100.0) is None
+
+
+# -- completion
+
+
+def completed(line: str, tmp_path, prelude: str = "") -> list[str]:
+    """Return what bash offers for the last word of a line."""
+    words = line.split(" ")
+    script = tmp_path / "completion.bash"
+    script.write_text(bash_completion(parser("kr120")))
+    function = "_twin_rosrun" if words[0] == "rosrun" else "_twin_alone"
+    array = " ".join(f"'{word}'" for word in words)
+    call = f"COMP_WORDS=({array}); COMP_CWORD={len(words) - 1}; {function}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+    run = subprocess.run(
+        ["bash", "--norc", "-uc", f"{prelude} source {script}; {call}"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert run.returncode == 0 and run.stderr == "", run.stderr
+    return sorted(run.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "line, offers",
+    [
+        ("twin st", ["status", "stop"]),
+        ("twin --robot a re", ["reject", "reset", "resume"]),
+        ("twin plan --j", ["--joints"]),
+        ("twin approve --w", ["--wait"]),
+        ("twin --completion ", ["bash"]),
+        ("twin plan --duration ", []),
+        ("rosrun construction_twin twin app", ["approve"]),
+        ("rosrun construction_twin twin watch --o", ["--once"]),
+    ],
+)
+def test_bash_completes(line, offers, tmp_path):
+    assert completed(line, tmp_path) == offers
+
+
+def test_bash_completes_files(tmp_path):
+    (tmp_path / "points.csv").touch()
+    assert completed("twin plan --csv po", tmp_path) == ["points.csv"]
+
+
+def test_any_other_rosrun_is_left_to_ros(tmp_path):
+    prelude = "_roscomplete_exe() { COMPREPLY=(ros); };"
+    assert completed("rosrun construction_twin ev", tmp_path, prelude) == ["ros"]
+    assert completed("rosrun roscpp twin x", tmp_path, prelude) == ["ros"]
+    assert completed("rosrun other ev", tmp_path) == []
+
+
+def test_completion_is_printed_and_ends(capsys):
+    with pytest.raises(SystemExit) as ending:
+        parsed("--completion bash")
+    assert ending.value.code == 0 and "complete -F" in capsys.readouterr().out

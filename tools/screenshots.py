@@ -1,0 +1,277 @@
+"""Takes the pictures of docs/images/: starts the system on a display in memory, brings it into each state, looks at what is drawn.
+
+`python tools/screenshots.py [NAME...]`; needs no display. A picture in which something is missing ends the script with 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "test" / "integration"))
+
+import numpy as np  # noqa: E402
+import rospy  # noqa: E402
+from construction_twin.msg import Sync  # noqa: E402
+from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PreviewPlan  # noqa: E402
+from screenshot import VirtualDisplay, bare_view, extent, share  # noqa: E402
+from twin_client import Stream, TwinClient, wait  # noqa: E402
+
+from construction_twin.core.errors import ConstructionTwinError  # noqa: E402
+
+IMAGES = ROOT / "docs" / "images"
+#: Size of a picture [pixels], and the most it may weigh [bytes].
+SIZE, WEIGHT = (1100, 760), 300_000
+#: Longest wait for a state, and for something to be drawn [s].
+READY, DRAWN = 180.0, 150.0
+#: Time between two looks at what is drawn [s]; rviz draws without a graphics card and needs the cores.
+LOOK = 0.5
+#: Least share of the picture's width and height that the arm takes up.
+LARGE = 0.2
+GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
+#: Further away and higher, so that the text over the arm is in the picture.
+WITH_TEXT = {"Distance": 5.4, "Focal Point": {"X": 0.5, "Y": 0.0, "Z": 1.55}}
+#: For two texts, one over the other.
+HIGHER = {"X": 0.5, "Y": 0.0, "Z": 1.75}
+#: Joint that stalls, and how far the arm has moved when it does [deg].
+STALLED, MOVED = "joint_a1", 12.0
+
+
+class Camera:
+    """rviz on a display in memory.
+
+    Parameters
+    ----------
+    display : VirtualDisplay
+    folder : Path
+        For the view files.
+    """
+
+    def __init__(self, display: VirtualDisplay, folder: Path):
+        self._display, self._folder = display, folder
+
+    def shoot(self, name: str, config: str, least: dict[str, float], view: str = "", **camera) -> None:
+        """Show a view until enough of each colour is there, then write docs/images/NAME.png.
+
+        Parameters
+        ----------
+        name, config : str
+            Of the picture, and of the file in rviz/.
+        least : dict of str to float
+            Share of the picture that each colour must have; of ``a|b`` both together.
+        view : str, optional
+            Saved view.
+        **camera
+            Keys of the view that are to be different.
+
+        Raises
+        ------
+        AssertionError
+            When a colour does not appear, or the picture is too heavy.
+        """
+        path = self._folder / f"{name}.rviz"
+        text = (ROOT / "rviz" / f"{config}.rviz").read_text()
+        path.write_text(bare_view(text, self._display.size, view, camera))
+        rviz = subprocess.Popen(
+            ["rviz", "-d", str(path), "--fullscreen", f"__name:=camera_{name}"],
+            env=self._display.environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        try:
+            self._wait(rviz, name, least)
+        finally:
+            rviz.terminate()
+            rviz.wait(30)
+
+    def _wait(self, rviz: subprocess.Popen, name: str, least: dict[str, float]) -> None:
+        target = IMAGES / f"{name}.png"
+        raw = self._folder / f"{name}.png"
+        shares, settled = {}, 0
+
+        def drawn() -> bool:
+            nonlocal shares, settled
+            assert rviz.poll() is None, f"rviz ended with {rviz.returncode}"
+            pixels = self._display.capture(raw)
+            shares = {colours: round(sum(share(pixels, one) for one in colours.split("|")), 5) for colours in least}
+            # several times in a row: meshes come one by one; all of the arm, not a patch of its colour
+            whole = all(one > LARGE for one in extent(pixels, "orange"))
+            settled = settled + 1 if whole and all(shares[colour] >= least[colour] for colour in least) else 0
+            return settled > 3
+
+        try:
+            wait(drawn, f"the colours {least} in {name}.png", DRAWN, LOOK)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; seen were {shares}; the last picture is {keep(raw)}") from None
+        subprocess.run(
+            ["convert", str(raw), "-strip", "-dither", "None", "-colors", "255", f"PNG8:{target}"], check=True
+        )
+        assert target.stat().st_size < WEIGHT, (
+            f"{target} has {target.stat().st_size} bytes, at most {WEIGHT} are wanted"
+        )
+        print(f"{target.relative_to(ROOT)}: {target.stat().st_size // 1000} kB, {shares}", flush=True)
+
+
+def keep(picture: Path) -> Path:
+    """Move a picture that failed to where it can be looked at."""
+    kept = Path(tempfile.gettempdir()) / f"screenshots_{picture.name}"
+    if picture.exists():
+        kept.write_bytes(picture.read_bytes())
+    return kept
+
+
+def shoot_one(camera: Camera) -> None:
+    """One robot: in sync, a plan under review with its ghost, a joint that stalls on the way."""
+    client = ready_client()
+    camera.shoot("in_sync", "twin", {"orange": 0.015, "green": 0.002})
+    plan = make_plan(client, GOAL)
+    with Stream("preview/joint_states") as ghost:
+        rospy.ServiceProxy("preview_plan", PreviewPlan)(speed=2.0, loop=False)
+        wait(lambda: ghost.moved(abs(GOAL[0]) - 1.0), "the ghost to reach the goal", READY)
+    camera.shoot("plan", "twin", {"orange": 0.015, "pink": 0.0001}, **WITH_TEXT)
+    hold(client, plan.plan_id, plan.plan_hash)
+    camera.shoot("holding", "twin", {"orange": 0.003, "violet|red": 0.003}, **WITH_TEXT | {"Focal Point": HIGHER})
+
+
+def shoot_marker(camera: Camera) -> None:
+    """The marker that plans by hand, at the tool, from near."""
+    ready_client()
+    camera.shoot("marker", "twin", {"orange": 0.05, "green": 0.02}, view="Tool")
+
+
+def ready_client() -> TwinClient:
+    """Return a client of the robot in this process's namespace, once it could execute a plan."""
+    # the last one that a launch file loads
+    wait(
+        lambda: rospy.has_param("robot/name") and rospy.has_param("gateway/properties"), "the robot's parameters", READY
+    )
+    client = TwinClient()
+    client.wait_until_ready(READY)
+    return client
+
+
+def make_plan(client: TwinClient, goal: tuple[float, ...]) -> PlanToJointsResponse:
+    """Have a motion planned; the goal in deg, and mm for linear joints."""
+    rospy.wait_for_service("plan_to_joints", READY)
+    answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(goal=client.si(goal), duration=8.0, source="the README")
+    assert answer.success, answer.message
+    return answer
+
+
+def hold(client: TwinClient, plan_id: str, plan_hash: str) -> None:
+    """Approve a plan and let a joint stall on the way."""
+    with Stream("mock_rsi/joint_states") as arm:
+        answer = client.review(plan_id, plan_hash)
+        assert answer.success, answer.message
+        wait(lambda: arm.moved(MOVED), "the arm to move", READY)
+        client.stall(STALLED, True)
+    client.wait(lambda: client.sync.state not in (Sync.IN_SYNC, Sync.WAITING), "the gate to close", READY)
+
+
+def shoot_track(camera: Camera) -> None:
+    """The arm on its track, with a plan that moves both."""
+    client = ready_client()
+    make_plan(client, (600.0, *GOAL))
+    camera.shoot("track", "twin", {"orange": 0.01, "pink": 0.0001}, **WITH_TEXT | {"Distance": 6.4})
+
+
+def shoot_two(camera: Camera) -> None:
+    """Two robots in one cell, both in sync, and a plan of the one under review."""
+    states: dict[str, int] = {}
+    for robot in ("kr120_1", "kr120_2"):
+        rospy.Subscriber(f"/{robot}/sync", Sync, lambda message, robot=robot: states.__setitem__(robot, message.state))
+    wait(lambda: list(states.values()) == [Sync.IN_SYNC] * 2, "both robots to be in sync", READY)
+    rospy.wait_for_service("/kr120_1/plan_to_joints", READY)
+    plan = rospy.ServiceProxy("/kr120_1/plan_to_joints", PlanToJoints)
+    answer = plan(goal=np.deg2rad(GOAL).tolist(), duration=8.0, source="the README")
+    assert answer.success, answer.message
+    camera.shoot("two_robots", "two_robots", {"orange": 0.02, "pink": 0.0001}, Distance=7.0, Pitch=0.3)
+
+
+#: Launch file and arguments, namespace, and what is photographed.
+SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
+    "one": (("bringup.launch",), "kr120", shoot_one),
+    "marker": (("bringup.launch", "tool_marker:=true"), "kr120", shoot_marker),
+    "track": (("bringup.launch", "track:=true"), "kr120", shoot_track),
+    # without arms: two whole robots want two cores for themselves, and rviz takes one
+    "two_robots": (("two_robots.launch", "arm:=none"), "", shoot_two),
+}
+
+
+def free_port(kind: int) -> int:
+    """Return a port of the loopback that nothing uses now."""
+    with socket.socket(socket.AF_INET, kind) as trial:
+        trial.bind(("127.0.0.1", 0))
+        return trial.getsockname()[1]
+
+
+@contextmanager
+def system(launch: tuple[str, ...], folder: Path):
+    """Run a launch file on a master, broker and RSI ports of its own; yield the environment for its clients."""
+    tcp, udp = [free_port(socket.SOCK_STREAM) for _ in range(2)], [free_port(socket.SOCK_DGRAM) for _ in range(2)]
+    environment = os.environ | {"ROS_MASTER_URI": f"http://127.0.0.1:{tcp[0]}", "ROS_HOME": str(folder / "ros_home")}
+    numbers = ("_1", "_2") if launch[0] == "two_robots.launch" else ("",)
+    ports = [f"broker_port:={tcp[1]}", *(f"rsi_port{number}:={port}" for number, port in zip(numbers, udp))]
+    with open(folder / "launch.log", "w") as log:
+        run = subprocess.Popen(
+            ["roslaunch", "-p", str(tcp[0]), "construction_twin", *launch, *ports],
+            env=environment, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
+        )  # fmt: skip
+        try:
+            yield environment
+        finally:
+            run.send_signal(signal.SIGINT)  # lets it end its nodes
+            run.wait(60)
+
+
+def photograph(scene: str) -> int:
+    """Take one scene's pictures in the environment of a running system; return the exit code."""
+    rospy.init_node("screenshots", anonymous=True)
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        display = stack.enter_context(VirtualDisplay(SIZE))
+        try:
+            SCENES[scene][2](Camera(display, folder))
+        except (AssertionError, ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
+            print(f"screenshots: {scene}: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+def main(arguments: list[str]) -> int:
+    """Take the pictures; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {list(SCENES)}; none: all")
+    parser.add_argument(
+        "--photograph", action="store_true", help="take one scene's pictures of a system that runs already"
+    )
+    options = parser.parse_args(arguments)
+    unknown = set(options.scenes) - set(SCENES)
+    if unknown:
+        parser.error(f"there is no scene {sorted(unknown)}; expected some of {list(SCENES)}")
+    if options.photograph:
+        return photograph(options.scenes[0])
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    failed = []
+    for scene in options.scenes or SCENES:
+        launch, namespace, _ = SCENES[scene]
+        started = time.monotonic()
+        with tempfile.TemporaryDirectory() as folder, system(launch, Path(folder)) as environment:
+            command = [sys.executable, __file__, scene, "--photograph"]
+            if subprocess.run(command, env=environment | {"ROS_NAMESPACE": f"/{namespace}"}).returncode:
+                failed.append(scene)
+                print((Path(folder) / "launch.log").read_text()[-4000:], file=sys.stderr)
+        print(f"scene {scene}: {time.monotonic() - started:.0f} s", flush=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
