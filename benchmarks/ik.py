@@ -48,7 +48,7 @@ TRACIK_EPSILON, TRACIK_TIMEOUT = 1e-6, 0.05
 NEARER = 1e-4
 #: What a solution of the brute force may miss the pose by [m], [rad].
 EXACT = 1e-11
-#: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this share of poses.
+#: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this fraction of poses.
 RESTARTS = 150
 DEEP_S, DEEP_SHARE = 1.0, 0.1
 PACKAGES = ("numpy", "scipy", "py-opw-kinematics", "pytracik")
@@ -113,7 +113,7 @@ def measure_tracik(robot: RobotModel, tasks: Sequence[Problem]) -> dict:
 def share_of_nearest(
     distances: Sequence[float], tasks: Sequence[Problem], brute_force: Callable[[Problem], float]
 ) -> float:
-    """Return the share of solved tasks for which a brute force finds nothing nearer; nan without any."""
+    """Return the fraction of solved tasks for which a brute force finds nothing nearer; nan without any."""
     solved = [(distance, task) for distance, task in zip(distances, tasks) if math.isfinite(distance)]
     nearest = [distance <= brute_force(task) + NEARER for distance, task in solved]
     return float(np.mean(nearest)) if nearest else math.nan

@@ -31,7 +31,7 @@ _HERE = Path(__file__).parent
 _NEVER = 3600.0
 #: A number of robots that the machine cannot carry never gets anywhere: longest time for it, and more per robot [s].
 FLEET_PATIENCE, PER_ROBOT = 120.0, 15.0
-#: Share of late replies that a machine's own pauses make, too.
+#: Fraction of late replies that a machine's own pauses make, too.
 LATE_SHARE = 0.001
 
 
@@ -193,8 +193,8 @@ def measure(options: argparse.Namespace) -> tuple[dict, dict]:
         result, details = measure_routes(options.rounds, options.seconds, options.rate_seconds, options.realtime)
     if "reply" in options.parts:
         result["reply_us"], details["reply"] = {}, {}
-        for name, share in (("idle", 1.0), ("loaded", 0.2)):
-            reply, beside = link_reply.measure(options.reply_seconds * share, name == "loaded", options.realtime)
+        for name, fraction in (("idle", 1.0), ("loaded", 0.2)):
+            reply, beside = link_reply.measure(options.reply_seconds * fraction, name == "loaded", options.realtime)
             result["reply_us"][name], details["reply"][name] = reply, beside
     if "fleet" in options.parts:
         result["fleet"], fleet = measure_fleet(options.fleet, options.fleet_seconds, options.realtime)

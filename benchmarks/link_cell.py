@@ -157,7 +157,7 @@ def reply_spread(before: dict, after: dict) -> dict:
     top = max((k for k, count in enumerate(gained) if count), default=0)
     edge = reply["bins"][top] if top < len(reply["bins"]) else None
     counts = [status["counters"].get("late_replies", 0) for status in (before, after)]
-    shares = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
-    result: dict = {name: percentile(reply["bins"], gained, share) for name, share in shares.items()}
+    fractions = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
+    result: dict = {name: percentile(reply["bins"], gained, fraction) for name, fraction in fractions.items()}
     return result | {"max": reply["max"] if edge is None else min(edge, reply["max"]), "late": counts[1] - counts[0],
                      "cycles": sum(gained)}  # fmt: skip

@@ -1,7 +1,7 @@
 """Several robots on one machine, each with bridge, gateway and mock controller: processor time, latency, late replies.
 
 ``python benchmarks/link_fleet.py --robots 4 --output FILE`` measures one number of robots. One process plays every gate; an observer on the
-broker, another process, sees what passes there. Stamps are the monotonic clock, which all share. The latency is that of both
+broker, another process, sees what passes there. Stamps are the monotonic clock, which all fraction. The latency is that of both
 directions together: a command from its publication on ROS to a subscriber on the broker, and a state from the gateway's reply to
 `physical/feedback`. With one robot the file also says how long it takes from a command to the RSI packet and from there to ROS.
 """

@@ -1,6 +1,6 @@
 """The MQTT side of a route measurement, in a process of its own: sends states, receives commands, echoes, plays the gateway.
 
-Stamps are the monotonic clock, which both ends share on one machine: a message carries the time at which it was sent.
+Stamps are the monotonic clock, which both ends fraction on one machine: a message carries the time at which it was sent.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, 
 RATE = 250.0
 #: Tried for the highest sustained rate, until one fails [Hz].
 RATES = (500, 1000, 1500, 2000, 2500, 3000, 4000, 5000)
-#: The second sender of a duplex route is slower by this share: in 20 s the phase of the two passes four times through every value.
+#: The second sender of a duplex route is slower by this fraction: in 20 s the phase of the two passes four times through every value.
 SLIDE = 1 / 1250
 #: What arrives later than this after the last one was sent is a backlog [s].
 BACKLOG = 0.1

@@ -34,7 +34,7 @@ from construction_twin.rsi.telegram import RobotTelegram
 ROOT = Path(__file__).resolve().parents[1]
 #: Time at rest before the motion: two of the long stalls [s].
 WARM_UP = 12.0
-#: Share of the limits that the trajectory uses.
+#: Fraction of the limits that the trajectory uses.
 SHARE = 0.8
 #: Poses of the motion, after home and before it [deg].
 POSES = ((55.0, -50.0, 75.0, 40.0, 60.0, -70.0), (-40.0, -80.0, 100.0, -60.0, 110.0, 50.0))
@@ -59,7 +59,7 @@ class Profile:
     cut : tuple of (float, float)
         Begin, from the start of the motion, and length of one such stall [s]; () for none.
     loss : float
-        Share of commands that never arrive.
+        Fraction of commands that never arrive.
     """
 
     travel: Callable[[random.Random], int] = lambda _: 300_000
@@ -247,7 +247,7 @@ def play_naively(motion: np.ndarray, decimals: int, profile: Profile, seed: int 
 
 
 def roughness(positions: np.ndarray, robot: RobotModel) -> tuple[float, float]:
-    """Return root sums of squares of acceleration and jerk, each joint's in shares of its own limit.
+    """Return root sums of squares of acceleration and jerk, each joint's in fractions of its own limit.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The sets of files in krl/, and the numbers that all of them share."""
+"""The sets of files in krl/, and the numbers that all of them fraction."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from construction_twin.core.errors import ConfigurationError
 
 #: Longest wait for a program to answer [s].
 TIMEOUT = 60.0
-#: Hues of what is looked for in a picture: lowest and highest, as a share of the colour circle; least saturation and brightness.
+#: Hues of what is looked for in a picture: lowest and highest, as a fraction of the colour circle; least saturation and brightness.
 COLOURS = {
     "orange": (0.03, 0.095, 0.6, 0.35),
     "pink": (0.87, 0.96, 0.45, 0.5),
@@ -97,13 +97,13 @@ def read_picture(path: Path) -> np.ndarray:
     return pixels[:, :, :3] if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
 
 
-def share(pixels: np.ndarray, colour: str) -> float:
-    """Return which share of a picture has one of the `COLOURS`, light or in shadow."""
+def fraction(pixels: np.ndarray, colour: str) -> float:
+    """Return which fraction of a picture has one of the `COLOURS`, light or in shadow."""
     return float(_has(pixels, colour).mean())
 
 
 def extent(pixels: np.ndarray, colour: str) -> tuple[float, float]:
-    """Return which share of a picture's width and height lies between the outermost pixels of one of the `COLOURS`.
+    """Return which fraction of a picture's width and height lies between the outermost pixels of one of the `COLOURS`.
 
     The outermost hundredth on each side does not count: a few stray pixels make nothing large. (0, 0) without any.
     """

@@ -24,7 +24,7 @@ import numpy as np  # noqa: E402
 import rospy  # noqa: E402
 from construction_twin.msg import Sync  # noqa: E402
 from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PreviewPlan  # noqa: E402
-from screenshot import VirtualDisplay, bare_view, extent, share  # noqa: E402
+from screenshot import VirtualDisplay, bare_view, extent, fraction  # noqa: E402
 from twin_client import Stream, TwinClient, wait  # noqa: E402
 
 from construction_twin.core.errors import ConstructionTwinError  # noqa: E402
@@ -36,7 +36,7 @@ SIZE, WEIGHT = (1100, 760), 300_000
 READY, DRAWN = 180.0, 150.0
 #: Time between two looks at what is drawn [s]; rviz draws without a graphics card and needs the cores.
 LOOK = 0.5
-#: Least share of the picture's width and height that the arm takes up.
+#: Least fraction of the picture's width and height that the arm takes up.
 LARGE = 0.2
 GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
 #: Further away and higher, so that the text over the arm is in the picture.
@@ -68,7 +68,7 @@ class Camera:
         name, config : str
             Of the picture, and of the file in rviz/.
         least : dict of str to float
-            Share of the picture that each colour must have; of ``a|b`` both together.
+            Fraction of the picture that each colour must have; of ``a|b`` both together.
         view : str, optional
             Saved view.
         **camera
@@ -95,29 +95,31 @@ class Camera:
     def _wait(self, rviz: subprocess.Popen, name: str, least: dict[str, float]) -> None:
         target = IMAGES / f"{name}.png"
         raw = self._folder / f"{name}.png"
-        shares, settled = {}, 0
+        fractions, settled = {}, 0
 
         def drawn() -> bool:
-            nonlocal shares, settled
+            nonlocal fractions, settled
             assert rviz.poll() is None, f"rviz ended with {rviz.returncode}"
             pixels = self._display.capture(raw)
-            shares = {colours: round(sum(share(pixels, one) for one in colours.split("|")), 5) for colours in least}
+            fractions = {
+                colours: round(sum(fraction(pixels, one) for one in colours.split("|")), 5) for colours in least
+            }
             # several times in a row: meshes come one by one; all of the arm, not a patch of its colour
             whole = all(one > LARGE for one in extent(pixels, "orange"))
-            settled = settled + 1 if whole and all(shares[colour] >= least[colour] for colour in least) else 0
+            settled = settled + 1 if whole and all(fractions[colour] >= least[colour] for colour in least) else 0
             return settled > 3
 
         try:
             wait(drawn, f"the colours {least} in {name}.png", DRAWN, LOOK)
         except AssertionError as error:
-            raise AssertionError(f"{error}; seen were {shares}; the last picture is {keep(raw)}") from None
+            raise AssertionError(f"{error}; seen were {fractions}; the last picture is {keep(raw)}") from None
         subprocess.run(
             ["convert", str(raw), "-strip", "-dither", "None", "-colors", "255", f"PNG8:{target}"], check=True
         )
         assert target.stat().st_size < WEIGHT, (
             f"{target} has {target.stat().st_size} bytes, at most {WEIGHT} are wanted"
         )
-        print(f"{target.relative_to(ROOT)}: {target.stat().st_size // 1000} kB, {shares}", flush=True)
+        print(f"{target.relative_to(ROOT)}: {target.stat().st_size // 1000} kB, {fractions}", flush=True)
 
 
 def keep(picture: Path) -> Path:

@@ -15,12 +15,12 @@ from construction_twin.core.units import NANOSECONDS
 
 
 class SpeedTable:
-    """Share of the planned speed by distance: straight lines between the rows, constant beyond the first and the last.
+    """Fraction of the planned speed by distance: straight lines between the rows, constant beyond the first and the last.
 
     Parameters
     ----------
     rows : sequence of (float, float)
-        Distance [m], not negative and rising; share, 0 to 1 and never falling.
+        Distance [m], not negative and rising; fraction, 0 to 1 and never falling.
 
     Raises
     ------
@@ -31,13 +31,13 @@ class SpeedTable:
     def __init__(self, rows: Sequence[Sequence[float]]):
         if not rows:
             raise ConfigurationError(
-                "table", list(rows), "at least one row [distance in m, share of the planned speed]"
+                "table", list(rows), "at least one row [distance in m, fraction of the planned speed]"
             )
         before = (-math.inf, 0.0)
         for number, row in enumerate(rows, 1):
             if len(row) != 2 or not all(map(math.isfinite, row)):
                 raise ConfigurationError(
-                    f"table, row {number}", list(row), "[distance in m, share of the planned speed]"
+                    f"table, row {number}", list(row), "[distance in m, fraction of the planned speed]"
                 )
             if not (row[0] >= 0.0 and row[0] > before[0]):
                 raise ConfigurationError(
@@ -49,27 +49,27 @@ class SpeedTable:
                 )
             before = row
         self._distances = [float(row[0]) for row in rows]
-        self._shares = [float(row[1]) for row in rows]
+        self._fractions = [float(row[1]) for row in rows]
 
     @property
     def lowest(self) -> float:
-        """Share of the nearest row."""
-        return self._shares[0]
+        """Fraction of the nearest row."""
+        return self._fractions[0]
 
-    def share(self, distance: float) -> float:
-        """Return the share of the planned speed at a distance [m], which may be inf."""
+    def fraction(self, distance: float) -> float:
+        """Return the fraction of the planned speed at a distance [m], which may be inf."""
         after = bisect_right(self._distances, distance)
         if after == 0:
-            return self._shares[0]
+            return self._fractions[0]
         if after == len(self._distances):
-            return self._shares[-1]
+            return self._fractions[-1]
         near, far = self._distances[after - 1], self._distances[after]
-        low, high = self._shares[after - 1], self._shares[after]
+        low, high = self._fractions[after - 1], self._fractions[after]
         return low + (high - low) * (distance - near) / (far - near)
 
 
 class SeparationLimit:
-    """The newest distance of one sensor, with a deadline: a silent sensor means the lowest share.
+    """The newest distance of one sensor, with a deadline: a silent sensor means the lowest fraction.
 
     Parameters
     ----------
@@ -119,14 +119,14 @@ class SeparationLimit:
         return self._heard_at is not None and now - self._heard_at <= self._deadline
 
     def update(self, now: int) -> tuple[float, str]:
-        """Return the share of the planned speed that may be used at `now` [ns], and why."""
+        """Return the fraction of the planned speed that may be used at `now` [ns], and why."""
         lowest = self._table.lowest
         if self._heard_at is None:
             return lowest, "no separation distance was measured yet"
         if not self._in_time(now):
             return lowest, f"no separation distance for more than {self._deadline / NANOSECONDS:g} s"
         if self._distance == math.inf:
-            return self._table.share(math.inf), "nobody within reach of the sensor"
+            return self._table.fraction(math.inf), "nobody within reach of the sensor"
         if self._distance == -math.inf:
             return lowest, "nearer than the sensor can tell"
-        return self._table.share(self._distance), f"separation {self._distance:.2f} m"
+        return self._table.fraction(self._distance), f"separation {self._distance:.2f} m"

@@ -49,11 +49,13 @@ class Rviz:
     def drag(self, pose: Pose, steps: int = 20) -> None:
         """Drag the marker to a pose: many positions on the way, then the mouse is let go."""
         start = self._init.markers[0].pose.position
-        for share in np.linspace(0.0, 1.0, steps):
+        for fraction in np.linspace(0.0, 1.0, steps):
             message = pose_to_msg(pose)
             for axis in "xyz":
                 setattr(
-                    message.position, axis, (1 - share) * getattr(start, axis) + share * getattr(message.position, axis)
+                    message.position,
+                    axis,
+                    (1 - fraction) * getattr(start, axis) + fraction * getattr(message.position, axis),
                 )
             self._send(InteractiveMarkerFeedback.POSE_UPDATE, message)
         self._send(InteractiveMarkerFeedback.MOUSE_UP, message)

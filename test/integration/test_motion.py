@@ -105,7 +105,10 @@ class MotionTest(RobotTest):
             self.assertGreaterEqual(report.clearance, PADDING)
             self.assertEqual(len(report.clearance_between), 2)
             self.assertTrue(
-                all(0.0 < share <= 1.0 for share in report.velocity_use + report.acceleration_use + report.jerk_use)
+                all(
+                    0.0 < fraction <= 1.0
+                    for fraction in report.velocity_use + report.acceleration_use + report.jerk_use
+                )
             )
             self.assertFalse(self.client.review(rejected.plan_id, rejected.plan_hash).success)
             answer = self.client.review(plan.plan_id, plan.plan_hash)
@@ -324,8 +327,8 @@ class MotionTest(RobotTest):
 
 def distance_to_segment(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     along = end - start
-    share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
-    return np.linalg.norm(points - (start + share[:, None] * along), axis=1)
+    fraction = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
+    return np.linalg.norm(points - (start + fraction[:, None] * along), axis=1)
 
 
 if __name__ == "__main__":

@@ -30,11 +30,11 @@ class Sensor:
         wait(self._publisher.get_num_connections, "separation to listen")
         self._timer = rospy.Timer(rospy.Duration(0.05), self._publish)
         table = rospy.get_param("separation/table")
-        self._distances, self._shares = zip(*table)
+        self._distances, self._fractions = zip(*table)
 
-    def say(self, share: float) -> None:
-        """Report the distance at which this share of the planned speed is allowed."""
-        self._distance = float(np.interp(share, self._shares, self._distances))
+    def say(self, fraction: float) -> None:
+        """Report the distance at which this fraction of the planned speed is allowed."""
+        self._distance = float(np.interp(fraction, self._fractions, self._distances))
 
     def silence(self) -> None:
         """Report nothing from now on."""
@@ -57,7 +57,7 @@ class SpeedLimitTest(unittest.TestCase):
         self.sensor = Sensor()
 
     def wait_for_rate(self, rate: float) -> None:
-        """Wait until the executor plays at this share of the planned speed."""
+        """Wait until the executor plays at this fraction of the planned speed."""
 
         def there() -> bool:
             report = self.client.execution
@@ -76,7 +76,7 @@ class SpeedLimitTest(unittest.TestCase):
         return np.abs(end - begin) / ((last - first) * CYCLE)
 
     def test_slows_down_on_the_path_speeds_up_again_and_ends_at_the_goal(self):
-        self.client.wait(lambda: self.client.execution.speed_limit == 0.0, "the share of a sensor that says nothing")
+        self.client.wait(lambda: self.client.execution.speed_limit == 0.0, "the fraction of a sensor that says nothing")
         self.sensor.say(1.0)
         self.client.wait_until_ready()
         self.client.wait(lambda: self.client.execution.speed_limit == 1.0, "the sensor's limit")

@@ -10,7 +10,7 @@ from pathlib import Path
 import rospy
 import rostest
 from construction_twin.msg import Sync
-from screenshot import VirtualDisplay, bare_view, extent, share
+from screenshot import VirtualDisplay, bare_view, extent, fraction
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -22,7 +22,7 @@ JOINT = "joint_a3"
 SIZE = (700, 500)
 #: Longest wait until the arm is drawn [s]: without a graphics card, on a busy machine.
 DRAWN = 120.0
-#: Least share of the picture that is the arm's orange, seen through the ghost of the physical arm or not.
+#: Least fraction of the picture that is the arm's orange, seen through the ghost of the physical arm or not.
 LEAST = 0.01
 #: And of the picture's height between the highest and the lowest of it: the whole arm, not a link that lies at the origin.
 TALL = 0.35
@@ -78,7 +78,7 @@ class ViewTest(RobotTest):
             config = Path(folder) / "twin.rviz"
             config.write_text(bare_view((ROOT / "rviz/twin.rviz").read_text(), SIZE))
             picture = Path(folder) / "shot.png"
-            self.assertLess(share(display.capture(picture), "orange"), LEAST / 10)
+            self.assertLess(fraction(display.capture(picture), "orange"), LEAST / 10)
             rviz = self.view(config, display.environment)
             try:
                 self.wait_until_drawn(rviz, display, picture)
@@ -91,7 +91,7 @@ class ViewTest(RobotTest):
             if rviz.poll() is not None:
                 self.skipTest(f"rviz cannot be started here, it ended with {rviz.returncode}")
             pixels = display.capture(picture)
-            return share(pixels, "orange") > LEAST and extent(pixels, "orange")[1] > TALL
+            return fraction(pixels, "orange") > LEAST and extent(pixels, "orange")[1] > TALL
 
         wait(drawn, f"{LEAST:.1%} of orange in rviz's picture, over {TALL:.0%} of its height", DRAWN)
 

@@ -58,9 +58,11 @@ def make_config(robot, **changes):
     return gateway_config(robot, settings | {"decimals": 6, "ethernet_xml": ethernet_xml} | changes)
 
 
-def plan(robot, start, goal_deg, share):
+def plan(robot, start, goal_deg, fraction):
     """Return a motion on the 4 ms grid, at rest at both ends, shape (m, n) [rad]."""
-    trajectory = time_path(np.array([start, radians(goal_deg)]), robot, speed_scale=share, acceleration_scale=share)
+    trajectory = time_path(
+        np.array([start, radians(goal_deg)]), robot, speed_scale=fraction, acceleration_scale=fraction
+    )
     times = np.arange(0.0, trajectory.duration + 2 * CYCLE, CYCLE)
     return trajectory.sample_many(np.minimum(times, trajectory.duration))[0]
 
@@ -121,7 +123,7 @@ class FaultCell:
         Cycles without a reply after which the mock stops.
     spaces : Namespaces, optional
         Run gateway and mock in the cell's namespace; the calling thread must have entered the other one.
-    share : float, optional
+    fraction : float, optional
         Of the limits that planned motions use.
     changes
         Of the gateway's configuration.
@@ -134,13 +136,13 @@ class FaultCell:
         feedback_timeout: float | None = None,
         mock_timeout: int = 100,
         spaces: Namespaces | None = None,
-        share: float = 0.6,
+        fraction: float = 0.6,
         **changes,
     ):
         self.robot = read_robot()
         self.config = make_config(self.robot, **changes)
         self.topics = Topics("faults", self.robot.name)
-        self.share = share
+        self.fraction = fraction
         self.resets = 0
         self.packets: list = []
         self._folder, self._with_udp, self._feedback_timeout = folder, udp, feedback_timeout
@@ -230,7 +232,7 @@ class FaultCell:
     def move(self, goal_deg=GOAL) -> None:
         """Begin a motion to a pose and wait until the arm moves."""
         before = self.commander.arm
-        self.commander.play(plan(self.robot, self.commander.pose, goal_deg, self.share))
+        self.commander.play(plan(self.robot, self.commander.pose, goal_deg, self.fraction))
         self.wait(
             lambda: (
                 np.abs(np.subtract(self.commander.arm, before)).max() > np.deg2rad(3.0) or not self.commander.playing
@@ -270,7 +272,7 @@ class FaultCell:
             except ReviewError:
                 pass  # still moving: a person would wait too
         elif commander.link is LinkState.ARMED and not commander.playing and not self._commanded(goal_deg):
-            commander.play(plan(self.robot, commander.pose, goal_deg, self.share))
+            commander.play(plan(self.robot, commander.pose, goal_deg, self.fraction))
         return False
 
     def _commanded(self, goal_deg) -> bool:

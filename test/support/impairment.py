@@ -53,8 +53,8 @@ class _Line:
         period, into = self.profile.stall[0], self._clock() - self._since
         return period / 2 - into if into < period / 2 else period - (into - period / 2) % period
 
-    def happens(self, share: float) -> bool:
-        return share > 0.0 and self._chance.random() < share
+    def happens(self, fraction: float) -> bool:
+        return fraction > 0.0 and self._chance.random() < fraction
 
     @property
     def is_cut(self) -> bool:

@@ -21,7 +21,7 @@ class Profile:
     rate : float
         Bytes per second and direction of a TCP connection; 0 for no bound.
     loss, duplication, reordering : float
-        Share of datagrams that are lost; arrive twice; arrive `held_back` later than their travel time.
+        Fraction of datagrams that are lost; arrive twice; arrive `held_back` later than their travel time.
     held_back : float
         [s]
     """

@@ -1,4 +1,4 @@
-"""Robots and checks that the tests of inverse kinematics share."""
+"""Robots and checks that the tests of inverse kinematics fraction."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from planning_cell import HOME, ROBOT, SELF_COLLISION
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.timing import time_path
-from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.neighbour import Neighbour
@@ -62,7 +62,7 @@ def body_points(place: Pose, q: np.ndarray) -> dict[str, np.ndarray]:
 def plan(start: np.ndarray, end: np.ndarray, plan_id: str = "p1", duration: float = 4.0) -> Plan:
     """Return a straight plan, checked against nothing."""
     trajectory = time_path(np.array([start, end]), ROBOT, duration, 1.0, None, None)
-    shares = LimitShares(*([(0.5,) * 6] * 3))
+    fractions = LimitUsage(*([(0.5,) * 6] * 3))
     return Plan(
         plan_id,
         trajectory.content_hash(),
@@ -72,5 +72,5 @@ def plan(start: np.ndarray, end: np.ndarray, plan_id: str = "p1", duration: floa
         1,
         0.1,
         trajectory,
-        PlanReport(Clearance(1.0), shares, 0.1),
+        PlanReport(Clearance(1.0), fractions, 0.1),
     )

@@ -51,7 +51,7 @@ def netem_arguments(profile: Profile) -> list[str]:
     if profile.rate:
         words += ["rate", f"{_FRAMES * profile.rate:.0f}bps"]  # to tc that is bytes per second
     if profile.reordering:
-        # netem lets the share overtake the rest, which must have a delay for it
+        # netem lets the fraction overtake the rest, which must have a delay for it
         if not (profile.delay or profile.jitter):
             words[2:2] = ["delay", f"{profile.held_back * 1e3:g}ms"]
         words += ["reorder", f"{profile.reordering * 100:g}%"]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 
 
 def make_report(joints: int) -> PlanReport:
-    """Return what would be measured where there is nothing to touch; the shares differ from joint to joint."""
-    shares = [tuple(scale * (joint + 1) / joints for joint in range(joints)) for scale in (0.5, 0.6, 0.7)]
-    return PlanReport(Clearance(math.inf), LimitShares(*shares), 0.01)
+    """Return what would be measured where there is nothing to touch; the fractions differ from joint to joint."""
+    fractions = [tuple(scale * (joint + 1) / joints for joint in range(joints)) for scale in (0.5, 0.6, 0.7)]
+    return PlanReport(Clearance(math.inf), LimitUsage(*fractions), 0.01)
 
 
 def make_plan(trajectory: Trajectory, plan_id: str = "p", scene: str = "s", created_ns: int = 0) -> Plan:

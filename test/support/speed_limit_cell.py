@@ -69,6 +69,6 @@ def assert_on_path(cell: Cell, error: float = 3e-8) -> None:
 
 
 def fastest(cell: Cell, since: int, until: int | None = None) -> float:
-    """Largest share of a velocity limit in a cycle."""
+    """Largest fraction of a velocity limit in a cycle."""
     moves = steps(cell.positions[since:until])
     return max(abs(v) / (limit * CYCLE) for move in moves for v, limit in zip(move, cell.config.velocity))

@@ -92,7 +92,7 @@ def to_collada(name: str, vertices: np.ndarray, triangles: np.ndarray, colour: t
     pairs = np.stack([triangles.reshape(-1), which.reshape(-1)], axis=1)
     return _TEMPLATE.format(
         name=name,
-        colour=" ".join(f"{share:g}" for share in (*colour, 1.0)),
+        colour=" ".join(f"{fraction:g}" for fraction in (*colour, 1.0)),
         positions=_source(f"{name}-positions", vertices, DECIMALS),
         normals=_source(f"{name}-normals", normals, NORMAL_DECIMALS),
         count=len(triangles),

@@ -48,12 +48,12 @@ class Look:
     ----------
     conflict : Conflict or None
         The first one that is known.
-    share : float
+    fraction : float
         How much of the way has been compared with all that the other arm takes up; 1: all of it.
     """
 
     conflict: Conflict | None
-    share: float
+    fraction: float
 
 
 class _Batch:
@@ -75,7 +75,7 @@ class _Batch:
         self.shapes = copies(tuple(self.obstacles))
 
 
-class OwnWay:
+class OwnPath:
     """A plan of ours as copies of our arm, compared with the other arm's step by step: no look takes long.
 
     What was found out of the way once stays so: our way gets shorter, and so does what the other arm takes up on its path.
@@ -133,10 +133,10 @@ class OwnWay:
             batch = max(behind, key=lambda one: one.checked)
             budget -= self._compare(batch, padding, row, batch.checked + 1)
             self._merge()
-        share = min((self._share(batch) for batch in self._batches), default=1.0)
+        fraction = min((self._fraction(batch) for batch in self._batches), default=1.0)
         contacts = [batch.contact for batch in self._batches if batch.contact]
         self._settle()
-        return Look(self._conflict(*min(contacts, key=lambda found: found[0]), row) if contacts else None, share)
+        return Look(self._conflict(*min(contacts, key=lambda found: found[0]), row) if contacts else None, fraction)
 
     def _sort(self, obstacles: frozenset[Obstacle], row: int) -> None:
         """Put new obstacles into a batch of their own, and forget what is over."""
@@ -162,14 +162,14 @@ class OwnWay:
 
     def _settle(self) -> None:
         """Keep nothing but the obstacles' names of what our whole way is clear of."""
-        clear = [batch for batch in self._batches if self._share(batch) == 1.0]
+        clear = [batch for batch in self._batches if self._fraction(batch) == 1.0]
         self._clear = self._clear.union(*(batch.obstacles for batch in clear))
         self._batches = [batch for batch in self._batches if batch not in clear]
 
-    def _share(self, batch: _Batch) -> float:
+    def _fraction(self, batch: _Batch) -> float:
         if batch.checked < len(self._sweep.copies):
             return self._sweep.copies[batch.checked][0] / len(self._sweep.times)
-        return self._sweep.share
+        return self._sweep.fraction
 
     def _compare(self, batch: _Batch, padding: float, row: int, end: int) -> int:
         """Compare with a batch until a copy of our arm, or a little further; return what it cost, in pairs."""

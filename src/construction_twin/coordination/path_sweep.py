@@ -50,7 +50,7 @@ class PathSweep:
         return self._made == len(self.times) - 1
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """How much of the trajectory has been made; 1: all of it."""
         return self._made / (len(self.times) - 1)
 

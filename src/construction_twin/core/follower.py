@@ -68,9 +68,9 @@ class Follower:
         """True when the last step was no step."""
         return not any(self._step)
 
-    def limit(self, share: float) -> None:
-        """Chase a target at no more than this share of the velocity limits, 0 to 1, or as fast as the target moves itself."""
-        self._chasing_speed = tuple(share * speed for speed in self._speed)
+    def limit(self, fraction: float) -> None:
+        """Chase a target at no more than this fraction of the velocity limits, 0 to 1, or as fast as the target moves itself."""
+        self._chasing_speed = tuple(fraction * speed for speed in self._speed)
 
     def follow(self, target: tuple[float, ...]) -> tuple[float, ...]:
         """Take one step towards `target` [rad] and return the new position [rad]."""

@@ -7,8 +7,8 @@ from bisect import bisect_left
 from collections.abc import Sequence
 
 
-def percentile(edges: Sequence[float], counts: Sequence[int], share: float) -> float | None:
-    """Return the upper edge of the bin that holds the given share of all counts.
+def percentile(edges: Sequence[float], counts: Sequence[int], fraction: float) -> float | None:
+    """Return the upper edge of the bin that holds the given fraction of all counts.
 
     The true percentile is at most the value returned and lies above the next lower edge.
 
@@ -18,7 +18,7 @@ def percentile(edges: Sequence[float], counts: Sequence[int], share: float) -> f
         Upper bin edges, ascending.
     counts : sequence of int, length b or b + 1
         Counts per bin; the one beyond `edges` is overflow.
-    share : float
+    fraction : float
         (0, 1]
 
     Returns
@@ -26,7 +26,7 @@ def percentile(edges: Sequence[float], counts: Sequence[int], share: float) -> f
     edge : float or None
         None when nothing was counted or the percentile lies in the overflow, which has no upper edge.
     """
-    wanted = math.ceil(share * sum(counts) - 1e-9)
+    wanted = math.ceil(fraction * sum(counts) - 1e-9)
     seen = 0
     for edge, count in zip(edges, counts):
         seen += count
@@ -60,11 +60,11 @@ class Histogram:
         if value > self.largest:
             self.largest = value
 
-    def percentile(self, share: float) -> float | None:
+    def percentile(self, fraction: float) -> float | None:
         """Return `percentile` of the values so far, never more than the largest; None when there is none."""
         if not any(self.counts):
             return None
-        edge = percentile(self.edges, self.counts, share)
+        edge = percentile(self.edges, self.counts, fraction)
         return self.largest if edge is None else min(edge, self.largest)
 
     def summary(self) -> dict:

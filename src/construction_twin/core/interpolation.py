@@ -29,11 +29,11 @@ def weights(stamp: int, stamp0: int, stamp1: int, before: int | None, after: int
     a, b, c : float
     """
     period = stamp1 - stamp0
-    share = (stamp - stamp0) / period
-    rest = 1.0 - share
-    begin = share * rest * rest
-    end = -share * share * rest
-    a, b, c = 0.0, share * share * (3.0 - 2.0 * share), 0.0
+    fraction = (stamp - stamp0) / period
+    rest = 1.0 - fraction
+    begin = fraction * rest * rest
+    end = -fraction * fraction * rest
+    a, b, c = 0.0, fraction * fraction * (3.0 - 2.0 * fraction), 0.0
     if before is None:
         b += begin
     else:

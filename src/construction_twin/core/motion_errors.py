@@ -300,7 +300,7 @@ class CartesianPathError(PlanningError):
     reason : str
         ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``collision`` or ``deviation``.
     fraction, distance : float
-        How far it can be followed: share of the path's length, and metres (see `tool_path.TURN_LENGTH` for turns).
+        How far it can be followed: fraction of the path's length, and metres (see `tool_path.TURN_LENGTH` for turns).
     waypoint : int
         Number of the waypoint that the tool was going to, from 0.
     cause : ConstructionTwinError or None

@@ -147,11 +147,11 @@ class TwinPath:
         """Return `construction_twin.core.interpolation.weights` for every time, each with shape (m, 1)."""
         period = self._times[segment + 1] - self._times[segment]
         earlier, later = self._earlier[segment], self._later[segment]
-        share = (times - self._times[segment]) / period
-        rest = 1.0 - share
-        begin, end = share * rest * rest, -share * share * rest
+        fraction = (times - self._times[segment]) / period
+        rest = 1.0 - fraction
+        begin, end = fraction * rest * rest, -fraction * fraction * rest
         first, final = segment == 0, segment == last
-        b = share * share * (3.0 - 2.0 * share)
+        b = fraction * fraction * (3.0 - 2.0 * fraction)
         b += np.where(first, begin, begin * (earlier / (earlier + period)))
         b += np.where(final, end, end * (later / (later + period)))
         a = np.where(first, 0.0, begin * (period / earlier * (period / (earlier + period))))

@@ -136,8 +136,8 @@ def reply_times(first: LinkSnapshot | None, last: LinkSnapshot | None) -> dict[s
     if not sum(counts):
         return result
     largest = last.counter("reply_us_max")
-    for name, share in {**PERCENTILES, "max": 1.0}.items():
-        edges = (percentile(last.reply_bins, counts, share), largest)
+    for name, fraction in {**PERCENTILES, "max": 1.0}.items():
+        edges = (percentile(last.reply_bins, counts, fraction), largest)
         result[name] = min((edge for edge in edges if edge is not None), default=None)
     return result
 

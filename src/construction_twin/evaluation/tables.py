@@ -26,7 +26,7 @@ ALIGNMENTS = {
 CSV_COLUMNS = ("alignment", "joint", "avg_rad", "max_rad", "paper_avg_rad", "paper_max_rad", "avg_ratio", "max_ratio")
 #: Further columns of a robot with linear joints; empty for the joints that turn, as the others are for these.
 LINEAR_COLUMNS = ("avg_m", "max_m")
-#: Names and shares of the reported percentiles.
+#: Names and fractions of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 
 
@@ -45,8 +45,8 @@ def percentiles(values: np.ndarray) -> dict[str, float | None]:
     """Return p50, p99, p99_9 and max of `values`, shape (k,), in their own unit; all None when empty."""
     if not len(values):
         return dict.fromkeys([*PERCENTILES, "max"])
-    shares = {name: float(np.quantile(values, share)) for name, share in PERCENTILES.items()}
-    return {**shares, "max": float(np.max(values))}
+    fractions = {name: float(np.quantile(values, fraction)) for name, fraction in PERCENTILES.items()}
+    return {**fractions, "max": float(np.max(values))}
 
 
 def table_rows(tables: Mapping) -> Iterator[tuple]:

@@ -13,7 +13,7 @@ from construction_twin.execution.play_rate import PlayRate
 from construction_twin.execution.playback import Braking, Playback
 from construction_twin.execution.start_pose import check_start_pose
 from construction_twin.execution.states import ACTIVE, MOVING, RESTING, SURVIVED, ExecutorState
-from construction_twin.execution.stopping import way_along
+from construction_twin.execution.stopping import distance_along
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
 from construction_twin.review.queue import APPROVED, EXECUTOR, REJECTED, WITHDRAWN, Ending, ReviewDesk, Verdict
 from construction_twin.robot.description import RobotModel
@@ -74,7 +74,7 @@ class Executor:
 
     @property
     def rate(self) -> float:
-        """Present share of the planned speed, 0 to 1; 0 when nothing is played."""
+        """Present fraction of the planned speed, 0 to 1; 0 when nothing is played."""
         return self._playback.rate if self.state in ACTIVE else 0.0
 
     @property
@@ -126,7 +126,7 @@ class Executor:
             self._halt(reason)
 
     def limit_rate(self, factor: float, reason: str = "") -> None:
-        """Play at most at this share of the planned speed from now on; 0 stands still until it is raised. The path stays.
+        """Play at most at this fraction of the planned speed from now on; 0 stands still until it is raised. The path stays.
 
         Parameters
         ----------
@@ -313,7 +313,7 @@ class Executor:
             self._setpoint = playback.brake(stamp)
             self._stopping.append(self._setpoint)
         else:
-            rate = self.limit.share if self.state is ExecutorState.PLAYING else 0.0
+            rate = self.limit.fraction if self.state is ExecutorState.PLAYING else 0.0
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
         if playback.goal_stamp and self.state is not ExecutorState.HELD:
@@ -329,11 +329,11 @@ class Executor:
 
     def _on_rest(self) -> None:
         if self.state is ExecutorState.STOPPING:
-            way = way_along(self._stopping)
+            way = distance_along(self._stopping)
             self._finish("stopped", f"{self.cause}; at rest after {way.text(self._robot)}")
         elif self.state is ExecutorState.PAUSING:
             self._enter(ExecutorState.PAUSED, self._where_paused())
-        elif self.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.share == 0.0:
+        elif self.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.fraction == 0.0:
             self.limit.standing = True
             self._say()
 

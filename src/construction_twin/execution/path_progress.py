@@ -22,9 +22,9 @@ from construction_twin.robot.trajectory import Trajectory
 
 #: Halvings with which a single step on the path is brought into every joint's acceleration limit.
 HALVINGS = 10
-#: Share of the jerk limits that a ramp may use; a plan uses all of it without a ramp.
-JERK_SHARE = 1.5
-#: Share of the acceleration limits that a ramp may use: what rounding can add stays far below the rest.
+#: Fraction of the jerk limits that a ramp may use; a plan uses all of it without a ramp.
+JERK_FRACTION = 1.5
+#: Fraction of the acceleration limits that a ramp may use: what rounding can add stays far below the rest.
 ACCELERATION_SHARE = 1.0 - 1e-9
 #: Lengths of a ramp that are tried [cycles], from 32 ms to 3 s.
 RAMP_CYCLES = (8, 10, 12, 15, 19, 24, 30, 37, 46, 58, 72, 90, 112, 140, 175, 220, 275, 340, 425, 530, 660, 750)
@@ -121,7 +121,7 @@ class Progress:
     def advance(self, rate: float) -> tuple[float, ...]:
         """Go on by one cycle, on a smooth ramp from the present rate to `rate`.
 
-        The ramp is the shortest found on which every joint stays within its acceleration limit and `JERK_SHARE` of its jerk
+        The ramp is the shortest found on which every joint stays within its acceleration limit and `JERK_FRACTION` of its jerk
         limit; a ramp down from which none leads up again is ended first. Where there is none, or none that comes to rest soon
         enough, the rate changes as far as the acceleration limits allow, its slope as gently as the jerk limits ask for.
 
@@ -238,4 +238,4 @@ class Progress:
         bends = np.diff(poses, 2, axis=0)[1:]
         if (np.abs(bends) > ACCELERATION_SHARE * self._bend_limit).any():
             return False
-        return bool((np.abs(np.diff(poses, 3, axis=0)) <= JERK_SHARE * self._jerk_limit).all())
+        return bool((np.abs(np.diff(poses, 3, axis=0)) <= JERK_FRACTION * self._jerk_limit).all())

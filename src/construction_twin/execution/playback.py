@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.path_progress import Progress
-from construction_twin.execution.stopping import StoppingForecast, way_along
+from construction_twin.execution.stopping import StoppingForecast, distance_along
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -52,7 +52,7 @@ class Playback:
 
     @property
     def rate(self) -> float:
-        """Present share of the planned speed, 0 to 1."""
+        """Present fraction of the planned speed, 0 to 1."""
         return self._progress.rate if self.start else 0.0
 
     @property
@@ -151,6 +151,6 @@ class Braking:
             poses.append(progress.brake())
             if len(poses) % SETPOINTS_AT_ONCE == 0:
                 pause()
-        arm = way_along(before[:-1] + poses)
+        arm = distance_along(before[:-1] + poses)
         # a cycle more: the arm may be anywhere between two setpoints
-        return StoppingForecast(way_along(poses), replace(arm, time=arm.time + CYCLE), self._lag)
+        return StoppingForecast(distance_along(poses), replace(arm, time=arm.time + CYCLE), self._lag)

@@ -1,4 +1,4 @@
-"""The speed limit: at which share of the planned speed may be moved, as a source on a topic says, or because it says nothing.
+"""The speed limit: at which fraction of the planned speed may be moved, as a source on a topic says, or because it says nothing.
 
 Pure; times are arguments, in ns on a clock that nobody sets. Not safety rated: it slows a motion down so that less often a safety
 function must stop it.
@@ -29,16 +29,16 @@ class SpeedLimit:
     deadline : float
         A source that was heard must be heard again within this time [s].
     silent : float
-        Share of the planned speed while it is not, 0 to 1; or the last limit, where that was lower.
+        Fraction of the planned speed while it is not, 0 to 1; or the last limit, where that was lower.
     required : bool
-        Whether the silent share holds before any source was heard.
+        Whether the silent fraction holds before any source was heard.
 
     Attributes
     ----------
     state : LimitState
         As of the last `update`.
     limit : float
-        Share of the planned speed that is allowed, 0 to 1.
+        Fraction of the planned speed that is allowed, 0 to 1.
     reason : str
         One sentence for the operator.
     """
@@ -75,7 +75,7 @@ class SpeedLimit:
         """
         # written so that a nan does not pass
         if not 0.0 <= limit <= 1.0:
-            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a share from 0 to 1")
+            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a fraction from 0 to 1")
         if source != self._source and self._in_time(now):
             raise PayloadError(
                 "speed_limit_source", f"{source} sent a speed limit while {self._source} does; let only one of them"
@@ -85,7 +85,7 @@ class SpeedLimit:
         self.update(now)
 
     def update(self, now: int) -> float:
-        """Return the share of the planned speed that is allowed at `now` [ns]."""
+        """Return the fraction of the planned speed that is allowed at `now` [ns]."""
         if not self._source:
             state = LimitState.MISSING if self._required else LimitState.UNLIMITED
             asked = self._silent if self._required else 1.0

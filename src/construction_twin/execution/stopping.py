@@ -14,7 +14,7 @@ from construction_twin.robot.description import RobotModel
 
 
 @dataclass(frozen=True)
-class StoppingWay:
+class StoppingPath:
     """The way to rest.
 
     Attributes
@@ -39,7 +39,7 @@ class StoppingWay:
         return f"{self.time:.3f} s and at most {', '.join(ways)}"
 
 
-def way_along(poses: Iterable[Sequence[float]]) -> StoppingWay:
+def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
     """Return the way along setpoints that follow each other by one cycle.
 
     Parameters
@@ -53,7 +53,7 @@ def way_along(poses: Iterable[Sequence[float]]) -> StoppingWay:
     for pose in poses:
         joints = [way + abs(b - a) for way, a, b in zip(joints, last, pose)]
         last, cycles = pose, cycles + 1
-    return StoppingWay(tuple(joints), cycles * CYCLE)
+    return StoppingPath(tuple(joints), cycles * CYCLE)
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,16 @@ class StoppingForecast:
 
     Attributes
     ----------
-    setpoints : StoppingWay
+    setpoints : StoppingPath
         From the last setpoint before the stop to rest.
-    arm : StoppingWay
+    arm : StoppingPath
         What the arm does from the moment of the stop: the same, and the setpoints before it that are still on their way.
     lag : float
         How long the arm was taken to trail the setpoints [s].
     """
 
-    setpoints: StoppingWay
-    arm: StoppingWay
+    setpoints: StoppingPath
+    arm: StoppingPath
     lag: float
 
     def text(self, robot: RobotModel) -> str:

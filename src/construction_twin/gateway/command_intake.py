@@ -105,7 +105,7 @@ class CommandIntake:
         if behind > self._config.speed_limit_backlog:
             raise StreamBroken(
                 "speed_limit",
-                f"the sender does not obey the speed limit of {player.share:g}: it is {behind:.3f} s ahead of the arm, "
+                f"the sender does not obey the speed limit of {player.fraction:g}: it is {behind:.3f} s ahead of the arm, "
                 f"at most {self._config.speed_limit_backlog:g} s are put off",
             )
         self._check.accept(stamp, q)

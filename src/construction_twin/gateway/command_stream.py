@@ -9,7 +9,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties
 
-#: Share of its distance to the arrivals by which the grid of unstamped commands moves per command: follows the drift between two
+#: Fraction of its distance to the arrivals by which the grid of unstamped commands moves per command: follows the drift between two
 #: clocks within minutes, and lets 10 ms of network jitter through as less than a microsecond.
 ARRIVAL_SMOOTHING = 16_384
 #: Commands after which it is asked whether all of them were late on that grid (1 s): then some were lost before.

@@ -61,7 +61,7 @@ class GatewayConfig:
     speed_limit_deadline : float
         A speed limit's source that is silent for longer counts as silent [s].
     speed_limit_silent : float
-        Share of the velocity limits that holds then, 0 to 1.
+        Fraction of the velocity limits that holds then, 0 to 1.
     speed_limit_grace : float
         Time in which the sender may obey a lowered limit before the gateway enforces it [s].
     speed_limit_backlog : float
@@ -150,9 +150,9 @@ class GatewayConfig:
             raise ConfigurationError("playout_delay", self.playout_delay, bounds)
         if self.playout_delay_max >= self.max_age:
             raise ConfigurationError("playout_delay_max", self.playout_delay_max, f"less than max_age, {self.max_age}")
-        share = self.speed_limit_silent
-        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
-            raise ConfigurationError("speed_limit_silent", share, "a share of the velocity limits, 0 to 1")
+        fraction = self.speed_limit_silent
+        if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
+            raise ConfigurationError("speed_limit_silent", fraction, "a fraction of the velocity limits, 0 to 1")
         self._check_rsi()
 
     def _check_rsi(self) -> None:

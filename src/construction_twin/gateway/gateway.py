@@ -311,8 +311,8 @@ class Gateway:
         if self.speed.poll(now):
             self.counters["speed_limit_silent"] += 1
             self._changed = True
-        if self.speed.share != self._player.share:
-            self._player.limit(self.speed.share)
+        if self.speed.fraction != self._player.fraction:
+            self._player.limit(self.speed.fraction)
 
     def _arm(self, control: Control) -> tuple[bool, str]:
         if self.state in (State.ARMED, State.FOLLOWING) and not refusal_of_value(control.value, self):

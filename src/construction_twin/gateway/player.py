@@ -31,8 +31,8 @@ class Player:
         self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: tuple[str, int, int] | None = None
         self._smoothing_ms = config.smoothing_cycles * CYCLE_NS / 1e6
-        #: Share of the velocity limits at which the arm may move.
-        self.share = 1.0
+        #: Fraction of the velocity limits at which the arm may move.
+        self.fraction = 1.0
         #: Stands at the position last sent; None without an origin.
         self.follower: Follower | None = None
         #: Stamp of the target last played [ns]; 0 for none.
@@ -50,17 +50,17 @@ class Player:
         """How much motion a speed limit has put off [s], in the sender's time."""
         return self._playout.backlog / NANOSECONDS
 
-    def limit(self, share: float) -> None:
-        """Play so slowly that every joint keeps to this share of its velocity limit, 0 to 1."""
-        self.share = share
-        self._playout.limit(share)
+    def limit(self, fraction: float) -> None:
+        """Play so slowly that every joint keeps to this fraction of its velocity limit, 0 to 1."""
+        self.fraction = fraction
+        self._playout.limit(fraction)
         if self.follower is not None:
-            self.follower.limit(share)
+            self.follower.limit(fraction)
 
     def place(self, position: tuple[float, ...]) -> None:
         """Stand at `position` [rad], at rest."""
         self.follower = Follower(self._config.limits, self._config.decimals, position)
-        self.follower.limit(self.share)
+        self.follower.limit(self.fraction)
 
     def remove(self) -> None:
         """Stand nowhere: there is no origin."""

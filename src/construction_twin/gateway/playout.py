@@ -121,9 +121,9 @@ class Playout:
             last = command
         return min(self._put_off, max(0, moving))
 
-    def limit(self, share: float) -> None:
-        """Allow every joint this share of its velocity limit, 0 to 1; the path stays the same."""
-        self._governor.limit(share)
+    def limit(self, fraction: float) -> None:
+        """Allow every joint this fraction of its velocity limit, 0 to 1; the path stays the same."""
+        self._governor.limit(fraction)
         self._governed = self._governor.active
 
     @property

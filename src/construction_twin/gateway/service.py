@@ -154,8 +154,10 @@ class GatewayService:
             level, kind = (logging.WARNING, "not the controller") if stranger else (logging.INFO, gateway.state.value)
             self._log(level, kind, gateway.reason)
         if self._said[2] and not before[2]:
-            share = gateway.speed.given
-            self._log(logging.WARNING, "speed limit", f"its source is silent; {share:g} of the limits until it speaks")
+            fraction = gateway.speed.given
+            self._log(
+                logging.WARNING, "speed limit", f"its source is silent; {fraction:g} of the limits until it speaks"
+            )
 
     def _log(self, level: int, kind: str, text: str) -> None:
         note = self._lines.note(kind, time.monotonic_ns())

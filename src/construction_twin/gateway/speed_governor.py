@@ -1,4 +1,4 @@
-"""Playing more slowly, on the same path: how far playout time may advance so that no joint exceeds its share of the speed.
+"""Playing more slowly, on the same path: how far playout time may advance so that no joint exceeds its fraction of the speed.
 
 Time is slowed for all joints together, never a joint by itself. Its rate changes only so fast that the joints' acceleration limits
 hold on the way. Standard library only; stamps in ns, positions in rad (m for linear joints).
@@ -13,17 +13,17 @@ from construction_twin.core.interpolation import Pose
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 
-#: Share of the acceleration limits for slowing time down; what the motion itself needs of it counts.
+#: Fraction of the acceleration limits for slowing time down; what the motion itself needs of it counts.
 BRAKING_SHARE = 0.95
 #: The same for letting it run again.
 RISING_SHARE = 0.5
-#: However hard the motion itself brakes, time may be slowed with this share.
+#: However hard the motion itself brakes, time may be slowed with this fraction.
 LEAST_SHARE = 0.1
 #: Largest growth of the rate per second.
 LARGEST_RISE = 1.0
 #: Halvings with which a cycle's advance is brought into the acceleration limits.
 HALVINGS = 5
-#: What a step may be larger than its share of the speed because of the wire's rounding, as a share of that.
+#: What a step may be larger than its fraction of the speed because of the wire's rounding, as a fraction of that.
 ROUNDING_SHARE = 0.1
 
 
@@ -44,22 +44,22 @@ class Governor:
         allowances = limits.allowances(decimals)
         self._bend = tuple((a + extra) * CYCLE * CYCLE for a, extra in zip(limits.acceleration, allowances))
         self._steps: tuple[float, ...] = ()
-        self.share = 1.0
+        self.fraction = 1.0
         self.restart()
 
     def restart(self) -> None:
-        """Begin with another stream, at rest; the share stays."""
+        """Begin with another stream, at rest; the fraction stays."""
         #: False while time need not be looked at.
-        self.active = self.share < 1.0
+        self.active = self.fraction < 1.0
         #: Rate of playout time in the last cycle; None: whatever it would be without a limit.
         self.rate: float | None = None
         self._targets: list[Pose] = []
 
-    def limit(self, share: float) -> None:
-        """Allow every joint this share of its velocity limit from now on, 0 to 1."""
-        self.share = share
-        self._steps = tuple([share * v * CYCLE for v in self._velocity])
-        if share < 1.0 and not self.active:
+    def limit(self, fraction: float) -> None:
+        """Allow every joint this fraction of its velocity limit from now on, 0 to 1."""
+        self.fraction = fraction
+        self._steps = tuple([fraction * v * CYCLE for v in self._velocity])
+        if fraction < 1.0 and not self.active:
             self.restart()
 
     def advance(
@@ -87,7 +87,7 @@ class Governor:
             # what comes after missed telegrams cannot be compared with what was before them
             self._targets.clear()
         step = self._fit(step, last, fall, elapsed, target)
-        if step >= wanted and self.share >= 1.0:
+        if step >= wanted and self.fraction >= 1.0:
             self.active = False
         self.rate = step / elapsed
         self._targets = [*self._targets[-1:], target(step)]
@@ -110,7 +110,7 @@ class Governor:
                 continue
             moves = True
             speed = abs(end - start) / span
-            goal = min(goal, self.share * self._velocity[j] / speed)
+            goal = min(goal, self.fraction * self._velocity[j] / speed)
             limit, own = self._acceleration[j], 0.0
             if q1 is not None:
                 own = math.copysign(rate * rate * 4.0, end - start) * (end - 2.0 * q1[j] + start) / (span * span)
@@ -121,7 +121,7 @@ class Governor:
     def _fit(self, step: int, last: float, fall: float, elapsed: int, target: Callable[[int], Pose]) -> int:
         """Return `step` [ns], changed as far as this very cycle's poses ask for it."""
         targets = self._targets
-        if not targets or self.share >= 1.0:
+        if not targets or self.fraction >= 1.0:
             return step
         cycles = elapsed / CYCLE_NS
         excess = 1.0

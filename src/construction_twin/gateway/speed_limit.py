@@ -16,9 +16,9 @@ REMEMBERED = 64
 
 
 class SpeedLimit:
-    """The share of the velocity limits at which the arm may move.
+    """The fraction of the velocity limits at which the arm may move.
 
-    Nobody has to give one. Once one was given, silence for longer than the deadline counts as the share for silence, or as the last
+    Nobody has to give one. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the last
     limit where that was lower: who lowers the speed for a person must not be lost unnoticed. That outlives command sessions, or
     arming anew would lift the limit.
 
@@ -36,26 +36,26 @@ class SpeedLimit:
     def __init__(self, config: GatewayConfig):
         self._deadline = round(config.speed_limit_deadline * NANOSECONDS)
         self._grace = round(config.speed_limit_grace * NANOSECONDS)
-        self._silent_share = config.speed_limit_silent
-        #: The share given last, that for silence included; 1 before the first one.
+        self._silent_fraction = config.speed_limit_silent
+        #: The fraction given last, that for silence included; 1 before the first one.
         self.given = 1.0
         #: Who gave it: "none", a session id, or "silence".
         self.source = "none"
-        #: The share in force.
-        self.share = 1.0
+        #: The fraction in force.
+        self.fraction = 1.0
         self._heard: int | None = None
         # session and number of the last message that was taken
         self._numbered: tuple[str, int] = ("", -1)
-        # (when it came, share): shares fall from left to right, so the first is the highest
+        # (when it came, fraction): fractions fall from left to right, so the first is the highest
         self._recent: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
 
     @staticmethod
     def refusal(control: Control, session: str) -> str:
         """Return why a `speed_limit` message does not count while `session` is armed; "" when it does."""
-        share = control.value
+        fraction = control.value
         # bool is a number to Python; a number as large as JSON allows is none that a float holds
-        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
-            return f"speed limit {str(share)[:32]!r}: expected a number from 0 to 1"
+        if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
+            return f"speed limit {str(fraction)[:32]!r}: expected a number from 0 to 1"
         if not session or control.session != session:
             return f"session {control.session!r} is not armed{session and f', {session!r} is'}"
         if message_number(control.id) is None:
@@ -73,12 +73,12 @@ class SpeedLimit:
         self._numbered = control.session, number
         return False
 
-    def give(self, share: float, session: str, now: int) -> bool:
+    def give(self, fraction: float, session: str, now: int) -> bool:
         """Take a limit, 0 to 1, from a session; return whether it, or who gave it, is another than before."""
         self._heard = now
-        news = (share, session) != (self.given, self.source)
+        news = (fraction, session) != (self.given, self.source)
         self.source = session
-        self._take(share, now)
+        self._take(fraction, now)
         return news
 
     def poll(self, now: int) -> bool:
@@ -89,27 +89,27 @@ class SpeedLimit:
         if silent:
             self.source = "silence"
             # who asked for less asked for it to the end: silence must not lift it
-            self._take(min(self._silent_share, self.given), now)
+            self._take(min(self._silent_fraction, self.given), now)
         recent = self._recent
         while len(recent) > 1 and now - recent[1][0] >= self._grace:
             recent.popleft()
-        self.share = recent[0][1]
+        self.fraction = recent[0][1]
         return silent
 
-    def _take(self, share: float, now: int) -> None:
-        self.given = share
+    def _take(self, fraction: float, now: int) -> None:
+        self.given = fraction
         recent = self._recent
         if not recent:
             # before the first one there was none
             recent.append((now, 1.0))
-        if share == recent[-1][1]:
+        if fraction == recent[-1][1]:
             return
         since = now
-        while recent and recent[-1][1] <= share:
+        while recent and recent[-1][1] <= fraction:
             # what was lower is no higher than this: the grace began there
             since = recent.pop()[0]
-        recent.append((since, share))
+        recent.append((since, fraction))
 
     def report(self) -> dict:
-        """Return what the status says: the share in force, the one given last, and by whom."""
-        return {"share": self.share, "given": self.given, "source": self.source}
+        """Return what the status says: the fraction in force, the one given last, and by whom."""
+        return {"share": self.fraction, "given": self.given, "source": self.source}

@@ -44,7 +44,7 @@ _SELF_MOTIONS = 30
 _SETTLED = 1e-7
 #: Longest step along the self-motion [rad].
 _STEP = 0.4
-#: Singular values below this share of the largest are directions in which the tip cannot move.
+#: Singular values below this fraction of the largest are directions in which the tip cannot move.
 _RANK = 1e-6
 #: Starts and steps of the search for the position alone, by which a failure is explained.
 _POSITION_STARTS = 8

@@ -52,8 +52,8 @@ class SingularWrist:
         opposed = math.cos(theta[4]) < 0.0
         q = branch.copy()
         q[4] = signs[4] * ((math.copysign(math.pi, theta[4]) if opposed else 0.0) + offsets[4])
-        # turning both joints by these shares of the missing angle keeps the seed's middle
-        share = np.array([signs[3], -signs[5] if opposed else signs[5]], dtype=float)
+        # turning both joints by these fractions of the missing angle keeps the seed's middle
+        fraction = np.array([signs[3], -signs[5] if opposed else signs[5]], dtype=float)
         missing = self._missing_turn(q, pose, seed, opposed)
         start = np.array([seed[3], seed[5]])
         lower, upper = self._lower - start, self._upper - start
@@ -62,13 +62,16 @@ class SingularWrist:
         for total in (missing + TURN * turn for turn in range(-turns, turns + 1)):
             # joint 4 takes t, joint 6 the rest; both must stay in range
             ends = np.sort(
-                [[lower[0] * share[0], upper[0] * share[0]], [total - lower[1] * share[1], total - upper[1] * share[1]]]
+                [
+                    [lower[0] * fraction[0], upper[0] * fraction[0]],
+                    [total - lower[1] * fraction[1], total - upper[1] * fraction[1]],
+                ]
             )
             low, high = float(ends[:, 0].max()), float(ends[:, 1].min())
             if low <= high + _ROUNDING:
                 t = min(max(0.5 * total, low), high)
                 solution = q.copy()
-                solution[[3, 5]] = start + share * (t, total - t)
+                solution[[3, 5]] = start + fraction * (t, total - t)
                 found.append(solution)
         return sorted(found, key=lambda solution: math.dist(solution, seed))
 

@@ -106,7 +106,7 @@ class PlanView:
     clearance : Mapping or None
         ``distance`` [m], ``time`` [s], ``between``, ``point`` [m]; None when it was not measured.
     use : Mapping
-        Largest share of the limits per joint: ``velocity``, ``acceleration``, ``jerk``; empty lists when not measured.
+        Largest fraction of the limits per joint: ``velocity``, ``acceleration``, ``jerk``; empty lists when not measured.
     """
 
     id: str
@@ -197,9 +197,9 @@ def _distance(point: Point, begin: Point, end: Point) -> float:
     length = math.hypot(*along)
     if length == 0.0:
         return math.dist(point, begin)
-    share = sum(d * (p - a) for d, p, a in zip(along, point, begin)) / length**2
-    share = min(1.0, max(0.0, share))
-    return math.dist(point, [a + share * d for a, d in zip(begin, along)])
+    fraction = sum(d * (p - a) for d, p, a in zip(along, point, begin)) / length**2
+    fraction = min(1.0, max(0.0, fraction))
+    return math.dist(point, [a + fraction * d for a, d in zip(begin, along)])
 
 
 class PlanBoard:

@@ -35,7 +35,7 @@ class SpeedForwarder:
         self._sent_at = 0
 
     def on_limit(self, limit: float, source: str, now: int) -> None:
-        """Take a message [share, 0 to 1] that `source` sent and that came at `now` [ns].
+        """Take a message [fraction, 0 to 1] that `source` sent and that came at `now` [ns].
 
         Raises
         ------
@@ -44,7 +44,7 @@ class SpeedForwarder:
         """
         # written so that a nan does not pass
         if not 0.0 <= limit <= 1.0:
-            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a share from 0 to 1")
+            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a fraction from 0 to 1")
         if source != self._source and self.limit is not None and now - self._heard_at <= self._deadline:
             raise PayloadError(
                 "speed_limit_source", f"{source} sent a speed limit while {self._source} does; let only one of them"

@@ -33,14 +33,14 @@ class Line:
         self.active = False
         self.dropped = self.doubled = self.delayed = 0
 
-    def drop(self, share: float) -> None:
-        """Lose this share of the datagrams, 0 to 1."""
-        self._drop = share
+    def drop(self, fraction: float) -> None:
+        """Lose this fraction of the datagrams, 0 to 1."""
+        self._drop = fraction
         self._note()
 
-    def duplicate(self, share: float) -> None:
-        """Send this share of the datagrams twice, 0 to 1."""
-        self._duplicate = share
+    def duplicate(self, fraction: float) -> None:
+        """Send this fraction of the datagrams twice, 0 to 1."""
+        self._duplicate = fraction
         self._note()
 
     def delay(self, delay: float, jitter: float) -> None:

@@ -14,7 +14,7 @@ from construction_twin.mock.servo import Chase
 
 #: Speed of the tool in T1 [m/s] (rsi.md section 7; the standard value, there without a source).
 T1_SPEED = 0.25
-#: Share of the velocity and acceleration limits that a program of the controller uses unless it is given a time.
+#: Fraction of the velocity and acceleration limits that a program of the controller uses unless it is given a time.
 JOG_SHARE = 0.3
 #: The servo is given this long to arrive at the end of a program [cycles].
 _SETTLING_CYCLES = 250
@@ -54,8 +54,8 @@ class EmergencyBrake:
         budgets = [limit * CYCLE * CYCLE for limit in acceleration]
         self.cycles = math.ceil(max(abs(s) / budget for s, budget in zip(step, budgets)) - 1e-9)
         self._left = self.cycles
-        share = (self.cycles - 1) / 2.0 if self.cycles else 0.0
-        self.distance = tuple(q + s * share - now for q, s, now in zip(position, step, measured))
+        fraction = (self.cycles - 1) / 2.0 if self.cycles else 0.0
+        self.distance = tuple(q + s * fraction - now for q, s, now in zip(position, step, measured))
 
     @property
     def done(self) -> bool:
@@ -66,8 +66,8 @@ class EmergencyBrake:
         """Return the setpoint of the next cycle [rad]; at rest always the same."""
         if self._left > 0:
             self._left -= 1
-            share = self._left / self.cycles
-            self.position = tuple([q + s * share for q, s in zip(self.position, self._step)])
+            fraction = self._left / self.cycles
+            self.position = tuple([q + s * fraction for q, s in zip(self.position, self._step)])
         return self.position
 
 
@@ -116,8 +116,8 @@ class Program:
         if self.done:
             return self._goal
         u = self._cycle / self.cycles
-        share = u * u * u * (10.0 + u * (6.0 * u - 15.0))
-        return tuple([a + share * (b - a) for a, b in zip(self._start, self._goal)])
+        fraction = u * u * u * (10.0 + u * (6.0 * u - 15.0))
+        return tuple([a + fraction * (b - a) for a, b in zip(self._start, self._goal)])
 
 
 class ToolSpeedLimit:
@@ -172,8 +172,8 @@ class ToolSpeedLimit:
         way = math.dist(self._tool_position(here), self._tool_position(there))
         if way <= self._way:
             return tuple([chase.move() for chase in self._chases])
-        share = self._way / way
-        return tuple([chase.move(chase.within_budget(share * step)) for chase, step in zip(self._chases, steps)])
+        fraction = self._way / way
+        return tuple([chase.move(chase.within_budget(fraction * step)) for chase, step in zip(self._chases, steps)])
 
 
 class OwnMotion:
@@ -297,8 +297,8 @@ class OwnMotion:
         self.servo.step(self.setpoint)
 
 
-def _shortest(way: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float], share: float) -> float:
-    """Return the shortest time of a quintic motion over `way` [rad] at a share of the limits [s]."""
-    by_velocity = max(_PEAK_VELOCITY * d / (share * v) for d, v in zip(way, velocity))
-    by_acceleration = max(math.sqrt(_PEAK_ACCELERATION * d / (share * a)) for d, a in zip(way, acceleration))
+def _shortest(way: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float], fraction: float) -> float:
+    """Return the shortest time of a quintic motion over `way` [rad] at a fraction of the limits [s]."""
+    by_velocity = max(_PEAK_VELOCITY * d / (fraction * v) for d, v in zip(way, velocity))
+    by_acceleration = max(math.sqrt(_PEAK_ACCELERATION * d / (fraction * a)) for d, a in zip(way, acceleration))
     return max(by_velocity, by_acceleration)

@@ -129,15 +129,17 @@ class Comparison:
         """True when Algorithm 1 lets the next pose pass."""
         return self.agrees_within(1.0)
 
-    def agrees_within(self, share: float) -> bool:
-        """Return whether Algorithm 1 would let the next pose pass with this share of the threshold, 0 to 1."""
-        threshold = self.threshold if share == 1.0 else tuple(share * limit for limit in self.threshold)
+    def agrees_within(self, fraction: float) -> bool:
+        """Return whether Algorithm 1 would let the next pose pass with this fraction of the threshold, 0 to 1."""
+        threshold = self.threshold if fraction == 1.0 else tuple(fraction * limit for limit in self.threshold)
         return not next_pose(self.theta_virtual, self.theta_physical, self.theta_virtual, threshold)[1]
 
     def worst(self) -> int:
         """Index of the joint that uses most of its threshold; one whose error is no number comes first."""
-        shares = [error / limit for error, limit in zip(self.error, self.threshold)]
-        return max(range(len(shares)), key=lambda index: math.inf if math.isnan(shares[index]) else shares[index])
+        fractions = [error / limit for error, limit in zip(self.error, self.threshold)]
+        return max(
+            range(len(fractions)), key=lambda index: math.inf if math.isnan(fractions[index]) else fractions[index]
+        )
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class GateSettings:
     feedback_timeout : float
         Physical feedback older than this counts as out of sync [s].
     agree_share : float
-        Share of the threshold, up to 1, that every error must stay below for the poses to agree again.
+        Fraction of the threshold, up to 1, that every error must stay below for the poses to agree again.
     agree_time : float
         They must do so this long before the gate opens [s].
     policy : str

@@ -22,7 +22,7 @@ class ReplanGoal:
     goal : tuple, shape (n,)
         [rad]
     speed_scale, acceleration_scale : float
-        Largest share of the limits that the plan uses, at most 1; 0 for a plan that stands still.
+        Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands still.
     seen : int
         When the executor was last known to play it [ns]; 0: never. What a person stopped later must not be taken up again.
     """
@@ -46,8 +46,8 @@ class ReplanGoals:
         self, plan_id: str, goal: Sequence[float], velocity_use: Sequence[float], acceleration_use: Sequence[float]
     ) -> None:
         """Take a plan that was offered; its use of the limits per joint, as measured by the planner."""
-        shares = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
-        self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), *shares)
+        fractions = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
+        self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), *fractions)
         played = self._execution[0]
         old = [known for known in self._goals if known not in (played, plan_id)]
         for known in old[: max(len(old) - KEPT, 0)]:
@@ -62,7 +62,7 @@ class ReplanGoals:
         """Goal to plan to when the gate closes now.
 
         None when nothing plays: what a person stops or pauses is not taken up by itself, and with `auto_approve` a new plan would
-        be. Nor is a plan that stands still, whose shares the planner would read as its defaults.
+        be. Nor is a plan that stands still, whose fractions the planner would read as its defaults.
         """
         played, playing, seen = self._execution
         found = self._goals.get(played) if playing else None

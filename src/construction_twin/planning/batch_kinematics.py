@@ -61,7 +61,7 @@ class RowKinematics:
     def newton(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int) -> np.ndarray:
         """Move each joint vector by Newton steps onto its target pose.
 
-        Arms with more joints than a pose needs take the smallest steps, in shares of the joints' full speeds.
+        Arms with more joints than a pose needs take the smallest steps, in fractions of the joints' full speeds.
 
         Parameters
         ----------

@@ -32,13 +32,13 @@ from construction_twin.robot.trajectory import Trajectory
 #: Largest deviation of a 4 ms sample from the commanded path.
 DEVIATION_M = 1e-4
 DEVIATION_RAD = math.radians(0.05)
-#: Share of the deviation that the joint curve may use; the rest is for the quintics of the trajectory.
+#: Fraction of the deviation that the joint curve may use; the rest is for the quintics of the trajectory.
 CURVE_SHARE = 0.2
 #: How often the samples of a joint curve are made denser where it deviates.
 REFINEMENTS = 10
 #: Spacings of the trajectory's waypoints [s] that are tried until the deviation holds.
 SPACINGS = (WAYPOINT_SPACING, WAYPOINT_SPACING / 2.0, CYCLE)
-#: Share of the tool speed that is planned with; what the quintics add to it is far less than the rest.
+#: Fraction of the tool speed that is planned with; what the quintics add to it is far less than the rest.
 SPEED_SHARE = 0.9998
 #: Within so many times the arm's reach a path that leaves the reach is followed as far as it can be; what is further away
 #: is refused at once (a position in millimetres, an arc that is almost a line).

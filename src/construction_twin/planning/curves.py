@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, PPoly
 
-#: A knot closer than this to the one before is the same knot, as a share of the curve's length.
+#: A knot closer than this to the one before is the same knot, as a fraction of the curve's length.
 SAME_KNOT = 1e-9
 
 
@@ -129,10 +129,10 @@ def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
     return JointCurve(PPoly(np.stack((c5, c4, c3, np.zeros_like(v0), v0, points[:-1])), knots))
 
 
-def rounded(points: np.ndarray, pace: np.ndarray, corner_share: float) -> JointCurve:
+def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> JointCurve:
     """Return a curve on the straight lines between the points, with rounded corners.
 
-    The corner at a point is cut within a distance of `corner_share` times half the shorter of its two segments, measured
+    The corner at a point is cut within a distance of `corner_fraction` times half the shorter of its two segments, measured
     along the polyline; beyond that the curve is on the lines. At the corner it misses the point by a sixth of that
     distance, times the length of the difference of the two directions (0.24 of it at a right angle, a third where the
     path turns back).
@@ -143,14 +143,14 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_share: float) -> JointC
         m >= 2, no two in a row the same.
     pace : array, shape (n,)
         Full speed of each joint, which sets the parameter.
-    corner_share : float
+    corner_fraction : float
         In (0, 1]: smaller keeps closer to the points and is slower.
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)
     spans = _spans(points, pace)
     corners = np.concatenate(([0.0], np.cumsum(spans)))
-    reach = 0.5 * corner_share * np.minimum(spans[:-1], spans[1:])
+    reach = 0.5 * corner_fraction * np.minimum(spans[:-1], spans[1:])
     inner = np.sort(np.concatenate((corners[1:-1] - reach, corners[1:-1], corners[1:-1] + reach)))
     length = corners[-1]
     # where two corners share their whole segment, their knots meet

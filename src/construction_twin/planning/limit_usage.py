@@ -14,7 +14,7 @@ import numpy as np
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import CYCLE
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.plan import LimitShares
+from construction_twin.robot.plan import LimitUsage
 from construction_twin.robot.trajectory import Trajectory
 
 #: Points closer than this are one, and ranges are met to this [rad] or [m], per joint.
@@ -23,7 +23,7 @@ SAME_POINT = 1e-9
 
 @dataclass(frozen=True)
 class LimitUse:
-    """Largest share of each limit that a trajectory uses, over all joints and 4 ms samples; 1 is exactly at the
+    """Largest fraction of each limit that a trajectory uses, over all joints and 4 ms samples; 1 is exactly at the
     limit."""
 
     velocity: float
@@ -32,18 +32,18 @@ class LimitUse:
 
 
 def limit_use(trajectory: Trajectory, robot: RobotModel) -> LimitUse:
-    """Measure a trajectory at every controller cycle against the robot's limits, as `limit_shares` does.
+    """Measure a trajectory at every controller cycle against the robot's limits, as `limit_usage` does.
 
     Returns
     -------
     use : LimitUse
         The largest of all joints.
     """
-    shares = limit_shares(trajectory, robot)
-    return LimitUse(max(shares.velocity), max(shares.acceleration), max(shares.jerk))
+    fractions = limit_usage(trajectory, robot)
+    return LimitUse(max(fractions.velocity), max(fractions.acceleration), max(fractions.jerk))
 
 
-def limit_shares(trajectory: Trajectory, robot: RobotModel) -> LimitShares:
+def limit_usage(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
     """Measure a trajectory at every controller cycle against the robot's limits.
 
     See above for what is measured.
@@ -55,15 +55,15 @@ def limit_shares(trajectory: Trajectory, robot: RobotModel) -> LimitShares:
 
     Returns
     -------
-    shares : LimitShares
+    fractions : LimitUsage
 
     Raises
     ------
     JointRangeError
         If a sample is out of range by more than rounding.
     """
-    velocity, acceleration, jerk = (np.max(rows, axis=0).tolist() for rows in shares_over_time(trajectory, robot))
-    return LimitShares(tuple(velocity), tuple(acceleration), tuple(jerk))
+    velocity, acceleration, jerk = (np.max(rows, axis=0).tolist() for rows in usage_over_time(trajectory, robot))
+    return LimitUsage(tuple(velocity), tuple(acceleration), tuple(jerk))
 
 
 def cycle_times(trajectory: Trajectory) -> np.ndarray:
@@ -74,8 +74,8 @@ def cycle_times(trajectory: Trajectory) -> np.ndarray:
     return np.arange(0.0, trajectory.duration + 2.0 * CYCLE, CYCLE)
 
 
-def shares_over_time(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each joint's share of velocity, acceleration and jerk limit at every 4 ms sample.
+def usage_over_time(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each joint's fraction of velocity, acceleration and jerk limit at every 4 ms sample.
 
     Returns
     -------
@@ -90,13 +90,13 @@ def shares_over_time(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndar
     times = cycle_times(trajectory)
     samples = trajectory.sample_many(times)
     check_range(samples[0], robot)
-    return _shares(trajectory, times, samples, robot)
+    return _fractions(trajectory, times, samples, robot)
 
 
-def measured_shares(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the same as `shares_over_time`, also for a trajectory out of range."""
+def measured_usage(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the same as `usage_over_time`, also for a trajectory out of range."""
     times = cycle_times(trajectory)
-    return _shares(trajectory, times, trajectory.sample_many(times), robot)
+    return _fractions(trajectory, times, trajectory.sample_many(times), robot)
 
 
 def range_excess(trajectory: Trajectory, robot: RobotModel) -> np.ndarray:
@@ -106,7 +106,7 @@ def range_excess(trajectory: Trajectory, robot: RobotModel) -> np.ndarray:
     return np.where(excess > SAME_POINT, excess, 0.0)
 
 
-def _shares(
+def _fractions(
     trajectory: Trajectory, times: np.ndarray, samples: tuple, robot: RobotModel
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     q, qd, qdd, qddd = samples

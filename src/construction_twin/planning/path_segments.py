@@ -207,7 +207,7 @@ class Blend:
         begin = before.length - cut
         positions, _ = before.at(np.array([begin]))
         goals, _ = after.at(np.array([cut]))
-        scale = 2.0 * cut  # straight on, the parameter is then the share of the length
+        scale = 2.0 * cut  # straight on, the parameter is then the fraction of the length
         ends = []
         for position, section, s, sign in ((positions[0], before, begin, -1.0), (goals[0], after, cut, 1.0)):
             tangent, spin = section.direction(s)

@@ -100,9 +100,9 @@ class PlanRequest:
     duration : float, optional
         [s]; None: as fast as the scales allow.
     speed_scale : float, optional
-        Share of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
+        Fraction of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
     acceleration_scale : float, optional
-        Share of the acceleration limits in (0, 1]; None: the same as the speed scale.
+        Fraction of the acceleration limits in (0, 1]; None: the same as the speed scale.
     waypoints : int, optional
         None: the default of `timing.time_path`.
     """
@@ -332,7 +332,7 @@ class Planner:
             if path is None:
                 return None
             asked = request.duration, *scales, request.waypoints
-            trajectory = time_path(path, self._robot, *asked, corner_share=1.0, bounds=self._settings.bounds)
+            trajectory = time_path(path, self._robot, *asked, corner_fraction=1.0, bounds=self._settings.bounds)
             try:
                 return trajectory, report(trajectory, self._robot, world, self._clock)
             except CollisionError as error:

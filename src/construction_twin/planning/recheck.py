@@ -1,6 +1,6 @@
 """The dense re-check: every 4 ms sample of a trajectory against the robot's limits and the scene, whoever planned it.
 
-What it measures is what a reviewer sees: closest clearance and where, largest share of each limit.
+What it measures is what a reviewer sees: closest clearance and where, largest fraction of each limit.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from construction_twin.core.motion_errors import CollisionError, JointRangeError, LimitError
-from construction_twin.planning.limit_usage import cycle_times, shares_over_time
+from construction_twin.planning.limit_usage import cycle_times, usage_over_time
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.plan import Clearance, LimitShares, PlanReport
+from construction_twin.robot.plan import Clearance, LimitUsage, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 
-#: Rounding allowed on a share of a limit.
+#: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
 _QUANTITIES = ("velocity", "acceleration", "jerk")
 
@@ -65,7 +65,7 @@ def report(trajectory: Trajectory, robot: RobotModel, world: World, clock: Calla
         If a sample is in contact; `where` says when.
     """
     began = clock()
-    shares = check_limits(trajectory, robot)
+    fractions = check_limits(trajectory, robot)
     times = cycle_times(trajectory)
     # past its end the motion rests where the last sample in time is, up to one cycle short of the last waypoint
     times = np.append(times[times < trajectory.duration], trajectory.duration)
@@ -73,10 +73,10 @@ def report(trajectory: Trajectory, robot: RobotModel, world: World, clock: Calla
     check_free(q, times, world)
     clearance, row = world.clearance_of(q)
     clearance = dataclasses.replace(clearance, time=float(times[row]))
-    return PlanReport(clearance, shares, clock() - began)
+    return PlanReport(clearance, fractions, clock() - began)
 
 
-def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitShares:
+def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
     """Check every 4 ms sample of a trajectory against the robot's limits.
 
     Parameters
@@ -86,7 +86,7 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitShares:
 
     Returns
     -------
-    shares : LimitShares
+    fractions : LimitUsage
 
     Raises
     ------
@@ -94,17 +94,17 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitShares:
         For the first sample outside, naming time, joint, quantity, value and limit.
     """
     try:
-        shares = shares_over_time(trajectory, robot)
+        fractions = usage_over_time(trajectory, robot)
     except JointRangeError as error:
         raise _range_error(trajectory, robot) from error
-    for quantity, share in zip(_QUANTITIES, shares):
-        beyond = np.argwhere(share > 1.0 + ROUNDING)
+    for quantity, fraction in zip(_QUANTITIES, fractions):
+        beyond = np.argwhere(fraction > 1.0 + ROUNDING)
         if len(beyond):
             row, joint = beyond[0]
             limit = getattr(robot, quantity)[joint]
             when = f"at {cycle_times(trajectory)[row]:.3f} s"
-            raise LimitError(when, robot.joint_names[joint], quantity, float(share[row, joint] * limit), limit)
-    return LimitShares(*(tuple(np.max(share, axis=0).tolist()) for share in shares))
+            raise LimitError(when, robot.joint_names[joint], quantity, float(fraction[row, joint] * limit), limit)
+    return LimitUsage(*(tuple(np.max(fraction, axis=0).tolist()) for fraction in fractions))
 
 
 def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:

@@ -68,7 +68,7 @@ class PlanBounds:
 
 
 def check_request(
-    duration: float | None, speed: float, acceleration: float, waypoints: int | None, corner_share: float | None
+    duration: float | None, speed: float, acceleration: float, waypoints: int | None, corner_fraction: float | None
 ) -> None:
     """Check what is asked of a plan besides its path; see `timing.time_path`.
 
@@ -81,11 +81,11 @@ def check_request(
         raise PlanningError(f"the requested duration is {duration} s; expected a positive number")
     for name, scale in (("speed", speed), ("acceleration", acceleration)):
         if not 0.0 < scale <= 1.0:
-            raise PlanningError(f"the requested {name} scale is {scale}; expected a share of the limits in (0, 1]")
+            raise PlanningError(f"the requested {name} scale is {scale}; expected a fraction of the limits in (0, 1]")
     if waypoints is not None and waypoints < 2:
         raise PlanningError(f"{waypoints} waypoints are requested; a motion needs at least 2")
-    if corner_share is not None and not 0.0 < corner_share <= 1.0:
-        raise PlanningError(f"the requested corner share is {corner_share}; expected a number in (0, 1]")
+    if corner_fraction is not None and not 0.0 < corner_fraction <= 1.0:
+        raise PlanningError(f"the requested corner fraction is {corner_fraction}; expected a number in (0, 1]")
 
 
 def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:

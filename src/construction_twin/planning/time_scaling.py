@@ -25,8 +25,8 @@ STAGES = 100
 PIECE_STAGES = 2
 #: Second smoothing window [s]: over this time the jerk rises to its limit.
 JERK_RISE = 0.04
-#: Share of the jerk limit that is planned with; the quintics that play the motion swing past it by a little.
-JERK_SHARE = 0.96
+#: Fraction of the jerk limit that is planned with; the quintics that play the motion swing past it by a little.
+JERK_FRACTION = 0.96
 #: Shortest first smoothing window [s].
 SHORTEST_WINDOW = 0.02
 #: Largest ds/dt, as a multiple of what the velocity limits allow in the middle of the curve.
@@ -49,10 +49,10 @@ class MotionLimits:
     jerk: np.ndarray
 
     @classmethod
-    def shares(cls, robot: RobotModel, velocity: float, acceleration: float) -> MotionLimits:
-        """Return shares of a robot's velocity and acceleration limits, and `JERK_SHARE` of its jerk limit."""
-        limits = ((velocity, robot.velocity), (acceleration, robot.acceleration), (JERK_SHARE, robot.jerk))
-        return cls(*(share * np.array(limit) for share, limit in limits))
+    def fractions(cls, robot: RobotModel, velocity: float, acceleration: float) -> MotionLimits:
+        """Return fractions of a robot's velocity and acceleration limits, and `JERK_FRACTION` of its jerk limit."""
+        limits = ((velocity, robot.velocity), (acceleration, robot.acceleration), (JERK_FRACTION, robot.jerk))
+        return cls(*(fraction * np.array(limit) for fraction, limit in limits))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,14 +212,14 @@ class CurveProgress:
         end = float(fastest.x[-1])
         times = np.linspace(0.0, end, 200)
         slope = fastest.derivative(2)
-        # per unit of d3s/dt3, the share of the jerk limit; what bends of the curve add is left to the stretching
-        share = np.max(np.abs(self._first) / self._limits.jerk, axis=1)
-        share = np.interp(fastest(times), self._grid, share)
+        # per unit of d3s/dt3, the fraction of the jerk limit; what bends of the curve add is left to the stretching
+        fraction = np.max(np.abs(self._first) / self._limits.jerk, axis=1)
+        fraction = np.interp(fastest(times), self._grid, fraction)
         best = (math.inf, SHORTEST_WINDOW)
         for window in (max(SHORTEST_WINDOW, k * shortest) for k in (1.0, 1.4, 2.0)):
             before, after = np.clip(times - 0.5 * window, 0.0, end), np.clip(times + 0.5 * window, 0.0, end)
             jump = np.abs(np.where(after < end, slope(after), 0.0) - np.where(before > 0.0, slope(before), 0.0))
-            factor = max(1.0, np.cbrt(np.max(jump * share) / window))
+            factor = max(1.0, np.cbrt(np.max(jump * fraction) / window))
             best = min(best, ((end + window) * factor, window))
         return best[1]
 

@@ -16,10 +16,10 @@ import numpy as np
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
-from construction_twin.planning.limit_usage import check_range, limit_use, shares_over_time
+from construction_twin.planning.limit_usage import check_range, limit_use, usage_over_time
 from construction_twin.planning.request_limits import PlanBounds, check_path, check_request
 from construction_twin.planning.time_scaling import (
-    JERK_SHARE,
+    JERK_FRACTION,
     CurveProgress,
     MotionLimits,
     Progress,
@@ -29,12 +29,12 @@ from construction_twin.planning.time_scaling import (
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 
-__all__ = ["LIMIT_SHARE", "TimedCurve", "limit_use", "minimum_duration", "time_curve", "time_path", "with_midpoints"]
+__all__ = ["LIMIT_FRACTION", "TimedCurve", "limit_use", "minimum_duration", "time_curve", "time_path", "with_midpoints"]
 
-#: Share of the velocity and acceleration limits a plan uses. The rest is for what happens after planning and is checked
-#: against the full limits: rounding to the wire's decimals adds up to 0.25 deg/s at 3 decimals (its share of the
+#: Fraction of the velocity and acceleration limits a plan uses. The rest is for what happens after planning and is checked
+#: against the full limits: rounding to the wire's decimals adds up to 0.25 deg/s at 3 decimals (its fraction of the
 #: acceleration is allowed for separately), and the gateway interpolates between setpoints on another clock's grid.
-LIMIT_SHARE = 0.9
+LIMIT_FRACTION = 0.9
 #: Spacing of the waypoints when the request does not count them [s], and the fewest then used.
 WAYPOINT_SPACING = 0.02
 MINIMUM_WAYPOINTS = 20
@@ -61,14 +61,14 @@ def time_path(
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
     waypoints: int | None = None,
-    corner_share: float | None = None,
+    corner_fraction: float | None = None,
     bounds: PlanBounds = PlanBounds(),
 ) -> Trajectory:
     """Time a joint path.
 
     The trajectory starts and ends at rest (velocities and accelerations exactly 0), exactly at the path's ends. At
-    every 4 ms sample its velocities are within `LIMIT_SHARE` times `speed_scale`, its accelerations within
-    `LIMIT_SHARE` times `acceleration_scale` of the robot's limits, its jerk within the robot's limit, its positions
+    every 4 ms sample its velocities are within `LIMIT_FRACTION` times `speed_scale`, its accelerations within
+    `LIMIT_FRACTION` times `acceleration_scale` of the robot's limits, its jerk within the robot's limit, its positions
     within the range.
 
     Parameters
@@ -79,14 +79,14 @@ def time_path(
     duration : float, optional
         Duration of the motion [s], to the nanosecond. Default: as short as the limits allow.
     speed_scale : float, optional
-        Share of the velocity limits in (0, 1].
+        Fraction of the velocity limits in (0, 1].
     acceleration_scale : float, optional
-        Share of the acceleration limits in (0, 1]. Default: `speed_scale`.
+        Fraction of the acceleration limits in (0, 1]. Default: `speed_scale`.
     waypoints : int, optional
         Number of waypoints, equally spaced in time, at least 2. With few of them the motion between two leaves the
         path. Default: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`.
-    corner_share : float, optional
-        In (0, 1]: keep to the straight lines between the points and round the corners, over this share of what is there
+    corner_fraction : float, optional
+        In (0, 1]: keep to the straight lines between the points and round the corners, over this fraction of what is there
         (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
         `curves.monotone` where that would leave the range).
     bounds : PlanBounds, optional
@@ -110,14 +110,14 @@ def time_path(
         If another argument does not make sense, or the path cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
-    check_request(duration, speed_scale, acceleration_scale, waypoints, corner_share)
+    check_request(duration, speed_scale, acceleration_scale, waypoints, corner_fraction)
     path = check_path(path, robot)
-    shares = LIMIT_SHARE * speed_scale, LIMIT_SHARE * acceleration_scale
-    request = _Request(robot, duration, *shares, waypoints, bounds)
+    fractions = LIMIT_FRACTION * speed_scale, LIMIT_FRACTION * acceleration_scale
+    request = _Request(robot, duration, *fractions, waypoints, bounds)
     pace, ends, inside = np.array(robot.velocity), path[[0, -1]], _off_the_edge(path, robot)
-    if corner_share is not None:
-        return request.run(rounded(inside, pace, corner_share), ends)
-    # a cubic spline swings past its points by a share of their distance
+    if corner_fraction is not None:
+        return request.run(rounded(inside, pace, corner_fraction), ends)
+    # a cubic spline swings past its points by a fraction of their distance
     for points in (path, with_midpoints(path)):
         try:
             return request.run(interpolated(points, pace), ends)
@@ -169,8 +169,8 @@ def time_curve(
         raise PlanningError(
             f"the requested top speed is {top_speed}, the spacing {spacing} s; expected positive numbers"
         )
-    shares = LIMIT_SHARE * speed_scale, LIMIT_SHARE * acceleration_scale
-    request = _Request(robot, None, *shares, None, bounds, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
+    fractions = LIMIT_FRACTION * speed_scale, LIMIT_FRACTION * acceleration_scale
+    request = _Request(robot, None, *fractions, None, bounds, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
     return request.timed(curve, curve(np.array([0.0, curve.length])), top_speed)
 
 
@@ -246,12 +246,12 @@ class TimedCurve:
 
 @dataclass(frozen=True)
 class _Request:
-    """How a curve is to be timed: shares are of the robot's limits, already with `LIMIT_SHARE`."""
+    """How a curve is to be timed: fractions are of the robot's limits, already with `LIMIT_FRACTION`."""
 
     robot: RobotModel
     duration: float | None
-    velocity_share: float
-    acceleration_share: float
+    velocity_fraction: float
+    acceleration_fraction: float
     waypoints: int | None
     bounds: PlanBounds
     spacing: float = WAYPOINT_SPACING
@@ -272,7 +272,7 @@ class _Request:
 
     def timed(self, curve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
         """Return the fastest motion along a curve."""
-        limits = MotionLimits.shares(self.robot, self.velocity_share, self.acceleration_share)
+        limits = MotionLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
         if getattr(curve, "straight", False):
             return self._slowed(curve, straight_progress(curve, limits, top_speed), ends)
         check_range(curve(_between(curve.knots)), self.robot)
@@ -281,13 +281,13 @@ class _Request:
         for rounds_left in range(self.local_rounds, -1, -1):
             self.bounds.check(progress.duration)
             times = np.linspace(0.0, progress.duration, math.ceil(progress.duration / self.spacing) + 1)
-            shares = _motion_shares(times, *_states(curve, progress, times)[1:], self.robot)
-            factor = self._too_fast(*shares, JERK_SHARE)
+            fractions = _motion_usage(times, *_states(curve, progress, times)[1:], self.robot)
+            factor = self._too_fast(*fractions, JERK_FRACTION)
             if not rounds_left or np.max(factor) <= self.local_slowing:
                 break
             search.slow_down(*_slower(progress, times, factor))
             progress = search.find()
-        return self._slowed(curve, progress, ends, float(np.max(self._too_fast(*shares))) * (1.0 - STRETCH_STEP))
+        return self._slowed(curve, progress, ends, float(np.max(self._too_fast(*fractions))) * (1.0 - STRETCH_STEP))
 
     def _slowed(self, curve, progress: Progress, ends: np.ndarray, least: float = 1.0) -> TimedCurve:
         """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
@@ -297,21 +297,22 @@ class _Request:
             if self.whole_cycles:
                 stretch = math.ceil(stretch * progress.duration / CYCLE - 1e-6) * CYCLE / progress.duration
             trajectory = self._build(curve, progress, stretch, ends)
-            factor = float(np.max(self._too_fast(*shares_over_time(trajectory, self.robot))))
+            factor = float(np.max(self._too_fast(*usage_over_time(trajectory, self.robot))))
             if factor <= 1.0:
                 return TimedCurve(trajectory, progress, stretch)
             stretch *= factor * (1.0 + STRETCH_STEP)
         raise PlanningError(f"the path cannot be slowed into the limits; {factor:.6f} times too fast remains")
 
     def _too_fast(
-        self, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, jerk_share: float = 1.0
+        self, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, jerk_fraction: float = 1.0
     ) -> np.ndarray:
-        """Return by which factor a motion must be slowed at each time, from its shares of the limits, to meet them."""
+        """Return by which factor a motion must be slowed at each time, from its fractions of the limits, to meet them."""
         return np.maximum(
             np.maximum(
-                velocity.max(axis=1) / self.velocity_share, np.sqrt(acceleration.max(axis=1) / self.acceleration_share)
+                velocity.max(axis=1) / self.velocity_fraction,
+                np.sqrt(acceleration.max(axis=1) / self.acceleration_fraction),
             ),
-            np.cbrt(jerk.max(axis=1) / jerk_share),
+            np.cbrt(jerk.max(axis=1) / jerk_fraction),
         )
 
     def _build(
@@ -342,10 +343,10 @@ def _states(curve, progress: Progress, times: np.ndarray) -> tuple[np.ndarray, n
     return s, first * sd, curve(s, 2) * sd**2 + first * sdd
 
 
-def _motion_shares(
+def _motion_usage(
     times: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray, robot: RobotModel
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each joint's share of the limits at some times of a motion, shape (m, n) each; jerk by differences."""
+    """Return each joint's fraction of the limits at some times of a motion, shape (m, n) each; jerk by differences."""
     jerks = np.diff(accelerations, axis=0) / np.diff(times)[:, None]
     jerks = np.concatenate((jerks, jerks[-1:]))
     values = np.abs(velocities), np.abs(accelerations), np.abs(jerks)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from construction_twin.core.motion_errors import TrajectoryError, WaypointsError
-from construction_twin.planning.limit_usage import cycle_times, measured_shares, range_excess
+from construction_twin.planning.limit_usage import cycle_times, measured_usage, range_excess
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import RobotModel
@@ -26,7 +26,7 @@ START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
 #: What counts as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
-#: Rounding allowed on a share of a limit.
+#: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
 
 
@@ -316,10 +316,10 @@ def _bends(times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> 
 def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotModel) -> None:
     """Check every 4 ms sample; name the waypoint that the motion is going to."""
     excess = range_excess(trajectory, robot)
-    shares = measured_shares(trajectory, robot)
+    fractions = measured_usage(trajectory, robot)
     checks = [("position", "", excess, 0.0, None)]
-    for (name, per), share in zip((("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")), shares):
-        checks.append((name, per, share, 1.0 + ROUNDING, getattr(robot, name)))
+    for (name, per), fraction in zip((("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")), fractions):
+        checks.append((name, per, fraction, 1.0 + ROUNDING, getattr(robot, name)))
     for name, per, found, most, limits in checks:
         beyond = np.argwhere(found > most)
         if not len(beyond):

@@ -34,8 +34,8 @@ class Clearance:
 
 
 @dataclass(frozen=True)
-class LimitShares:
-    """Largest share of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit.
+class LimitUsage:
+    """Largest fraction of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit.
 
     Attributes
     ----------
@@ -54,13 +54,13 @@ class PlanReport:
     Attributes
     ----------
     clearance : Clearance
-    shares : LimitShares
+    fractions : LimitUsage
     recheck_time : float
         Time the measurement took [s].
     """
 
     clearance: Clearance
-    shares: LimitShares
+    fractions: LimitUsage
     recheck_time: float
 
 

@@ -1,4 +1,4 @@
-"""What both directions of the telegrams share: names, channels and units, checked once at construction. Standard library only."""
+"""what both directions of the telegrams share: names, channels and units, checked once at construction. Standard library only."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from construction_twin.evaluation.alignment import TwinPath, Window, align_by_co
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS
 from construction_twin.scenario.definition import Scenario
-from construction_twin.scenario.motion import ROUNDING, distance_after, limit_shares, trace_arrays
+from construction_twin.scenario.motion import ROUNDING, distance_after, limit_usage, trace_arrays
 from construction_twin.scenario.timeline import Change, Run, SyncMoment
 from construction_twin.scenario.trace_check import trace_excesses
 
@@ -208,9 +208,9 @@ def _crossing(run: Run, closing: SyncMoment, begin: int) -> _Crossing | None:
     """Return how the error that closed the gate grew; None when it closed for another reason."""
     if not closing.error or run.recording.feedback is None:
         return None
-    shares = [error / threshold for error, threshold in zip(closing.error, closing.threshold)]
-    joint = shares.index(max(shares))
-    if shares[joint] <= 1.0:
+    fractions = [error / threshold for error, threshold in zip(closing.error, closing.threshold)]
+    joint = fractions.index(max(fractions))
+    if fractions[joint] <= 1.0:
         return None
     aligned = align_lag_removed(
         run.recording, Window(min(begin, run.start), closing.stamp, closing.stamp, False), _lag(closing)
@@ -296,7 +296,7 @@ def _corrections(trace: Sequence[TraceEntry], limits: MotionLimits, decimals: in
     if not trace:
         return [Check("corrections inside the limits", "a trace of the gateway", "an empty one", False)]
     excesses = trace_excesses(trace, limits, decimals)
-    velocity, acceleration = limit_shares(*trace_arrays(trace), limits, decimals)
+    velocity, acceleration = limit_usage(*trace_arrays(trace), limits, decimals)
     measured |= {"velocity_share": float(velocity.max()), "acceleration_share": float(acceleration.max())}
     found = "; ".join(map(str, excesses[:3])) or f"{len(trace)} replies inside"
     return [Check("corrections inside the limits", "every reply", found, not excesses)]
@@ -315,14 +315,14 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
             # the report of a new session is made in its first cycle
             near = np.abs(run.arm_stamps - change.stamp).argmin()
             breaks[max(0, near - 1) : near + 2] = True
-    velocity, acceleration = limit_shares(run.arm, breaks, limits, decimals)
+    velocity, acceleration = limit_usage(run.arm, breaks, limits, decimals)
     columns = [limits.names.index(name) for name in names]
     v, a = float(velocity[columns].max()), float(acceleration[columns].max())
     measured |= {"arm_velocity_share": v, "arm_acceleration_share": a}
     missed = np.zeros(len(run.arm), dtype=bool)
     for cycle in np.searchsorted(run.arm_stamps, run.missed_at):
         missed[max(0, cycle - _MISSED) : cycle + _MISSED + 1] = True
-    others = [float(share[columns].max()) for share in limit_shares(run.arm, breaks, limits, decimals, missed)]
+    others = [float(fraction[columns].max()) for fraction in limit_usage(run.arm, breaks, limits, decimals, missed)]
     found = f"velocity {others[0]:.3f}, acceleration {others[1]:.3f} of the limits beside {run.missed} missed replies"
     return [Check("sound joints inside the limits", "at most 1", found, max(others) <= 1.0 + ROUNDING)]
 

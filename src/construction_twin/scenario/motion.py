@@ -10,16 +10,16 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE
 from construction_twin.gateway.trace import TraceEntry
 
-#: Of a share of a limit: room for the last bits of differences of floating point numbers.
+#: Of a fraction of a limit: room for the last bits of differences of floating point numbers.
 ROUNDING = 1e-6
 #: After more missed telegrams than one the gateway takes the arm to be standing [ms].
 _STANDSTILL_MS = 8
 
 
-def limit_shares(
+def limit_usage(
     positions: np.ndarray, breaks: np.ndarray, limits: MotionLimits, decimals: int, left_out: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest velocity and acceleration of each joint as a share of its limit with the format's allowance.
+    """Return the largest velocity and acceleration of each joint as a fraction of its limit with the format's allowance.
 
     Parameters
     ----------

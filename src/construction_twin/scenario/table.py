@@ -60,7 +60,7 @@ def read_verdicts(folder: Path) -> dict[str, list[dict]]:
 
 
 def markdown_table(verdicts: dict[str, list[dict]]) -> str:
-    """Return the table over all runs: times as smallest to largest, errors and shares of the limits as the largest."""
+    """Return the table over all runs: times as smallest to largest, errors and fractions of the limits as the largest."""
     lines = ["| " + " | ".join(_HEAD) + " |", "|" + "---|" * len(_HEAD)]
     lines += ["| " + " | ".join(_row(name, runs)) + " |" for name, runs in verdicts.items()]
     return "\n".join(lines) + "\n"
@@ -90,12 +90,12 @@ def _row(name: str, runs: list[dict]) -> Iterable[str]:
     yield _span([m["detection_s"] for m in measured], 3)
     yield _span([m["detection_samples"] for m in measured], 0)
     yield f"{worst['worst_error_deg']:.3f} ({worst['worst_joint']})"
-    for share in ("velocity_share", "acceleration_share"):
-        yield f"{max(m[share] for m in measured):.3f}"
+    for fraction in ("velocity_share", "acceleration_share"):
+        yield f"{max(m[fraction] for m in measured):.3f}"
     yield _span([m["missed_replies"] for m in measured], 0)
     # None: no joint is sound
-    shares = [m["arm_acceleration_share"] for m in measured if m["arm_acceleration_share"] is not None]
-    yield f"{max(shares):.3f}" if shares else "–"
+    fractions = [m["arm_acceleration_share"] for m in measured if m["arm_acceleration_share"] is not None]
+    yield f"{max(fractions):.3f}" if fractions else "–"
     yield _span([m["stop_distance_deg"] for m in measured], 3)
     yield f"{sum(run['passed'] for run in runs)} of {len(runs)}"
 

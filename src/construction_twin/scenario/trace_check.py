@@ -15,7 +15,7 @@ from construction_twin.gateway.trace import TraceEntry
 
 #: After more missed telegrams than one the gateway takes the arm to be standing, and begins from rest [ms].
 _STANDSTILL_MS = 8
-#: Room for the last bits of differences of floating point numbers, as a share of a limit.
+#: Room for the last bits of differences of floating point numbers, as a fraction of a limit.
 _ROUNDING = 1e-6
 
 

@@ -20,7 +20,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, read_mesh_file
 
-#: A closed mesh is convex when no vertex lies further outside one of its faces than this share of its size.
+#: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
 _CONVEX_TOLERANCE = 1e-6
 
 

@@ -16,7 +16,7 @@ MOST_TRIANGLES = 100_000
 #: Smallest and largest size of a mesh after scaling, and how far away from its origin it may be [m]: beyond, its unit or
 #: its scale is wrong.
 SMALLEST, LARGEST = 1e-4, 1e4
-#: Below this share of its size squared a triangle has no area.
+#: Below this fraction of its size squared a triangle has no area.
 _FLAT = 1e-12
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _VERTEX = re.compile(r"^[ \t]*vertex[ \t]+(.*?)[ \t]*$", re.MULTILINE)

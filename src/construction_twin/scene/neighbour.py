@@ -213,8 +213,8 @@ class Neighbour:
             if max(self._way(start - known_start), self._way(end - known_end)) <= ROUNDING / 2.0:
                 return obstacles
         count = 1 + int(np.ceil(self._way(end - start) / self.step))
-        shares = np.linspace(0.0, 1.0, count + 1)[:, None]
-        obstacles = tuple(item.padded(ROUNDING) for item in self.along(start + shares * (end - start)).rest())
+        fractions = np.linspace(0.0, 1.0, count + 1)[:, None]
+        obstacles = tuple(item.padded(ROUNDING) for item in self.along(start + fractions * (end - start)).rest())
         self._standing = start, end, obstacles
         return obstacles
 

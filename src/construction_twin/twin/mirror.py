@@ -58,8 +58,8 @@ class MirrorTwin:
         cycles = min(max(1, round((stamp - self._stamp) / CYCLE_NS)), MOST_CYCLES) if self._stamp else 1
         last, self._target, self._stamp = self._target, q, stamp
         for cycle in range(1, cycles + 1):
-            share = cycle / cycles
+            fraction = cycle / cycles
             pose = self._follower.follow(
-                q if cycle == cycles else tuple([a + share * (b - a) for a, b in zip(last, q)])
+                q if cycle == cycles else tuple([a + fraction * (b - a) for a, b in zip(last, q)])
             )
         return pose

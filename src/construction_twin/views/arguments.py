@@ -106,7 +106,9 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
 
 
 def _add_pace(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--speed", type=_share, metavar="PERCENT", help="share of the velocity limits [the planner's]")
+    command.add_argument(
+        "--speed", type=_fraction, metavar="PERCENT", help="fraction of the velocity limits [the planner's]"
+    )
     command.add_argument("--duration", type=_positive, metavar="S", help="duration [as short as the speed allows]")
 
 
@@ -172,7 +174,7 @@ def _percent(text: str) -> float:
     return _positive(text) / 100.0
 
 
-def _share(text: str) -> float:
+def _fraction(text: str) -> float:
     value = _percent(text)
     if value > 1.0:
         raise argparse.ArgumentTypeError(f"{text!r} is above 100 percent")

@@ -95,11 +95,11 @@ def _errors(error: float, threshold: float, linear: bool) -> str:
 
 def bar(error: float, threshold: float) -> Text:
     """Return a bar that is full when the error is at its threshold; red beyond it, question marks when it is no number."""
-    share = error / threshold if threshold > 0.0 else math.inf
+    fraction = error / threshold if threshold > 0.0 else math.inf
     if not math.isfinite(error) or math.isnan(threshold):
         return Text("?" * BAR, style="red")
-    cells = BAR if share >= 1.0 else math.floor(share * BAR)
-    style = "red" if share > 1.0 else "yellow" if share > 0.5 else "green"
+    cells = BAR if fraction >= 1.0 else math.floor(fraction * BAR)
+    style = "red" if fraction > 1.0 else "yellow" if fraction > 0.5 else "green"
     return Text.assemble(("█" * cells, style), ("░" * (BAR - cells), "dim"))
 
 

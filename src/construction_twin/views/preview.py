@@ -156,8 +156,8 @@ def picture(plan: Plan, tool_position: Callable[[np.ndarray], np.ndarray]) -> Pl
 
 
 def describe(plan: Plan) -> str:
-    """Return the plan's duration, closest clearance and largest shares of the limits, some lines of text."""
-    clearance, shares = plan.report.clearance, plan.report.shares
+    """Return the plan's duration, closest clearance and largest fractions of the limits, some lines of text."""
+    clearance, fractions = plan.report.clearance, plan.report.fractions
     lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
     if math.isfinite(clearance.distance):
         where = ", ".join(f"{value:.2f}" for value in clearance.point)
@@ -165,8 +165,8 @@ def describe(plan: Plan) -> str:
         lines.append(f"closest {clearance.distance:.3f} m, {between}, after {clearance.time:.2f} s at ({where}) m")
     else:
         lines.append("nothing to touch")
-    lines.append("largest share of velocity / acceleration / jerk:")
-    rows = zip(plan.trajectory.joint_names, shares.velocity, shares.acceleration, shares.jerk)
+    lines.append("largest fraction of velocity / acceleration / jerk:")
+    rows = zip(plan.trajectory.joint_names, fractions.velocity, fractions.acceleration, fractions.jerk)
     lines += [
         f"{joint}: {velocity:.0%} / {acceleration:.0%} / {jerk:.0%}" for joint, velocity, acceleration, jerk in rows
     ]

@@ -69,7 +69,7 @@ class ExecutionFacts:
     start, duration : float
         Nominal time of the plan's first setpoint, 0 for none; its length [s].
     rate, speed_limit : float
-        Share of the planned speed now, and the share that is allowed.
+        Fraction of the planned speed now, and the fraction that is allowed.
     """
 
     text: str

@@ -39,20 +39,20 @@ def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
         f"asked by   {plan.source}, made by {plan.planner} in {plan.planning_time:.2f} s",
         f"duration   {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints",
         f"clearance  {closest}",
-        f"limits     {_shares(plan)}",
+        f"limits     {_fractions(plan)}",
         f"goal       {goal}",
     ]
 
 
-def _shares(plan: Plan) -> str:
-    shares, names = plan.report.shares, plan.trajectory.joint_names
+def _fractions(plan: Plan) -> str:
+    fractions, names = plan.report.fractions, plan.trajectory.joint_names
     parts = []
     for quantity in ("velocity", "acceleration", "jerk"):
-        values = getattr(shares, quantity)
+        values = getattr(fractions, quantity)
         if values:
             largest = max(range(len(values)), key=values.__getitem__)
             parts.append(f"{quantity} {values[largest]:.0%} ({names[largest]})")
-    return "largest shares: " + ", ".join(parts) if parts else "not measured"
+    return "largest fractions: " + ", ".join(parts) if parts else "not measured"
 
 
 def status_lines(snapshot: Snapshot) -> list[str]:

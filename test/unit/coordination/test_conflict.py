@@ -14,7 +14,7 @@ from neighbour_cell import AWAY, CLEAR, NEAR, STRETCHED, TOWARDS, empty_world, l
 from planning_cell import HOME, ROBOT
 
 from construction_twin.coordination import conflict as conflict_module
-from construction_twin.coordination.conflict import Claim, Conflict, OwnWay, braking_horizon, gives_way
+from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, braking_horizon, gives_way
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import PayloadError
 from construction_twin.execution.conflict_verdicts import AHEAD, VERDICT_TIMEOUT, NeighbourWatch
@@ -32,19 +32,19 @@ def own_arm() -> Neighbour:
     return Neighbour("own", ROBOT, Pose(np.zeros(3), np.eye(3)), OWN_STEP)
 
 
-def way(start=CLEAR, end=NEAR) -> OwnWay:
-    return OwnWay(plan(start, end), own_arm())
+def way(start=CLEAR, end=NEAR) -> OwnPath:
+    return OwnPath(plan(start, end), own_arm())
 
 
-def rows(made: OwnWay) -> np.ndarray:
+def rows(made: OwnPath) -> np.ndarray:
     return made.plan.trajectory.sample_many(made._sweep.times)[0]
 
 
-def row(made: OwnWay, share: float) -> int:
-    return int(share * (len(rows(made)) - 1))
+def row(made: OwnPath, fraction: float) -> int:
+    return int(fraction * (len(rows(made)) - 1))
 
 
-def conflict(made: OwnWay, obstacles, at: int = 0) -> Conflict | None:
+def conflict(made: OwnPath, obstacles, at: int = 0) -> Conflict | None:
     return made.look(obstacles, PADDING, at).conflict
 
 
@@ -121,16 +121,16 @@ def test_a_look_takes_what_is_near_and_no_more_than_its_budget_beyond(compared):
     near = whole.copies_before(126)
     assert 0 < near < copies - 200
     look = made.look(obstacles, PADDING, 0, 0.5)
-    assert look.conflict is None and sum(compared) == -(-near // 16) * 16 and 0.1 < look.share < 0.3
-    shares = []
-    while look.share < 1.0:
+    assert look.conflict is None and sum(compared) == -(-near // 16) * 16 and 0.1 < look.fraction < 0.3
+    fractions = []
+    while look.fraction < 1.0:
         compared.clear()
         look = made.look(obstacles, PADDING, 0, 0.5, 1)
         assert look.conflict is None and 0 < sum(compared) <= 16
-        shares.append(look.share)
-    assert len(shares) >= (copies - near) // 16 and shares == sorted(set(shares))
+        fractions.append(look.fraction)
+    assert len(fractions) >= (copies - near) // 16 and fractions == sorted(set(fractions))
     compared.clear()
-    assert made.look(obstacles, PADDING, 0, 0.5, 1).share == 1.0 and not compared
+    assert made.look(obstacles, PADDING, 0, 0.5, 1).fraction == 1.0 and not compared
 
 
 def test_many_looks_find_the_same_conflict_as_one_and_keep_it_without_looking_again(compared):
@@ -138,7 +138,7 @@ def test_many_looks_find_the_same_conflict_as_one_and_keep_it_without_looking_ag
     whole, made = conflict(way(), obstacles), way()
     look = made.look(obstacles, PADDING, 0, 0.1, 1)
     while look.conflict is None:
-        assert look.share < 1.0
+        assert look.fraction < 1.0
         look = made.look(obstacles, PADDING, 0, 0.1, 1)
     assert look.conflict == whole
     compared.clear()
@@ -154,13 +154,13 @@ def test_a_conflict_with_what_the_other_arm_has_left_behind_is_over():
 
 def test_new_obstacles_need_no_new_look_at_the_old_ones(compared):
     made, old = way(CLEAR, HOME + np.radians([60, 0, 0, 0, 0, 0])), other().along(line(AWAY, AWAY + 0.3)).rest()
-    assert made.look(old, PADDING, 0, 0.1, 1).share < 1.0
+    assert made.look(old, PADDING, 0, 0.1, 1).fraction < 1.0
     for shift in range(1, 20):
         beside = other().along(np.array([AWAY + 0.01 * shift])).rest()
         look = made.look((*old, *beside), PADDING, 0, 0.1, 30_000)
-    assert look.conflict is None and look.share < 1.0
+    assert look.conflict is None and look.fraction < 1.0
     compared.clear()
-    assert made.look(old, PADDING, 0, 0.1, 1).share == 1.0 and not compared
+    assert made.look(old, PADDING, 0, 0.1, 1).fraction == 1.0 and not compared
 
 
 @settings(max_examples=40, deadline=None)

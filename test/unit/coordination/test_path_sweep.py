@@ -28,14 +28,14 @@ def sweep(standing: bool = True) -> PathSweep:
 
 def test_it_grows_by_sections_and_until_a_row_to_its_end():
     made = sweep()
-    shares = []
+    fractions = []
     while not made.complete:
         made.grow()
-        shares.append(made.share)
-    assert shares == sorted(set(shares)) and shares[-1] == 1.0 and len(shares) == -(-1000 // 150)
+        fractions.append(made.fraction)
+    assert fractions == sorted(set(fractions)) and fractions[-1] == 1.0 and len(fractions) == -(-1000 // 150)
     again = sweep()
     again.grow(400)
-    assert again.share == 450 / 1000
+    assert again.fraction == 450 / 1000
     again.grow(10**6)
     assert again.complete and len(again.copies) == len(made.copies)
 
@@ -77,5 +77,5 @@ def test_an_arm_far_along_is_found_by_making_the_sections_until_there():
     made = sweep()
     q = PLAN.trajectory.sample_many(np.array([2.0]))[0][0]
     assert 450 < made.row_of(q) <= 500
-    assert made.share < 0.7
+    assert made.fraction < 0.7
     assert made.row_of(q + 1.0) is None and made.complete

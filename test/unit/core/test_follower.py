@@ -201,17 +201,17 @@ def test_braking_goes_on_in_the_direction_of_the_motion():
 # -- a limit on the chase ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("share", [0.05, 0.3])
-def test_a_limited_chase_keeps_to_its_share_and_arrives(share):
+@pytest.mark.parametrize("fraction", [0.05, 0.3])
+def test_a_limited_chase_keeps_to_its_share_and_arrives(fraction):
     watched, steps = Watched(decimals=6), []
-    watched.follower.limit(share)
+    watched.follower.limit(fraction)
     while watched.q != (0.1, -0.5):
         watched.follow((0.1, -0.5))
         steps.append(watched.step)
     fastest = [
         max(abs(step[axis]) / velocity / CYCLE for step in steps) for axis, velocity in enumerate(LIMITS.velocity)
     ]
-    assert max(fastest) == pytest.approx(share, rel=1e-9)
+    assert max(fastest) == pytest.approx(fraction, rel=1e-9)
 
 
 def test_at_0_nothing_is_chased_and_what_moves_brakes_within_the_limits():
@@ -305,12 +305,12 @@ def test_every_output_is_inside_the_limits_whatever_is_asked(phases, decimals, s
     st.sampled_from((1.0, 0.5, 0.05)),
 )
 @example([], 3, (0.15, -3.2), 1.0)
-def test_after_whatever_was_asked_it_comes_to_rest_exactly_on_a_constant_target(phases, decimals, target, share):
+def test_after_whatever_was_asked_it_comes_to_rest_exactly_on_a_constant_target(phases, decimals, target, fraction):
     watched = Watched(decimals=decimals)
     for phase in phases:
         perform(watched, phase)
-    watched.follower.limit(share)
-    assert watched.cycles_to(target, math.ceil(watched.bound(target) / share)) is not None
+    watched.follower.limit(fraction)
+    assert watched.cycles_to(target, math.ceil(watched.bound(target) / fraction)) is not None
 
 
 @settings(max_examples=100, deadline=None)
@@ -343,9 +343,9 @@ def test_with_few_decimals_a_target_is_not_shot_past_for_ever(decimals, speed):
     st.lists(st.integers(1, 250), min_size=1, max_size=3),
     st.sampled_from([3, 6]),
 )
-def test_who_catches_up_with_a_target_that_brakes_does_not_shoot_past_its_end(share, way, stops, decimals):
-    """The target runs up and brakes at a share of the limits; missed replies stop the arm dead on the way."""
-    budget, top = share * LIMITS.acceleration[1] * CYCLE**2, share * LIMITS.velocity[1] * CYCLE
+def test_who_catches_up_with_a_target_that_brakes_does_not_shoot_past_its_end(fraction, way, stops, decimals):
+    """The target runs up and brakes at a fraction of the limits; missed replies stop the arm dead on the way."""
+    budget, top = fraction * LIMITS.acceleration[1] * CYCLE**2, fraction * LIMITS.velocity[1] * CYCLE
     places, step = [0.0], 0.0
     while places[-1] < way:
         step = min(step + budget, top, braking_step(way - places[-1], budget))

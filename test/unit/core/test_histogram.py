@@ -46,15 +46,15 @@ def test_one_outlier_in_a_thousand_shows_beyond_p99_9_only():
     assert summary["max"] == 50_000
 
 
-@pytest.mark.parametrize("share", [0.01, 0.5, 0.9, 0.99, 0.999, 1.0])
-def test_percentiles_are_at_most_one_bin_above_the_exact_ones(share):
+@pytest.mark.parametrize("fraction", [0.01, 0.5, 0.9, 0.99, 0.999, 1.0])
+def test_percentiles_are_at_most_one_bin_above_the_exact_ones(fraction):
     rng = random.Random(7)
     values = sorted(rng.lognormvariate(5.5, 0.8) for _ in range(5000))
     histogram = Histogram.of_microseconds()
     for value in values:
         histogram.add(value)
-    exact = values[math.ceil(share * len(values)) - 1]
-    assert exact <= histogram.percentile(share) <= max(exact * 1.1 + 1, histogram.edges[0])
+    exact = values[math.ceil(fraction * len(values)) - 1]
+    assert exact <= histogram.percentile(fraction) <= max(exact * 1.1 + 1, histogram.edges[0])
 
 
 def test_bins_reach_from_some_10_us_to_100_ms_in_steps_of_a_tenth():

@@ -22,12 +22,12 @@ def around(function, earlier, period, later):
 
 
 @given(PERIODS, PERIODS, PERIODS, st.floats(0, 1), st.floats(-5, 5), st.floats(-3, 3), st.floats(-3, 3))
-def test_constant_acceleration_is_met_exactly_over_any_stamps(earlier, period, later, share, a, b, c):
+def test_constant_acceleration_is_met_exactly_over_any_stamps(earlier, period, later, fraction, a, b, c):
     def motion(t):
         return a * t * t + b * t + c
 
     before, start, end, after = around(motion, earlier, period, later)
-    offset = int(share * period)
+    offset = int(fraction * period)
     (value,) = interpolate(T0 + offset, start, end, before, after)
     # the last bit of a position, seen as a slope over a period that is far shorter than the one in between
     rounding = 1e-15 * period / min(earlier, later)
@@ -35,8 +35,8 @@ def test_constant_acceleration_is_met_exactly_over_any_stamps(earlier, period, l
 
 
 @given(PERIODS, PERIODS, PERIODS, st.floats(0, 1))
-def test_weights_are_those_of_the_hermite_cubic_with_parabola_tangents(earlier, period, later, share):
-    offset = int(share * period)
+def test_weights_are_those_of_the_hermite_cubic_with_parabola_tangents(earlier, period, later, fraction):
+    offset = int(fraction * period)
     e, p, n, u = Fraction(earlier), Fraction(period), Fraction(later), Fraction(offset, period)
     h00, h10, h01, h11 = 2 * u**3 - 3 * u**2 + 1, u**3 - 2 * u**2 + u, 3 * u**2 - 2 * u**3, u**3 - u**2
     q = [Fraction(value) for value in (0.3, -0.1, 0.7, 2.0)]
@@ -50,9 +50,9 @@ def test_weights_are_those_of_the_hermite_cubic_with_parabola_tangents(earlier, 
 
 
 @given(PERIODS, PERIODS, PERIODS, st.floats(0, 1), st.floats(-7, 7))
-def test_equal_poses_give_exactly_that_pose(earlier, period, later, share, q):
+def test_equal_poses_give_exactly_that_pose(earlier, period, later, fraction, q):
     before, start, end, after = around(lambda _: q, earlier, period, later)
-    assert interpolate(T0 + int(share * period), start, end, before, after) == (q,)
+    assert interpolate(T0 + int(fraction * period), start, end, before, after) == (q,)
 
 
 def test_stamps_give_their_own_poses_exactly():
@@ -63,8 +63,8 @@ def test_stamps_give_their_own_poses_exactly():
 
 
 @given(PERIODS, st.floats(0, 1), st.floats(-7, 7), st.floats(-7, 7))
-def test_between_two_poses_alone_it_is_linear_to_the_last_digits_at_any_epoch(period, share, a, b):
-    offset = int(share * period)
+def test_between_two_poses_alone_it_is_linear_to_the_last_digits_at_any_epoch(period, fraction, a, b):
+    offset = int(fraction * period)
     (value,) = interpolate(T0 + offset, (T0, (a,)), (T0 + period, (b,)))
     assert float(Fraction(a) + (Fraction(b) - Fraction(a)) * Fraction(offset, period)) == pytest.approx(
         value, abs=2e-14

@@ -1,4 +1,4 @@
-"""The motion check that gate and gateway share."""
+"""The motion check that gate and gateway fraction."""
 
 from __future__ import annotations
 

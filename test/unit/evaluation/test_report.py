@@ -105,7 +105,7 @@ def test_what_was_never_counted_is_zero_once_the_gateway_reports():
 
 
 @pytest.mark.parametrize(
-    "counts, share, expected",
+    "counts, fraction, expected",
     [
         ((1, 0, 0), 0.5, 10),
         ((50, 50, 0), 0.5, 10),
@@ -116,8 +116,8 @@ def test_what_was_never_counted_is_zero_once_the_gateway_reports():
         ((0, 0, 0), 0.5, None),
     ],
 )
-def test_percentile_of_a_histogram(counts, share, expected):
-    assert percentile((10, 20), counts, share) == expected
+def test_percentile_of_a_histogram(counts, fraction, expected):
+    assert percentile((10, 20), counts, fraction) == expected
 
 
 def test_percentiles_of_values():

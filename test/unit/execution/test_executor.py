@@ -206,8 +206,8 @@ class TestPlaying:
         assert within_acceleration(bench.outputs)
         slow = np.diff(bench.run(3), axis=0)[0] / CYCLE
         planned = np.array([motion.sample(t)[1] for t in np.linspace(0.0, 4.0, 4001)])
-        share = np.abs(slow - 0.25 * planned).max(axis=1).min()
-        assert share < 1e-3
+        fraction = np.abs(slow - 0.25 * planned).max(axis=1).min()
+        assert fraction < 1e-3
 
     @pytest.mark.parametrize("factor", [-0.1, 1.001, float("nan")])
     def test_refuses_a_rate_that_is_no_share_of_the_planned_one(self, bench, factor):

@@ -57,9 +57,9 @@ class TestApproval:
         assert set(bench.run(10)) == {ROBOT.home}
 
     @pytest.mark.parametrize("joint", range(6))
-    @pytest.mark.parametrize("share, accepted", [(0.99, True), (1.01, False), (-1.01, False)])
-    def test_only_from_the_pose_it_was_planned_from(self, bench, joint, share, accepted):
-        start = tuple(q + share * START_TOLERANCE * (i == joint) for i, q in enumerate(ROBOT.home))
+    @pytest.mark.parametrize("fraction, accepted", [(0.99, True), (1.01, False), (-1.01, False)])
+    def test_only_from_the_pose_it_was_planned_from(self, bench, joint, fraction, accepted):
+        start = tuple(q + fraction * START_TOLERANCE * (i == joint) for i, q in enumerate(ROBOT.home))
         plan = make_plan(motion=reach(start=start))
         if accepted:
             bench.approve(plan)

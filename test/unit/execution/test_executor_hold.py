@@ -58,8 +58,8 @@ class TestHeld:
         rest = bench.outputs[begin:]
         assert rest[-1] == GOAL and bench.executor.outcome == "finished" and len(bench.records) == 1
         assert within_acceleration(bench.outputs[begin - 3 :])
-        shares = (np.array(rest) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
-        assert np.ptp(shares, axis=1).max() < 1e-12 and (np.diff(shares[:, 0]) >= 0.0).all()
+        fractions = (np.array(rest) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
+        assert np.ptp(fractions, axis=1).max() < 1e-12 and (np.diff(fractions[:, 0]) >= 0.0).all()
         assert bench.twin == bench.codec.quantise(GOAL)
 
     def test_a_hold_that_comes_back_before_it_moves_is_one_hold(self, bench):

@@ -38,9 +38,9 @@ class TestStop:
         assert bench.executor.outcome == "stopped" and set(bench.outputs[-3:]) == {braking[-1]}
         assert 1 < len(braking) < 250 and within_acceleration(bench.outputs)
         start, way = np.array(ROBOT.home), np.array(GOAL) - np.array(ROBOT.home)
-        share = (np.array(braking) - start) / way
-        assert np.ptp(share, axis=1).max() < 1e-12
-        assert (np.diff(share[:, 0]) >= 0.0).all() and share[-1, 0] < 0.8
+        fraction = (np.array(braking) - start) / way
+        assert np.ptp(fraction, axis=1).max() < 1e-12
+        assert (np.diff(fraction[:, 0]) >= 0.0).all() and fraction[-1, 0] < 0.8
 
     def test_brakes_about_as_short_as_the_limits_allow(self):
         motion = reach()
@@ -88,17 +88,17 @@ class TestStop:
 
     @settings(max_examples=40, deadline=None)
     @given(st.integers(0, 2**32), st.integers(2, 6), st.sampled_from([0.01, 0.1, 1.0]), st.floats(0.0, 1.01))
-    def test_brakes_inside_the_acceleration_limits_wherever_it_is_asked_to(self, seed, waypoints, span, share):
+    def test_brakes_inside_the_acceleration_limits_wherever_it_is_asked_to(self, seed, waypoints, span, fraction):
         motion = limited_motion(np.random.default_rng(seed), waypoints, span)
-        bench, braking = stop_after(motion, int(share * motion.duration / CYCLE))
+        bench, braking = stop_after(motion, int(fraction * motion.duration / CYCLE))
         assert within_acceleration(bench.outputs)
         assert len(braking) * CYCLE < 2.0 or bench.executor.outcome == "finished"
 
-    @pytest.mark.parametrize("share", [0.05, 0.3, 0.5, 0.9])
-    def test_brakes_a_planned_motion_inside_the_limits(self, share):
+    @pytest.mark.parametrize("fraction", [0.05, 0.3, 0.5, 0.9])
+    def test_brakes_a_planned_motion_inside_the_limits(self, fraction):
         way = np.array([ROBOT.home, GOAL, np.array(ROBOT.home) + [0.2, 0.4, -0.1, -0.5, 0.3, 1.0]])
         motion = time_path(way, ROBOT)
-        bench, _ = stop_after(motion, int(share * motion.duration / CYCLE))
+        bench, _ = stop_after(motion, int(fraction * motion.duration / CYCLE))
         assert bench.executor.outcome == "stopped" and within_acceleration(bench.outputs)
 
     def test_a_changed_scene_stops_on_the_path(self, bench):
@@ -139,8 +139,8 @@ class TestPause:
         pausing = pause_after(bench, 250)
         assert set(bench.run(500)) == {pausing[-1]}
         assert bench.state is ExecutorState.PAUSED and within_acceleration(bench.outputs)
-        share = (np.array(pausing[-1]) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
-        assert np.ptp(share) < 1e-12 and 0.5 < share[0] < 0.9
+        fraction = (np.array(pausing[-1]) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
+        assert np.ptp(fraction) < 1e-12 and 0.5 < fraction[0] < 0.9
 
     def test_a_plan_asked_for_before_the_pause_is_void_when_it_arrives_and_one_that_waits_is_not(self, bench):
         bench.play(make_plan(), 250)
@@ -159,8 +159,8 @@ class TestPause:
         outputs = bench.run_until_idle()
         assert outputs[-1] == GOAL and bench.executor.outcome == "finished"
         assert len(bench.records) == 1 and within_acceleration(bench.outputs)
-        shares = (np.array(bench.outputs[4:]) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
-        assert np.ptp(shares, axis=1).max() < 1e-12 and (np.diff(shares[:, 0]) >= 0.0).all()
+        fractions = (np.array(bench.outputs[4:]) - ROBOT.home) / (np.array(GOAL) - ROBOT.home)
+        assert np.ptp(fractions, axis=1).max() < 1e-12 and (np.diff(fractions[:, 0]) >= 0.0).all()
 
     def test_before_the_first_setpoint_nothing_moves_until_resumed(self, bench):
         bench.approve(make_plan())

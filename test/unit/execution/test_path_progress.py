@@ -30,8 +30,8 @@ def planned(seed: int, points: int = 3, span: float = 0.3, **timing) -> Trajecto
     return time_path(path, ROBOT, **timing)
 
 
-def shares(outputs: list) -> tuple[float, float]:
-    """Largest shares of the acceleration and jerk limits, the rest after the last setpoint included."""
+def fractions(outputs: list) -> tuple[float, float]:
+    """Largest fractions of the acceleration and jerk limits, the rest after the last setpoint included."""
     rows = np.array(outputs + outputs[-1:] * 3)
     acceleration = np.abs(np.diff(rows, 2, axis=0)) / CYCLE**2 / ACCELERATION
     return acceleration.max(), (np.abs(np.diff(rows, 3, axis=0)) / CYCLE**3 / JERK).max()
@@ -106,7 +106,7 @@ def test_a_planned_motion_stays_inside_the_acceleration_limits_whatever_the_rate
     for rate, cycles in changes:
         play(progress, outputs, [rate] * cycles)
     play_to_the_end(progress, outputs)
-    assert shares(outputs)[0] <= 1.0 + 1e-9
+    assert fractions(outputs)[0] <= 1.0 + 1e-9
     assert outputs[-1] == tuple(motion.positions[-1])
 
 
@@ -116,17 +116,17 @@ def test_pauses_and_resumes_of_planned_motions_are_gentle(speed_scale, bound):
     soft, hard = [], []
     for seed in range(12):
         motion = planned(seed, 2, 0.6, speed_scale=speed_scale)
-        for share in (0.2, 0.4, 0.6, 0.8):
+        for fraction in (0.2, 0.4, 0.6, 0.8):
             progress, outputs = start(motion)
-            play(progress, outputs, [1.0] * int(share * motion.duration / CYCLE))
+            play(progress, outputs, [1.0] * int(fraction * motion.duration / CYCLE))
             play_until_rest(progress, outputs)
             play_to_the_end(progress, outputs)
-            soft.append(shares(outputs)[1])
+            soft.append(fractions(outputs)[1])
             progress, outputs = start(motion)
-            play(progress, outputs, [1.0] * int(share * motion.duration / CYCLE))
+            play(progress, outputs, [1.0] * int(fraction * motion.duration / CYCLE))
             while not progress.at_rest and not progress.finished:
                 outputs.append(progress.brake())
-            hard.append(shares(outputs)[1])
+            hard.append(fractions(outputs)[1])
     assert max(soft) <= bound
     assert np.median(hard) >= 10.0
 
@@ -150,19 +150,19 @@ def test_even_a_motion_at_the_acceleration_limit_stays_inside_it(seed, points, s
         outputs.append(progress.advance(1.0))
         elapsed.append(progress.elapsed)
     # the differences of positions around 1 rad carry 1e-15 / (4 ms)^2 of rounding
-    assert shares(outputs)[0] <= 1.0 + 1e-9
+    assert fractions(outputs)[0] <= 1.0 + 1e-9
     assert outputs[2:] == [tuple(motion.sample(t)[0].tolist()) for t in elapsed]
     assert np.diff(elapsed).min() >= 0.0
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("fraction", [0.1, 0.3, 0.5, 0.7, 0.9])
 @pytest.mark.parametrize("speed_scale", [0.3, 1.0])
-def test_a_pause_takes_little_longer_than_braking_hard(share, speed_scale):
+def test_a_pause_takes_little_longer_than_braking_hard(fraction, speed_scale):
     motion = planned(7, 2, 0.6, speed_scale=speed_scale)
 
     def cycles_to_rest(step) -> int:
         progress, outputs = start(motion)
-        play(progress, outputs, [1.0] * int(share * motion.duration / CYCLE))
+        play(progress, outputs, [1.0] * int(fraction * motion.duration / CYCLE))
         cycles = 0
         while not progress.at_rest and not progress.finished:
             step(progress)
@@ -180,7 +180,7 @@ def test_a_ramp_whose_goal_changes_goes_on_smoothly():
     for rate in (0.0, 1.0, 0.0, 0.5, 1.0):
         play(progress, outputs, [rate] * 13)
     play_to_the_end(progress, outputs)
-    acceleration, jerk = shares(outputs)
+    acceleration, jerk = fractions(outputs)
     assert acceleration <= 1.0 and jerk <= 2.5
 
 
@@ -195,7 +195,7 @@ def test_a_pause_does_not_wait_for_the_end_of_a_ramp_up(cycles):
     play_until_rest(progress, outputs)
     assert len(outputs) - before <= 150 and not progress.finished
     play_to_the_end(progress, outputs)
-    assert shares(outputs)[0] <= 1.0 + 1e-9
+    assert fractions(outputs)[0] <= 1.0 + 1e-9
 
 
 def test_braking_ends_a_ramp_and_can_be_taken_up_again():
@@ -206,4 +206,4 @@ def test_braking_ends_a_ramp_and_can_be_taken_up_again():
     while not progress.at_rest:
         outputs.append(progress.brake())
     play_to_the_end(progress, outputs)
-    assert shares(outputs)[0] <= 1.0 + 1e-9 and outputs[-1] == tuple(motion.positions[-1])
+    assert fractions(outputs)[0] <= 1.0 + 1e-9 and outputs[-1] == tuple(motion.positions[-1])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import SETPOINTS_AT_ONCE
-from construction_twin.execution.stopping import StoppingForecast, StoppingWay, way_along
+from construction_twin.execution.stopping import StoppingForecast, StoppingPath, distance_along
 from construction_twin.monitor.gate import SyncState
 
 
@@ -22,24 +22,24 @@ def way(rows) -> np.ndarray:
 
 class TestText:
     def test_names_the_joint_that_moves_most(self):
-        text = StoppingWay((0.0, 0.1, 0.2, 0.0, -0.0, 0.05), 0.2124).text(ROBOT)
+        text = StoppingPath((0.0, 0.1, 0.2, 0.0, -0.0, 0.05), 0.2124).text(ROBOT)
         assert text == f"0.212 s and at most {np.rad2deg(0.2):.3f} deg of joint_a3"
 
     def test_names_the_linear_joint_too_in_mm(self):
         robot = replace(ROBOT, linear=(True, *ROBOT.linear[1:]))
-        assert "0.100 deg of joint_a2, 250.000 mm of joint_a1" in StoppingWay(
+        assert "0.100 deg of joint_a2, 250.000 mm of joint_a1" in StoppingPath(
             (0.25, np.deg2rad(0.1), 0, 0, 0, 0), 1.0
         ).text(robot)
 
     def test_tells_of_the_arm_only_where_its_lag_is_known(self):
-        one = StoppingWay((0.1,) * 6, 0.2)
+        one = StoppingPath((0.1,) * 6, 0.2)
         assert "the arm" not in StoppingForecast(one, one, 0.0).text(ROBOT)
         assert "the arm, 0.050 s behind" in StoppingForecast(one, one, 0.05).text(ROBOT)
 
 
 def test_ways_there_and_back_add_up():
-    assert way_along([(0.0, 1.0), (0.5, 1.0), (0.25, 0.0)]) == StoppingWay((0.75, 1.0), 2 * CYCLE)
-    assert way_along([(0.0, 1.0)]) == StoppingWay((0.0, 0.0), 0.0)
+    assert distance_along([(0.0, 1.0), (0.5, 1.0), (0.25, 0.0)]) == StoppingPath((0.75, 1.0), 2 * CYCLE)
+    assert distance_along([(0.0, 1.0)]) == StoppingPath((0.0, 0.0), 0.0)
 
 
 @settings(max_examples=40, deadline=None)
@@ -51,12 +51,12 @@ def test_ways_there_and_back_add_up():
     st.sampled_from([1.0, 0.4]),
     st.floats(0.0, 0.3),
 )
-def test_the_motion_after_a_stop_is_the_stated_one(seed, waypoints, span, share, rate, lag):
+def test_the_motion_after_a_stop_is_the_stated_one(seed, waypoints, span, fraction, rate, lag):
     motion = limited_motion(np.random.default_rng(seed), waypoints, span)
     bench = Bench().ready()
     bench.executor.lag = lag
     bench.executor.limit_rate(rate)
-    bench.play(make_plan(motion=motion), 1 + int(share * motion.duration / CYCLE))
+    bench.play(make_plan(motion=motion), 1 + int(fraction * motion.duration / CYCLE))
     if bench.state is not ExecutorState.PLAYING:
         return
     bench.executor.stop(bench.stamp)

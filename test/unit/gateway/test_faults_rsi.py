@@ -23,14 +23,14 @@ def report(name, cell, since=0):
 
 
 def assert_recovered(cell):
-    """The assertions that every case shares."""
+    """The assertions that every case fractions."""
     cell.wait_until_following()
     cell.assert_within_limits()
     assert cell.counter("stops_refused") == 0, cell.describe()
 
 
 def test_lost_late_repeated_and_reordered_datagrams(tmp_path):
-    with FaultCell(tmp_path, udp=True, share=0.35) as cell:
+    with FaultCell(tmp_path, udp=True, fraction=0.35) as cell:
         goals, worst = [HOME, GOAL], {}
         for name, profile in UDP_PROFILES.items():
             since, carried = len(cell.packets), dict(cell.udp.counters)
@@ -41,13 +41,13 @@ def test_lost_late_repeated_and_reordered_datagrams(tmp_path):
             cell.impair_rsi(Profile())
             cell.wait_until_following()
             worst[name] = report(name, cell, since)
-            for counter, share in (
+            for counter, fraction in (
                 ("lost", profile.loss),
                 ("held_back", profile.reordering),
                 ("duplicated", profile.duplication),
             ):
                 happened = cell.udp.counters[counter] - carried.get(counter, 0)
-                assert not share or happened > 0, f"{name}: nothing was {counter}"
+                assert not fraction or happened > 0, f"{name}: nothing was {counter}"
                 # packet or reply lost: either way the controller misses that cycle, beside those this machine is late in
                 assert counter != "lost" or worst[name].missed >= happened, f"{name}: {happened} datagrams were lost"
         assert worst["loss_5"].blow > 0.01

@@ -70,25 +70,25 @@ class TestDeadlineAndGrace:
 
     def test_without_a_source_there_is_no_limit(self):
         limit = self.limit()
-        assert not limit.poll(100 * SECOND) and limit.share == 1.0
+        assert not limit.poll(100 * SECOND) and limit.fraction == 1.0
 
     def test_a_lowered_limit_is_enforced_after_the_grace_a_raised_one_at_once(self):
         limit = self.limit()
         limit.give(0.2, "s", 0)
         limit.poll(499 * MS)
-        assert limit.share == 1.0
+        assert limit.fraction == 1.0
         limit.poll(500 * MS)
-        assert limit.share == 0.2
+        assert limit.fraction == 0.2
         limit.give(0.6, "s", 500 * MS)
         limit.poll(501 * MS)
-        assert limit.share == 0.6
+        assert limit.fraction == 0.6
 
     def test_going_up_and_down_inside_the_grace_does_not_put_the_limit_off_for_ever(self):
         limit = self.limit()
         for k in range(10):
             limit.give((0.2, 0.5)[k % 2], "s", k * 200 * MS)
             limit.poll(k * 200 * MS)
-        assert limit.share == 0.5
+        assert limit.fraction == 0.5
 
     def test_silence_counts_as_the_share_for_silence_once(self):
         limit = self.limit()
@@ -96,21 +96,21 @@ class TestDeadlineAndGrace:
         assert not limit.poll(500 * MS)
         assert limit.poll(501 * MS) and not limit.poll(502 * MS)
         limit.poll(1001 * MS)
-        assert (limit.share, limit.given, limit.source) == (0.1, 0.1, "silence")
+        assert (limit.fraction, limit.given, limit.source) == (0.1, 0.1, "silence")
         assert limit.give(1.0, "s", 2 * SECOND)
-        assert limit.poll(2 * SECOND) is False and limit.share == 1.0
+        assert limit.poll(2 * SECOND) is False and limit.fraction == 1.0
 
     @given(st.lists(st.tuples(st.integers(0, 300), st.floats(0, 1)), min_size=1, max_size=40))
     def test_in_force_is_the_highest_that_stood_within_the_grace(self, given_limits):
         limit, now, history = self.limit(), 0, [(-(10**12), 1.0)]
-        for wait, share in given_limits:
+        for wait, fraction in given_limits:
             now += wait * MS
-            limit.give(share, "s", now)
-            history.append((now, share))
+            limit.give(fraction, "s", now)
+            history.append((now, fraction))
             limit.poll(now)
             ends = [time for time, _ in history[1:]] + [now]
             stood = [value for (_, value), end in zip(history, ends) if end > now - 500 * MS or end == now]
-            assert limit.share == max(stood)
+            assert limit.fraction == max(stood)
 
     def test_a_flood_of_limits_takes_no_memory(self):
         limit = self.limit()
@@ -130,14 +130,14 @@ class TestPlaying:
         assert cell.positions[-1] == pytest.approx(curve(799 - 4), abs=2e-8)
 
     @pytest.mark.parametrize("decimals", [3, 6])
-    @pytest.mark.parametrize("share", [0.05, 0.1, 0.15])
-    def test_a_sender_that_does_not_obey_is_slowed_on_its_path(self, decimals, share):
+    @pytest.mark.parametrize("fraction", [0.05, 0.1, 0.15])
+    def test_a_sender_that_does_not_obey_is_slowed_on_its_path(self, decimals, fraction):
         cell = armed(decimals=decimals, speed_limit_backlog=60.0)
-        play(cell, (curve(k) for k in range(1600)), limit=share)
+        play(cell, (curve(k) for k in range(1600)), limit=fraction)
         # grace 125 cycles, playout 5, and time to slow down
         digit = math.radians(10.0**-decimals) / CYCLE / min(cell.config.velocity)
-        assert fastest(cell, 200) <= share + min(digit, 0.1 * share) + 1e-9
-        assert fastest(cell, 200) > 0.95 * share
+        assert fastest(cell, 200) <= fraction + min(digit, 0.1 * fraction) + 1e-9
+        assert fastest(cell, 200) > 0.95 * fraction
         assert_within_limits(cell)
         assert_on_path(cell, 3e-8 if decimals == 6 else 5e-5)
         assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
@@ -221,20 +221,20 @@ class TestPlaying:
     def test_a_stop_whose_source_dies_before_the_grace_is_over_still_comes(self):
         limit = SpeedLimit(dataclasses.replace(CONFIG, speed_limit_deadline=0.2, speed_limit_grace=0.5))
         limit.give(0.0, "s", 0)
-        shares = []
+        fractions = []
         for now in range(0, 2 * SECOND, 100 * MS):
             limit.poll(now)
-            shares.append(limit.share)
-        assert shares == [1.0] * 5 + [0.0] * 15 and limit.source == "silence"
+            fractions.append(limit.fraction)
+        assert fractions == [1.0] * 5 + [0.0] * 15 and limit.source == "silence"
 
     @pytest.mark.parametrize("hole", ["commands", "telegrams"])
-    @pytest.mark.parametrize("share", [0.0, 0.1, 0.25])
-    def test_what_was_missed_is_made_up_for_within_the_limit(self, hole, share):
+    @pytest.mark.parametrize("fraction", [0.0, 0.1, 0.25])
+    def test_what_was_missed_is_made_up_for_within_the_limit(self, hole, fraction):
         cell = armed(speed_limit_backlog=60.0)
-        # a sender that obeys: RATIO makes A2 the joint that uses most of its share
-        rate = 0.98 * max(share, 0.05) * cell.config.velocity[1] / (RATIO * 0.15)
-        play(cell, (curve(k, rate) for k in range(400)), limit=max(share, 0.05))
-        play(cell, (curve(k, rate) for k in range(400, 500)), limit=share)
+        # a sender that obeys: RATIO makes A2 the joint that uses most of its fraction
+        rate = 0.98 * max(fraction, 0.05) * cell.config.velocity[1] / (RATIO * 0.15)
+        play(cell, (curve(k, rate) for k in range(400)), limit=max(fraction, 0.05))
+        play(cell, (curve(k, rate) for k in range(400, 500)), limit=fraction)
         since = len(cell.positions)
         for k in range(500, 520):
             cell.send(curve(k, rate)) if hole == "telegrams" else cell.cycle()
@@ -244,11 +244,11 @@ class TestPlaying:
         else:
             cell.cycle(step_ms=84)
             cell.positions.append(cell.measured)
-        play(cell, (curve(k, rate) for k in range(520, 800)), limit=share)
+        play(cell, (curve(k, rate) for k in range(520, 800)), limit=fraction)
         assert cell.state is State.FOLLOWING
         # to be in force, the last change needs its grace
-        assert fastest(cell, since) <= max(share, 0.05) + 1e-3
-        assert fastest(cell, since + 150) <= share + 1e-3
+        assert fastest(cell, since) <= max(fraction, 0.05) + 1e-3
+        assert fastest(cell, since + 150) <= fraction + 1e-3
         # lost telegrams are HOLDON's: it stops the arm dead
         assert_within_limits(cell, cell.positions[since + 2 if hole == "telegrams" else 0 :])
 
@@ -275,10 +275,10 @@ def test_whatever_limits_come_and_go_every_cycle_is_inside_the_arm_s_limits(limi
     cell = armed(decimals=decimals, speed_limit_grace=0.02)
     size = min(0.4, 2 * 0.9 * 2.0 / (RATIO * rate), 2 * 0.9 * 2.34 / rate**2)
     cycle = 0
-    for share, length in limits:
+    for fraction, length in limits:
         for k in range(length):
             if k % 25 == 0 and cell.gateway.session:
-                cell.control("speed_limit", value=share)
+                cell.control("speed_limit", value=fraction)
             cycle += 1
             if cycle in losses:
                 cell.stamp, cell.seq = cell.stamp + CYCLE_NS, cell.seq + 1

@@ -150,11 +150,11 @@ class TestPoseComparison:
         assert comparison.compare((0.009, 0.0), 0, T0).agrees
         assert not comparison.compare((0.0, 0.009), 0, T0).agrees
 
-    @pytest.mark.parametrize("share, agrees", [(1.0, True), (0.81, True), (0.79, False)])
-    def test_agreement_can_be_asked_for_within_a_share_of_the_threshold(self, share, agrees):
+    @pytest.mark.parametrize("fraction, agrees", [(1.0, True), (0.81, True), (0.79, False)])
+    def test_agreement_can_be_asked_for_within_a_share_of_the_threshold(self, fraction, agrees):
         comparison = PoseComparison(ComparisonSettings((0.01, 0.01)))
         comparison.twin.add(T0, (0.0, 0.0))
-        assert comparison.compare((0.008, 0.0), 0, T0).agrees_within(share) is agrees
+        assert comparison.compare((0.008, 0.0), 0, T0).agrees_within(fraction) is agrees
 
     def test_instant_compares_with_the_present_pose_whatever_the_stamp_says(self):
         comparison = self.moving()

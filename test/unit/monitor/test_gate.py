@@ -37,10 +37,10 @@ class TestOpening:
         bench = Bench(pose=None)
         assert {bench.cycle(START) for _ in range(100)} == {None}
 
-    @pytest.mark.parametrize("share, opens", [(1.0, True), (-1.0, True), (1.001, False), (-1.001, False)])
-    def test_opens_at_its_share_of_the_threshold_and_not_above(self, share, opens):
+    @pytest.mark.parametrize("fraction, opens", [(1.0, True), (-1.0, True), (1.001, False), (-1.001, False)])
+    def test_opens_at_its_share_of_the_threshold_and_not_above(self, fraction, opens):
         bench = Bench(pose=(0.0, 0.0))
-        bench.offset = share * SETTINGS.agree_share * SETTINGS.threshold
+        bench.offset = fraction * SETTINGS.agree_share * SETTINGS.threshold
         bench.run(0.5)
         assert (bench.state is SyncState.IN_SYNC) is opens
 
@@ -258,7 +258,7 @@ steps = st.fixed_dictionaries(
         "feedback": st.sampled_from(["agrees", "agrees", "agrees", "lags", "differs", "none"]),
         "twin": st.sampled_from(["executes", "executes", "executes", "still"]),
         "next": st.sampled_from(["accelerate", "accelerate", "repeat", "repeat", "reverse", "jump", "outside", "nan"]),
-        "share": st.floats(-1.2, 1.2),
+        "fraction": st.floats(-1.2, 1.2),
         "restart": st.sampled_from([False] * 20 + [True]),
     }
 )
@@ -298,14 +298,14 @@ class Interleaving:
     def next_setpoint(self, op: dict) -> tuple[float, ...]:
         base = self.last or self.twin
         period = max(op["cycles"], 1) * CYCLE
-        gained = tuple(op["share"] * a * CYCLE * CYCLE for a in LIMITS.acceleration)
+        gained = tuple(op["fraction"] * a * CYCLE * CYCLE for a in LIMITS.acceleration)
         if op["next"] == "accelerate":
             self.step = tuple(s + g for s, g in zip(self.step, gained))
         elif op["next"] == "reverse":
             self.step = tuple(-s for s in self.step)
         else:
             self.step = (0.0, 0.0)
-        special = {"jump": moved(base, op["share"]), "outside": (2.1, base[1]), "nan": (math.nan, base[1])}
+        special = {"jump": moved(base, op["fraction"]), "outside": (2.1, base[1]), "nan": (math.nan, base[1])}
         self.target = tuple(b + s * period / CYCLE for b, s in zip(base, self.step))
         return special.get(op["next"], self.target)
 
@@ -337,7 +337,7 @@ def test_whatever_comes_in_only_an_executable_stream_or_the_held_pose_goes_out(d
 
 def test_the_interleaving_above_can_move_the_robot():
     world = Interleaving(6, True)
-    calm = {"cycles": 1, "feedback": "agrees", "twin": "executes", "restart": False, "share": -0.5}
+    calm = {"cycles": 1, "feedback": "agrees", "twin": "executes", "restart": False, "fraction": -0.5}
     world.play(calm | {"repeat": 20, "next": "repeat"})
     world.play(calm | {"repeat": 100, "next": "accelerate"})
     assert world.passed == 101

@@ -129,12 +129,12 @@ class Cell(RuleBasedStateMachine):
             self.cycle("differs")
 
     @rule(
-        share=st.sampled_from([0.5, 3.0, math.inf, math.nan]),
+        fraction=st.sampled_from([0.5, 3.0, math.inf, math.nan]),
         joint=st.integers(0, 5),
         cycles=st.integers(1, 3),
     )
-    def foreign_setpoint(self, share, joint, cycles):
-        step = share * ROBOT.acceleration[joint] * (CYCLE_NS / NANOSECONDS) ** 2
+    def foreign_setpoint(self, fraction, joint, cycles):
+        step = fraction * ROBOT.acceleration[joint] * (CYCLE_NS / NANOSECONDS) ** 2
         for k in range(cycles):
             q = list(self.twin)
             q[joint] += step * (k + 1)

@@ -18,7 +18,7 @@ HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 
 
 def assert_recovered(cell):
-    """The assertions that every case shares."""
+    """The assertions that every case fractions."""
     cell.wait_until_following()
     cell.assert_within_limits()
     cell.assert_nobody_restarted()

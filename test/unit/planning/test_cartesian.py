@@ -19,7 +19,7 @@ from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.kinematics.solution import IkSettings
 from construction_twin.planning.cartesian import DEVIATION_M, DEVIATION_RAD, plan_cartesian
 from construction_twin.planning.limit_usage import limit_use
-from construction_twin.planning.timing import LIMIT_SHARE
+from construction_twin.planning.timing import LIMIT_FRACTION
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.frames import rotation_angle
@@ -53,9 +53,9 @@ def tool_of(motion, chain=KR120.chain):
     return times, np.array([pose.position for pose in poses]), np.array([pose.rotation for pose in poses])
 
 
-def check_limits(motion, robot=KR120.chain.robot, share=LIMIT_SHARE) -> None:
+def check_limits(motion, robot=KR120.chain.robot, fraction=LIMIT_FRACTION) -> None:
     use = limit_use(motion.trajectory, robot)
-    assert max(use.velocity, use.acceleration) <= share * (1 + 1e-6) and use.jerk <= 1.0 + 1e-6
+    assert max(use.velocity, use.acceleration) <= fraction * (1 + 1e-6) and use.jerk <= 1.0 + 1e-6
     assert not motion.trajectory.velocities[[0, -1]].any() and not motion.trajectory.accelerations[[0, -1]].any()
 
 
@@ -137,7 +137,7 @@ def test_joint_limits_slow_the_tool_down():
     check_limits(fast)
     gentle = plan_cartesian(HOME, [away(0.0, 1.0)], KR120, speed=5.0, speed_scale=0.2, acceleration_scale=0.1)
     use = limit_use(gentle.trajectory, KR120.chain.robot)
-    assert use.velocity <= 0.2 * LIMIT_SHARE * (1 + 1e-6) and use.acceleration <= 0.1 * LIMIT_SHARE * (1 + 1e-6)
+    assert use.velocity <= 0.2 * LIMIT_FRACTION * (1 + 1e-6) and use.acceleration <= 0.1 * LIMIT_FRACTION * (1 + 1e-6)
     assert gentle.trajectory.duration > 2.0 * fast.trajectory.duration
 
 
@@ -192,8 +192,8 @@ def test_what_is_planned_is_on_its_path_and_within_the_limits(steps, turn, speed
 
 
 def _distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    share = np.clip((points - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-18), 0.0, 1.0)
-    return np.linalg.norm(points - a - share[:, None] * (b - a), axis=1)
+    fraction = np.clip((points - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-18), 0.0, 1.0)
+    return np.linalg.norm(points - a - fraction[:, None] * (b - a), axis=1)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf])

@@ -1,4 +1,4 @@
-"""Where and why a Cartesian path ends: every reason, with the share that can be followed; nothing is jumped over."""
+"""Where and why a Cartesian path ends: every reason, with the fraction that can be followed; nothing is jumped over."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def ended(waypoints, start=HOME, world=None) -> CartesianPathError:
     return error
 
 
-def followed(waypoint: ToolWaypoint, error: CartesianPathError, start=START, share=0.999) -> ToolWaypoint:
+def followed(waypoint: ToolWaypoint, error: CartesianPathError, start=START, fraction=0.999) -> ToolWaypoint:
     """Return the waypoint almost as far as the path can be followed, on the same straight line."""
-    part = share * error.fraction
+    part = fraction * error.fraction
     turn = (Rotation.from_matrix(waypoint.pose.rotation) * Rotation.from_matrix(start.rotation).inv()).as_rotvec()
     rotation = Rotation.from_rotvec(part * turn).as_matrix() @ start.rotation
     return ToolWaypoint(Pose(start.position + part * (waypoint.pose.position - start.position), rotation))

@@ -11,7 +11,7 @@ from construction_twin.planning.curves import interpolated, monotone, rounded
 
 PACE = np.array([1.0, 2.0, 0.5])
 paths = st.lists(st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3), min_size=3, max_size=9)
-corner_shares = st.floats(0.02, 1.0)
+corner_fractions = st.floats(0.02, 1.0)
 
 
 def as_path(points) -> np.ndarray | None:
@@ -53,12 +53,12 @@ def test_a_monotone_curve_stays_between_the_two_points_it_connects(points):
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(points=paths, share=corner_shares)
-def test_a_rounded_curve_is_smooth_and_within_the_bounds_of_its_points(points, share):
+@given(points=paths, fraction=corner_fractions)
+def test_a_rounded_curve_is_smooth_and_within_the_bounds_of_its_points(points, fraction):
     path = as_path(points)
     if path is None:
         return
-    curve = rounded(path, PACE, share)
+    curve = rounded(path, PACE, fraction)
     check_smooth(curve)
     q = curve(np.linspace(0.0, curve.length, 500))
     assert np.all(q >= path.min(axis=0) - 1e-9) and np.all(q <= path.max(axis=0) + 1e-9)
@@ -66,11 +66,11 @@ def test_a_rounded_curve_is_smooth_and_within_the_bounds_of_its_points(points, s
     assert np.max(np.abs(ends - path[[0, -1]])) < 1e-9
 
 
-@pytest.mark.parametrize("share", [1.0, 0.5, 0.1])
-def test_a_rounded_corner_misses_its_point_by_a_sixth_of_its_reach(share):
+@pytest.mark.parametrize("fraction", [1.0, 0.5, 0.1])
+def test_a_rounded_corner_misses_its_point_by_a_sixth_of_its_reach(fraction):
     path = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 3.0, 0]])
-    curve = rounded(path, np.ones(3), share)
-    reach = 0.5 * share
+    curve = rounded(path, np.ones(3), fraction)
+    reach = 0.5 * fraction
     q = curve(np.linspace(0.0, curve.length, 20001))
     assert np.min(np.linalg.norm(q - path[1], axis=1)) == pytest.approx(np.sqrt(2) * reach / 6, rel=1e-3)
     away = np.minimum(np.abs(q[:, 1]), np.abs(q[:, 0] - 1.0))

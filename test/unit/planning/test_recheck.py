@@ -13,7 +13,7 @@ import pytest
 from construction_twin.core.motion_errors import CollisionError, LimitError
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.recheck import check_limits, report
-from construction_twin.planning.timing import LIMIT_SHARE, time_path
+from construction_twin.planning.timing import LIMIT_FRACTION, time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.trajectory import Trajectory
@@ -58,7 +58,12 @@ def test_measures_every_sample():
     assert np.max(np.abs(world.seen[1] - MOTION.sample(CYCLE)[0])) < 1e-12
     assert result.clearance == Clearance(1.0 - GOAL[0], ("link_1", "wall"), (1.0, 2.0, 3.0), MOTION.duration)
     assert result.recheck_time == 0.25
-    assert max(result.shares.velocity) <= LIMIT_SHARE * (1 + 1e-6) and result.shares.velocity[2:] == (0, 0, 0, 0)
+    assert max(result.fractions.velocity) <= LIMIT_FRACTION * (1 + 1e-6) and result.fractions.velocity[2:] == (
+        0,
+        0,
+        0,
+        0,
+    )
 
 
 def test_contact_at_one_sample_says_when():
@@ -89,9 +94,11 @@ def test_a_sample_out_of_range_is_refused():
 
 
 def test_exactly_at_the_limits_passes():
-    shares = check_limits(MOTION, ROBOT)
+    fractions = check_limits(MOTION, ROBOT)
     exact = {
-        name: tuple(max(share, 1e-3) * limit for share, limit in zip(getattr(shares, name), getattr(ROBOT, name)))
+        name: tuple(
+            max(fraction, 1e-3) * limit for fraction, limit in zip(getattr(fractions, name), getattr(ROBOT, name))
+        )
         for name in ("velocity", "acceleration", "jerk")
     }
     assert max(check_limits(MOTION, dataclasses.replace(ROBOT, **exact)).velocity) == pytest.approx(1.0)

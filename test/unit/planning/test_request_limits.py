@@ -79,7 +79,7 @@ def test_a_plan_up_to_the_bounds_is_made():
 def test_waypoints_that_nobody_counted_count():
     with pytest.raises(PlanSizeError, match="waypoints would be 1501; .* at most 1500"):
         desk(max_waypoints=1500).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
-    rows = [RIGHT + (LEFT - RIGHT) * share for share in np.linspace(0.0, 1.0, 30)]
+    rows = [RIGHT + (LEFT - RIGHT) * fraction for fraction in np.linspace(0.0, 1.0, 30)]
     for times in (None, list(np.linspace(0.0, 30.0, 30))):
         with pytest.raises(PlanSizeError, match="waypoints"):
             desk(max_waypoints=29).through(from_points(ROBOT, ROBOT.joint_names, rows, times=times), RIGHT, REQUEST)

@@ -13,9 +13,9 @@ from scipy.interpolate import CubicSpline
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.planning.curves import JointCurve
-from construction_twin.planning.limit_usage import limit_shares, limit_use
+from construction_twin.planning.limit_usage import limit_usage, limit_use
 from construction_twin.planning.time_scaling import RestToRest
-from construction_twin.planning.timing import LIMIT_SHARE, minimum_duration, time_curve, time_path, with_midpoints
+from construction_twin.planning.timing import LIMIT_FRACTION, minimum_duration, time_curve, time_path, with_midpoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.trajectory import Trajectory
 
@@ -26,24 +26,24 @@ LOWER, UPPER = np.array(ROBOT.lower), np.array(ROBOT.upper)
 HOME = np.array(ROBOT.home)
 GOAL = HOME + np.array([0.9, 0.4, -0.5, 1.0, -0.6, 2.0])
 
-shares = st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6)
-inner_shares = st.lists(st.floats(0.2, 0.8), min_size=6, max_size=6)
+fractions = st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6)
+inner_fractions = st.lists(st.floats(0.2, 0.8), min_size=6, max_size=6)
 speed_scales = st.floats(0.02, 1.0)
 
 
-def in_range(shares) -> np.ndarray:
-    return np.clip(LOWER + np.array(shares) * (UPPER - LOWER), LOWER, UPPER)
+def in_range(fractions) -> np.ndarray:
+    return np.clip(LOWER + np.array(fractions) * (UPPER - LOWER), LOWER, UPPER)
 
 
-def check_motion(motion: Trajectory, start: np.ndarray, goal: np.ndarray, share: float = 1.0) -> None:
+def check_motion(motion: Trajectory, start: np.ndarray, goal: np.ndarray, fraction: float = 1.0) -> None:
     """Assert what every timed path promises, with arithmetic of its own."""
     assert motion.positions[0].tobytes() == start.tobytes() and motion.positions[-1].tobytes() == goal.tobytes()
     for rest in (motion.velocities[[0, -1]], motion.accelerations[[0, -1]]):
         assert not rest.any()
     samples = [motion.sample(i * CYCLE) for i in range(-2, int(motion.duration / CYCLE) + 4)]
     q, qd, qdd = (np.array(column) for column in zip(*samples))
-    velocity = share * LIMIT_SHARE * np.array(ROBOT.velocity) * (1 + 1e-6)
-    acceleration = share * LIMIT_SHARE * np.array(ROBOT.acceleration) * (1 + 1e-6)
+    velocity = fraction * LIMIT_FRACTION * np.array(ROBOT.velocity) * (1 + 1e-6)
+    acceleration = fraction * LIMIT_FRACTION * np.array(ROBOT.acceleration) * (1 + 1e-6)
     assert np.all(q >= LOWER - 1e-9) and np.all(q <= UPPER + 1e-9)
     assert np.all(np.abs(qd) <= velocity) and np.all(np.abs(np.diff(q, axis=0)) / CYCLE <= velocity)
     assert np.all(np.abs(qdd) <= acceleration)
@@ -59,7 +59,7 @@ def check_motion(motion: Trajectory, start: np.ndarray, goal: np.ndarray, share:
 
 
 @settings(max_examples=80, deadline=None, derandomize=True)
-@given(start=shares, goal=shares, speed_scale=speed_scales)
+@given(start=fractions, goal=fractions, speed_scale=speed_scales)
 def test_straight_motions_stay_within_the_limits(start, goal, speed_scale):
     start, goal = in_range(start), in_range(goal)
     if np.max(np.abs(goal - start)) <= 1e-9:
@@ -68,7 +68,7 @@ def test_straight_motions_stay_within_the_limits(start, goal, speed_scale):
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)
-@given(points=st.lists(inner_shares, min_size=3, max_size=6), scale=speed_scales)
+@given(points=st.lists(inner_fractions, min_size=3, max_size=6), scale=speed_scales)
 def test_curved_motions_stay_within_the_limits(points, scale):
     path = np.array([in_range(point) for point in points])
     if np.max(np.abs(np.diff(path, axis=0))) <= 1e-9:
@@ -77,12 +77,12 @@ def test_curved_motions_stay_within_the_limits(points, scale):
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
-@given(points=st.lists(shares, min_size=3, max_size=8), corner_share=st.one_of(st.none(), st.floats(0.05, 1.0)))
-def test_paths_along_the_edge_of_the_range_stay_in_it(points, corner_share):
+@given(points=st.lists(fractions, min_size=3, max_size=8), corner_fraction=st.one_of(st.none(), st.floats(0.05, 1.0)))
+def test_paths_along_the_edge_of_the_range_stay_in_it(points, corner_fraction):
     path = np.array([in_range(point) for point in points])
     if np.max(np.abs(np.diff(path, axis=0))) <= 1e-9:
         return
-    check_motion(time_path(path, ROBOT, corner_share=corner_share), path[0], path[-1])
+    check_motion(time_path(path, ROBOT, corner_fraction=corner_fraction), path[0], path[-1])
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -121,7 +121,7 @@ def test_rounded_to_the_wire_it_is_still_within_the_limits():
 
 def test_uses_the_limits_it_is_given():
     use = limit_use(time_path(np.array([HOME, GOAL]), ROBOT), ROBOT)
-    assert max(use.velocity, use.acceleration) == pytest.approx(LIMIT_SHARE, rel=5e-3)
+    assert max(use.velocity, use.acceleration) == pytest.approx(LIMIT_FRACTION, rel=5e-3)
     assert 0.9 <= use.jerk <= 1.0
 
 
@@ -177,7 +177,10 @@ def test_the_acceleration_scale_is_its_own():
     path = np.array([HOME, GOAL])
     gentle = time_path(path, ROBOT, speed_scale=0.8, acceleration_scale=0.1)
     use = limit_use(gentle, ROBOT)
-    assert use.acceleration <= 0.1 * LIMIT_SHARE * (1 + 1e-6) and 0.1 * LIMIT_SHARE < use.velocity <= 0.8 * LIMIT_SHARE
+    assert (
+        use.acceleration <= 0.1 * LIMIT_FRACTION * (1 + 1e-6)
+        and 0.1 * LIMIT_FRACTION < use.velocity <= 0.8 * LIMIT_FRACTION
+    )
     same = time_path(path, ROBOT, speed_scale=0.8, acceleration_scale=0.8)
     assert same.content_hash() == time_path(path, ROBOT, speed_scale=0.8).content_hash()
     assert same.duration < gentle.duration
@@ -185,7 +188,7 @@ def test_the_acceleration_scale_is_its_own():
 
 def test_rounded_corners_are_tighter_and_slower_with_a_smaller_share():
     path = np.array([HOME, HOME + [0.8, 0, 0, 0, 0, 0], HOME + [0.8, 0.5, 0, 0, 0, 0]])
-    motions = [time_path(path, ROBOT, corner_share=share) for share in (1.0, 0.3)]
+    motions = [time_path(path, ROBOT, corner_fraction=fraction) for fraction in (1.0, 0.3)]
     misses = [
         np.min(np.linalg.norm(motion.sample_many(np.linspace(0, motion.duration, 4000))[0] - path[1], axis=1))
         for motion in motions
@@ -200,12 +203,12 @@ def test_a_linear_joint_is_timed_like_the_others():
     start, goal = np.array(TRACK.home), np.array(TRACK.home) + [0.4, 0.3, 0, 0, 0, 0, 0.5]
     motion = time_path(np.array([start, goal]), TRACK)
     use = limit_use(motion, TRACK)
-    assert max(use.velocity, use.acceleration) <= LIMIT_SHARE * (1 + 1e-6) and use.jerk <= 1.0 + 1e-6
+    assert max(use.velocity, use.acceleration) <= LIMIT_FRACTION * (1 + 1e-6) and use.jerk <= 1.0 + 1e-6
     assert motion.duration >= minimum_duration(start, goal, TRACK)
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)
-@given(start=shares, goal=shares)
+@given(start=fractions, goal=fractions)
 def test_no_motion_is_faster_than_the_lower_bound(start, goal):
     start, goal = in_range(start), in_range(goal)
     bound = minimum_duration(start, goal, ROBOT)
@@ -305,7 +308,7 @@ def test_a_point_out_of_range_is_refused():
         *(("duration", value) for value in (0.0, -1.0, np.nan, np.inf)),
         *(("speed_scale", value) for value in (0.0, 1.1, np.nan)),
         *(("acceleration_scale", value) for value in (0.0, 1.1, np.nan)),
-        *(("corner_share", value) for value in (0.0, 1.1, np.nan)),
+        *(("corner_fraction", value) for value in (0.0, 1.1, np.nan)),
         ("waypoints", 1),
     ],
 )
@@ -322,9 +325,9 @@ def test_limit_use_measures_a_known_motion():
     assert use.velocity == pytest.approx(15 / 8 * 0.2 / ROBOT.velocity[0], rel=1e-4)
     assert use.acceleration == pytest.approx(10 / np.sqrt(3) * 0.1 / ROBOT.acceleration[0], rel=1e-4)
     assert use.jerk == pytest.approx(60 * 0.05 / ROBOT.jerk[0], rel=1e-4)
-    shares = limit_shares(motion, ROBOT)
-    assert shares.velocity == (use.velocity, 0, 0, 0, 0, 0) and shares.jerk == (use.jerk, 0, 0, 0, 0, 0)
-    assert shares.acceleration == (use.acceleration, 0, 0, 0, 0, 0)
+    fractions = limit_usage(motion, ROBOT)
+    assert fractions.velocity == (use.velocity, 0, 0, 0, 0, 0) and fractions.jerk == (use.jerk, 0, 0, 0, 0, 0)
+    assert fractions.acceleration == (use.acceleration, 0, 0, 0, 0, 0)
 
 
 def test_limit_use_refuses_a_motion_out_of_range():

@@ -188,14 +188,14 @@ def test_datagrams_pass_in_order_and_answers_find_their_client():
             echo.close()
 
 
-@pytest.mark.parametrize("share", [0.01, 0.05, 1.0])
-def test_losses_are_the_share_and_the_same_for_the_same_seed(share):
-    arrived, counters = carried(Profile(loss=share), 600)
+@pytest.mark.parametrize("fraction", [0.01, 0.05, 1.0])
+def test_losses_are_the_share_and_the_same_for_the_same_seed(fraction):
+    arrived, counters = carried(Profile(loss=fraction), 600)
     assert counters["lost"] == 600 - len(arrived)
-    assert counters["lost"] == pytest.approx(600 * share, abs=12)
-    assert carried(Profile(loss=share), 600)[0] == arrived
-    if share < 1.0:
-        assert carried(Profile(loss=share), 600, seed=2)[0] != arrived
+    assert counters["lost"] == pytest.approx(600 * fraction, abs=12)
+    assert carried(Profile(loss=fraction), 600)[0] == arrived
+    if fraction < 1.0:
+        assert carried(Profile(loss=fraction), 600, seed=2)[0] != arrived
 
 
 def test_duplicates_come_twice_and_nothing_is_missing():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from screenshot import COLOURS, bare_view, extent, share
+from screenshot import COLOURS, bare_view, extent, fraction
 
 from construction_twin.core.errors import ConfigurationError
 
@@ -17,7 +17,7 @@ def picture(height: int = 100, width: int = 200) -> np.ndarray:
 
 def test_a_colour_that_is_not_there_has_no_share_and_no_extent():
     for colour in COLOURS:
-        assert share(picture(), colour) == 0.0
+        assert fraction(picture(), colour) == 0.0
         assert extent(picture(), colour) == (0.0, 0.0)
 
 
@@ -25,7 +25,7 @@ def test_a_colour_that_is_not_there_has_no_share_and_no_extent():
 def test_a_patch_is_found_in_light_and_in_shadow(light):
     pixels = picture()
     pixels[20:60, 50:150] = np.array(ORANGE) * light
-    assert share(pixels, "orange") == pytest.approx(40 * 100 / 20000)
+    assert fraction(pixels, "orange") == pytest.approx(40 * 100 / 20000)
     width, height = extent(pixels, "orange")
     assert width == pytest.approx(0.5, abs=0.02) and height == pytest.approx(0.4, abs=0.02)
 
@@ -40,7 +40,7 @@ def test_stray_pixels_make_nothing_large():
 def test_colours_are_told_apart():
     pixels = picture()
     pixels[:50] = GREEN
-    assert share(pixels, "green") == 0.5 and share(pixels, "orange") == 0.0
+    assert fraction(pixels, "green") == 0.5 and fraction(pixels, "orange") == 0.0
 
 
 def test_a_view_that_is_not_saved_is_refused_with_the_names_that_are():

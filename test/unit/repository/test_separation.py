@@ -27,21 +27,21 @@ def separation() -> SeparationLimit:
 
 class TestTable:
     @pytest.mark.parametrize(
-        "distance, share",
+        "distance, fraction",
         [(0.0, 0.1), (1.0, 0.1), (1.5, 0.3), (2.0, 0.5), (3.0, 0.75), (4.0, 1.0), (9.0, 1.0), (math.inf, 1.0)],
     )
-    def test_is_linear_between_its_rows_and_constant_beyond(self, distance, share):
-        assert SpeedTable(ROWS).share(distance) == pytest.approx(share, abs=1e-15)
+    def test_is_linear_between_its_rows_and_constant_beyond(self, distance, fraction):
+        assert SpeedTable(ROWS).fraction(distance) == pytest.approx(fraction, abs=1e-15)
 
     @given(st.lists(st.tuples(st.floats(0.01, 5.0), st.floats(0.0, 0.2)), min_size=1, max_size=6), st.data())
     def test_never_allows_more_nearer_by(self, steps, data):
-        rows, distance, share = [], 0.0, 0.0
+        rows, distance, fraction = [], 0.0, 0.0
         for way, rise in steps:
-            distance, share = distance + way, min(1.0, share + rise)
-            rows.append((distance, share))
+            distance, fraction = distance + way, min(1.0, fraction + rise)
+            rows.append((distance, fraction))
         table = SpeedTable(rows)
         near, far = sorted(data.draw(st.tuples(*[st.floats(0.0, 40.0)] * 2)))
-        assert table.lowest <= table.share(near) <= table.share(far) + 1e-12 <= rows[-1][1] + 2e-12
+        assert table.lowest <= table.fraction(near) <= table.fraction(far) + 1e-12 <= rows[-1][1] + 2e-12
 
     @pytest.mark.parametrize(
         "rows, row",
@@ -68,14 +68,14 @@ class TestLimit:
         assert limit.update(T0) == (0.1, "no separation distance was measured yet")
         limit.on_range(3.0, 0.1, 10.0, 0, T0)
         assert limit.update(T0 + DEADLINE) == (0.75, "separation 3.00 m")
-        share, reason = limit.update(T0 + DEADLINE + 1)
-        assert share == 0.1 and "0.3 s" in reason
+        fraction, reason = limit.update(T0 + DEADLINE + 1)
+        assert fraction == 0.1 and "0.3 s" in reason
 
-    @pytest.mark.parametrize("distance, share", [(math.inf, 1.0), (-math.inf, 0.1), (0.1, 0.1), (10.0, 1.0)])
-    def test_nothing_in_reach_and_too_near_to_tell(self, distance, share):
+    @pytest.mark.parametrize("distance, fraction", [(math.inf, 1.0), (-math.inf, 0.1), (0.1, 0.1), (10.0, 1.0)])
+    def test_nothing_in_reach_and_too_near_to_tell(self, distance, fraction):
         limit = separation()
         limit.on_range(distance, 0.1, 10.0, 0, T0)
-        assert limit.update(T0)[0] == share
+        assert limit.update(T0)[0] == fraction
 
     @pytest.mark.parametrize("distance", [math.nan, -1.0, 10.1])
     def test_what_the_sensor_cannot_measure_is_refused(self, distance):

@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point, Quaternion, Transform, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 
 from construction_twin.core.motion_errors import KinematicsError, TrajectoryError
-from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.ros.messages import convert
 
@@ -26,7 +26,7 @@ def trajectory(waypoints: int = 50) -> Trajectory:
 
 def plan(clearance: Clearance = Clearance(0.0123, ("link_3", "wall"), (1.0, -2.0, 1 / 3), 4.004)) -> Plan:
     motion = trajectory()
-    shares = LimitShares((0.1, 1 / 3), (0.3, 0.4), (0.5, 0.6))
+    fractions = LimitUsage((0.1, 1 / 3), (0.3, 0.4), (0.5, 0.6))
     return Plan(
         id="p1",
         hash=motion.content_hash(),
@@ -36,7 +36,7 @@ def plan(clearance: Clearance = Clearance(0.0123, ("link_3", "wall"), (1.0, -2.0
         created_ns=1_700_000_000_123_456_789,
         planning_time=0.1,
         trajectory=motion,
-        report=PlanReport(clearance, shares, 0.017),
+        report=PlanReport(clearance, fractions, 0.017),
     )
 
 

@@ -98,8 +98,8 @@ def world(monkeypatch, tmp_path):
     return World(monkeypatch, tmp_path)
 
 
-def limit(share: float) -> SpeedLimit:
-    message = SpeedLimit(limit=share, reason="somebody is near")
+def limit(fraction: float) -> SpeedLimit:
+    message = SpeedLimit(limit=fraction, reason="somebody is near")
     message._connection_header = {"callerid": "/sensor"}
     return message
 

@@ -11,8 +11,8 @@ import rospy
 from construction_twin.msg import Conflict
 from neighbour_cell import AWAY, CLEAR, NEAR, other, plan
 
+from construction_twin.coordination.path_judge import Judgement
 from construction_twin.coordination.plan_book import PlanUnknownError
-from construction_twin.coordination.way_judge import Judgement
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
 from construction_twin.ros.nodes import executor as executor_node
@@ -185,10 +185,10 @@ def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_af
     found = arm(here, lambda: (LONG, 5, None))
     counts = [len(found.occupied(horizon=3.0))]
     assert not found.complete
-    ends = [found._sweeps["long"].share * 40.0]
+    ends = [found._sweeps["long"].fraction * 40.0]
     while not found.complete:
         counts.append(len(found.occupied(horizon=3.0)))
-        ends.append(found._sweeps["long"].share * 40.0)
+        ends.append(found._sweeps["long"].fraction * 40.0)
     assert ends[0] < 10.0 and all(0.0 < later - sooner <= 5.1 for sooner, later in zip(ends, ends[1:]))
     assert counts == sorted(counts) and found.claim.since == 5
 
@@ -198,7 +198,7 @@ def test_the_horizon_goes_with_the_arm():
     for at in (0.0, 6.0, 11.0, 19.0):
         q = LONG.trajectory.sample_many(np.array([at]))[0][0]
         found.occupied(horizon=9.0)
-        assert found._sweeps["long"].share * 40.0 >= at + 9.0
+        assert found._sweeps["long"].fraction * 40.0 >= at + 9.0
 
 
 def test_a_planner_asks_for_the_whole_path():

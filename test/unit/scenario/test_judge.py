@@ -17,7 +17,7 @@ from construction_twin.gateway.trace import TraceEntry
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scenario.definition import make_scenario
 from construction_twin.scenario.judge import judge, matches
-from construction_twin.scenario.motion import distance_after, limit_shares, trace_arrays
+from construction_twin.scenario.motion import distance_after, limit_usage, trace_arrays
 from construction_twin.scenario.table import BEGIN, END, markdown_table, put_into, read_verdicts
 from construction_twin.scenario.timeline import Change, Run, SyncMoment
 
@@ -117,9 +117,9 @@ def test_a_sound_run_passes():
     assert verdict.passed, verdict.checks
     assert verdict.measured["worst_error_deg"] == pytest.approx(0.0, abs=1e-9)
     # the largest velocity of the quintic: 15/8 of the mean
-    share = math.radians(20.0) / 3.2 * 15 / 8 / LIMITS.velocity[2]
-    assert verdict.measured["velocity_share"] == pytest.approx(share, rel=1e-3)
-    assert verdict.measured["arm_velocity_share"] == pytest.approx(share, rel=1e-3)
+    fraction = math.radians(20.0) / 3.2 * 15 / 8 / LIMITS.velocity[2]
+    assert verdict.measured["velocity_share"] == pytest.approx(fraction, rel=1e-3)
+    assert verdict.measured["arm_velocity_share"] == pytest.approx(fraction, rel=1e-3)
     assert verdict.measured["detection_s"] is None
 
 
@@ -297,7 +297,7 @@ def test_a_trace_with_missed_telegrams_goes_on_from_rest():
     entries = [dataclasses.replace(e, ipoc=e.ipoc + (40 if k >= 10 else 0)) for k, e in enumerate(entries)]
     rows, breaks = trace_arrays(entries)
     assert len(rows) == 21 and np.flatnonzero(breaks).tolist() == [0, 10]
-    velocity, acceleration = limit_shares(rows, breaks, LIMITS, 6)
+    velocity, acceleration = limit_usage(rows, breaks, LIMITS, 6)
     np.testing.assert_allclose(velocity, 1e-4 / CYCLE / np.array(LIMITS.velocity), rtol=1e-3)
     assert (acceleration > 0).all()
 

@@ -36,16 +36,16 @@ from construction_twin.scene.objects import Scene, SceneObject
 SHARES = st.tuples(*[st.floats(0.02, 0.98)] * 6)
 
 
-def pose(shares) -> np.ndarray:
-    return np.array(ROBOT.lower) + np.array(shares) * (np.array(ROBOT.upper) - np.array(ROBOT.lower))
+def pose(fractions) -> np.ndarray:
+    return np.array(ROBOT.lower) + np.array(fractions) * (np.array(ROBOT.upper) - np.array(ROBOT.lower))
 
 
 @settings(max_examples=12, deadline=None)
 @given(SHARES, SHARES, st.floats(0.0, 1.0), st.sampled_from([0.1, 0.3]))
-def test_the_swept_union_encloses_every_pose_between(start, end, share, step):
+def test_the_swept_union_encloses_every_pose_between(start, end, fraction, step):
     path = line(pose(start), pose(end), 600)
     swept = other("beside", step).along(path)
-    between = path[0] + share * (path[-1] - path[0])
+    between = path[0] + fraction * (path[-1] - path[0])
     for owner, points in body_points(BESIDE, between).items():
         copies = [copy for copy in swept.rest() if copy.owner == owner]
         for point in points:

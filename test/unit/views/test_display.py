@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from matplotlib import image
-from screenshot import COLOURS, VirtualDisplay, bare_view, read_picture, share
+from screenshot import COLOURS, VirtualDisplay, bare_view, fraction, read_picture
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.monitor.states import SyncState
@@ -129,9 +129,9 @@ def test_a_bare_view_takes_a_saved_camera_and_no_panels():
 )
 def test_colours_are_told_apart(colour, pixel):
     picture = np.full((10, 10, 3), (0.92, 0.93, 0.95))
-    assert all(share(picture, name) == 0 for name in COLOURS)
+    assert all(fraction(picture, name) == 0 for name in COLOURS)
     picture[:5, :4] = pixel
-    assert {name: share(picture, name) for name in COLOURS if share(picture, name)} == {colour: 0.2}
+    assert {name: fraction(picture, name) for name in COLOURS if fraction(picture, name)} == {colour: 0.2}
 
 
 def test_states_are_looked_for_in_their_own_colours():
@@ -141,7 +141,7 @@ def test_states_are_looked_for_in_their_own_colours():
         (SyncState.FAULT, "red"),
         (SyncState.IN_SYNC, "green"),
     ):
-        assert share(np.full((2, 2, 3), STATES[state][:3]), name) == 1.0
+        assert fraction(np.full((2, 2, 3), STATES[state][:3]), name) == 1.0
 
 
 def test_a_grey_picture_has_three_channels(tmp_path):

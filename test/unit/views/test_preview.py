@@ -47,9 +47,9 @@ class TestGhost:
         sentence = preview.play(speed, False, 10.0)
         assert f"{DURATION / speed:.3f} s" in sentence
         trajectory = preview.plan.trajectory
-        for share in (0.0, 0.25, 0.5, 0.9):
-            expected = tuple(trajectory.sample(share * DURATION)[0].tolist())
-            assert preview.pose(10.0 + share * DURATION / speed) == pytest.approx(expected, abs=1e-12)
+        for fraction in (0.0, 0.25, 0.5, 0.9):
+            expected = tuple(trajectory.sample(fraction * DURATION)[0].tolist())
+            assert preview.pose(10.0 + fraction * DURATION / speed) == pytest.approx(expected, abs=1e-12)
 
     def test_stays_at_the_goal_until_the_plan_is_decided(self, preview):
         preview.play(1.0, False, 0.0)
@@ -165,7 +165,7 @@ class TestPicture:
         assert lines == [
             "2.00 s, none for test",
             "closest 0.031 m, link_5 to wall, after 0.75 s at (1.20, -0.40, 0.90) m",
-            "largest share of velocity / acceleration / jerk:",
+            "largest fraction of velocity / acceleration / jerk:",
             "joint_a1: 25% / 30% / 35%",
             "joint_a2: 50% / 60% / 70%",
         ]

@@ -110,7 +110,7 @@ def test_a_plan_for_its_reviewer():
     text = "\n".join(plan_lines(sample, [False] * len(sample.trajectory.joint_names)))
     assert sample.id in text and sample.hash in text
     assert f"duration   {sample.trajectory.duration:.3f} s" in text
-    assert "clearance" in text and "largest shares: velocity" in text
+    assert "clearance" in text and "largest fractions: velocity" in text
     first = sample.trajectory.joint_names[0]
     assert f"{first} {math.degrees(sample.trajectory.positions[-1][0]):.3f} deg" in text
 

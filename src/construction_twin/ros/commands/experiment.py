@@ -138,14 +138,14 @@ class Experiment:
 
     def _plan(self, goal_deg: list[float]) -> str:
         """Have one reach planned from the twin's present pose; return the plan's id."""
-        share = len(self._settings.goals_deg)
+        fraction = len(self._settings.goals_deg)
         rospy.wait_for_service("plan_to_joints", self._settings.timeout)
         answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
             goal=from_wire(goal_deg, self._robot.linear),
             start=[],
-            duration=self._settings.duration / share,
+            duration=self._settings.duration / fraction,
             speed_scale=0.0,
-            waypoints=max(2, self._settings.waypoints // share),
+            waypoints=max(2, self._settings.waypoints // fraction),
             source="experiment",
         )
         if not answer.success:
@@ -246,7 +246,7 @@ class Experiment:
 
 
 class _ProgressView:
-    """Shows progress: a bar on a terminal, elsewhere a line every 10 %. Entering yields ``show(share)``."""
+    """Shows progress: a bar on a terminal, elsewhere a line every 10 %. Entering yields ``show(fraction)``."""
 
     def __init__(self, console: Console, title: str):
         self._console = console
@@ -259,16 +259,16 @@ class _ProgressView:
             return self._line
         self._bar.start()
         task = self._bar.add_task(self._title, total=1.0)
-        return lambda share: self._bar.update(task, completed=share)
+        return lambda fraction: self._bar.update(task, completed=fraction)
 
     def __exit__(self, *_) -> None:
         if self._bar is not None:
             self._bar.stop()
 
-    def _line(self, share: float) -> None:
-        if share >= self._next:
-            self._console.print(f"{self._title}: {100 * share:3.0f} %")
-            self._next = np.floor(share * 10.0 + 1e-9) / 10.0 + 0.1
+    def _line(self, fraction: float) -> None:
+        if fraction >= self._next:
+            self._console.print(f"{self._title}: {100 * fraction:3.0f} %")
+            self._next = np.floor(fraction * 10.0 + 1e-9) / 10.0 + 0.1
 
 
 def point_latest(results: Path, directory: Path) -> None:

@@ -18,7 +18,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.robot.plan import Clearance, LimitShares, Plan, PlanReport
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 
 
@@ -71,7 +71,7 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
     -------
     msg : construction_twin/Plan
     """
-    clearance, shares = plan.report.clearance, plan.report.shares
+    clearance, fractions = plan.report.clearance, plan.report.fractions
     msg = PlanMsg(
         id=plan.id,
         hash=plan.hash,
@@ -87,9 +87,9 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
         clearance_time=clearance.time,
         clearance_between=list(clearance.between),
         clearance_point=Point(*clearance.point),
-        velocity_use=list(shares.velocity),
-        acceleration_use=list(shares.acceleration),
-        jerk_use=list(shares.jerk),
+        velocity_use=list(fractions.velocity),
+        acceleration_use=list(fractions.acceleration),
+        jerk_use=list(fractions.jerk),
     )
     msg.header.stamp = genpy.Time(0, plan.created_ns)
     msg.header.frame_id = frame_id
@@ -126,7 +126,7 @@ def _report_from_msg(msg: PlanMsg) -> PlanReport:
         raise TrajectoryError(f"plan {msg.id} was measured as {found}; expected numbers")
     return PlanReport(
         Clearance(msg.clearance, tuple(msg.clearance_between), (point.x, point.y, point.z), msg.clearance_time),
-        LimitShares(tuple(msg.velocity_use), tuple(msg.acceleration_use), tuple(msg.jerk_use)),
+        LimitUsage(tuple(msg.velocity_use), tuple(msg.acceleration_use), tuple(msg.jerk_use)),
         msg.recheck_time,
     )
 

@@ -181,7 +181,7 @@ def _reason(review: RemoteReview) -> str:
 def plan_view(message: Plan) -> PlanView:
     """Return what is shown of a plan; what a planner has not measured is left empty.
 
-    Numbers cross unchanged. Every measured plan has its shares of the velocity limits, so their absence means that none was.
+    Numbers cross unchanged. Every measured plan has its fractions of the velocity limits, so their absence means that none was.
     """
     points = message.trajectory.points
     clearance = None

@@ -9,8 +9,8 @@ import numpy as np
 import rospy
 
 from construction_twin.coordination.conflict import braking_horizon
+from construction_twin.coordination.path_judge import Judgement, Others, PathJudge
 from construction_twin.coordination.plan_book import PlanUnknownError
-from construction_twin.coordination.way_judge import Judgement, Others, WayJudge
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.units import NANOSECONDS
@@ -43,7 +43,7 @@ class NeighbourNode:
         self._own = ArmListener(robot, self._diagnostics.refuse, streams=True)
         timeout = VERDICT_TIMEOUT / NANOSECONDS
         self._horizon = braking_horizon(robot, self._other.robot, settings.max_pose_age, timeout, DELAY)
-        self._judge = WayJudge(robot, settings.name, settings.watch_padding, settings.own_step, self._horizon)
+        self._judge = PathJudge(robot, settings.name, settings.watch_padding, settings.own_step, self._horizon)
         self._publisher = Publisher("conflict", ConflictMsg, queue_size=10)
         rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, self._horizon)
 

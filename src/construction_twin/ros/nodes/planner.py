@@ -200,7 +200,7 @@ class PlannerNode:
     def _answer_read(self, read: Callable[[], Callable[[PlanRequest], Plan]], asked: PlanRequest) -> tuple:
         """Read what a request refers to, then make and publish a plan; the one place where a failure becomes an answer.
 
-        Returns success, sentence, plan id, plan hash, duration, and the share of a tool path that can be followed.
+        Returns success, sentence, plan id, plan hash, duration, and the fraction of a tool path that can be followed.
         """
         try:
             make_plan = read()  # before the lock: nobody waits for another one's disk

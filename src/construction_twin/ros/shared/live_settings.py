@@ -54,7 +54,7 @@ _SHOWN = {
     "lag_allowance": ("double", 0.0, 1.0, "Largest servo lag that is believed [s]"),
     "lag_margin": ("double", 0.0, 1.0, "What the estimated servo lag may be wrong by [s]"),
     "feedback_timeout": ("double", 0.01, 10.0, "Older feedback is out of sync [s]"),
-    "agree_share": ("double", 0.01, 1.0, "Share of the thresholds below which poses agree again"),
+    "agree_share": ("double", 0.01, 1.0, "Fraction of the thresholds below which poses agree again"),
     "agree_time": ("double", 0.0, 60.0, "Poses must agree this long before the gate opens [s]"),
     "give_up_time": ("double", 0.1, 3600.0, "Closed this long the gate is STOPPED [s]"),
     "escalate_count": ("int", 1, 1000, "Closed this often within escalate_time the gate is STOPPED"),

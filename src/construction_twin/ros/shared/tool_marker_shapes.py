@@ -26,9 +26,9 @@ COLOURS = {
 }
 #: Readable before the sky, the floor and the arm.
 _TEXT_COLOUR = (0.1, 0.1, 0.15, 1.0)
-#: Height of a letter, distance of the text below the marker, where the arm seldom is, as shares of its size; characters of a line.
+#: Height of a letter, distance of the text below the marker, where the arm seldom is, as fractions of its size; characters of a line.
 _LETTER, _BELOW, _WIDTH = 0.1, 0.95, 45
-#: Size of the handle, and of the sphere in it that shows the verdict, as shares of the marker's. The handle is the outer one, a
+#: Size of the handle, and of the sphere in it that shows the verdict, as fractions of the marker's. The handle is the outer one, a
 #: clear shell: rviz gives a click to what it meets first, and the verdict's sphere has no menu.
 _HANDLE, _SPHERE = 0.3, 0.25
 _HALF = math.sqrt(0.5)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.coordination.conflict import Claim, Conflict, OwnWay, gives_way
+from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, gives_way
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -58,7 +58,7 @@ class Others:
     complete: bool = True
 
 
-class WayJudge:
+class PathJudge:
     """Keeps what is known of each plan's way from look to look.
 
     Parameters
@@ -88,7 +88,7 @@ class WayJudge:
         self._bare = Neighbour(robot.name, robot, Pose(np.zeros(3), np.eye(3)), step)
         self._arm = self._bare
         self._scene = ""
-        self._ways: dict[str, OwnWay] = {}
+        self._ways: dict[str, OwnPath] = {}
         self._at = "", 0
 
     def waiting(self, plan: Plan, scene: Scene | None, others: Others) -> Judgement:
@@ -143,32 +143,32 @@ class WayJudge:
         look = way.look(others.obstacles, self._padding + scene.padding, row, horizon, BUDGET)
         lost = bool(own.since) and not poses
         if look.conflict is None:
-            if (look.share < 1.0 or not others.complete) and (poses is None or lost):
-                return Judgement(True, 0.0, self._so_far(look.share, others))
+            if (look.fraction < 1.0 or not others.complete) and (poses is None or lost):
+                return Judgement(True, 0.0, self._so_far(look.fraction, others))
             return Judgement(False, -1.0, "its way is free")
         # not knowing how far we have come, nobody knows how far the conflict is
         conflict = Conflict(0.0, look.conflict.between) if lost else look.conflict
         blocked = gives_way(conflict, own, others.claim, self._horizon)
         return Judgement(blocked, conflict.time, self._sentence(conflict, others, blocked))
 
-    def _present_row(self, way: OwnWay, poses: tuple[np.ndarray, ...]) -> int:
+    def _present_row(self, way: OwnPath, poses: tuple[np.ndarray, ...]) -> int:
         """Return how far our arm has come on a plan, measured or commanded, whichever is less; never less than before."""
         known = self._at[1] if self._at[0] == way.plan.id else 0
         found = [way.row_of(pose, known) for pose in poses]
         self._at = way.plan.id, min((known if row is None else row for row in found), default=known)
         return self._at[1]
 
-    def _way(self, plan: Plan, scene: Scene) -> OwnWay:
+    def _way(self, plan: Plan, scene: Scene) -> OwnPath:
         if scene.hash != self._scene:
             self._arm = self._bare.carrying(scene.objects)
             self._scene, self._ways = scene.hash, {}
         if plan.id not in self._ways:
-            self._ways[plan.id] = OwnWay(plan, self._arm)
+            self._ways[plan.id] = OwnPath(plan, self._arm)
         return self._ways[plan.id]
 
-    def _so_far(self, share: float, others: Others) -> str:
+    def _so_far(self, fraction: float, others: Others) -> str:
         against = self._neighbour if others.complete else f"the first part of {self._neighbour}'s path"
-        return f"{min(share, 0.99):.0%} of its way has been checked against {against} so far, wait a moment"
+        return f"{min(fraction, 0.99):.0%} of its way has been checked against {against} so far, wait a moment"
 
     def _sentence(self, conflict: Conflict, others: Others, blocked: bool) -> str:
         mine, theirs = conflict.between

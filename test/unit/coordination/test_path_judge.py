@@ -7,9 +7,9 @@ import pytest
 from neighbour_cell import AWAY, CLEAR, NEAR, TOWARDS, line, other, plan
 from planning_cell import HOME, ROBOT
 
-from construction_twin.coordination import conflict, way_judge
+from construction_twin.coordination import conflict, path_judge
 from construction_twin.coordination.conflict import Claim
-from construction_twin.coordination.way_judge import Others, WayJudge
+from construction_twin.coordination.path_judge import Others, PathJudge
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -21,10 +21,10 @@ CLEAR_PLAN = plan(CLEAR, CLEAR + np.radians([-60, 0, 0, 0, 0, 0]), "p2")
 
 
 @pytest.fixture
-def judge(monkeypatch) -> WayJudge:
-    monkeypatch.setattr(way_judge, "BUDGET", 1)
+def judge(monkeypatch) -> PathJudge:
+    monkeypatch.setattr(path_judge, "BUDGET", 1)
     monkeypatch.setattr(conflict, "_BLOCK", 16)
-    return WayJudge(ROBOT, "other", 0.03, 0.1, HORIZON)
+    return PathJudge(ROBOT, "other", 0.03, 0.1, HORIZON)
 
 
 def pose(made, at: float) -> tuple[np.ndarray, np.ndarray]:
@@ -68,7 +68,7 @@ def test_a_conflict_far_ahead_is_found_as_the_looks_go_on(judge):
 
 def test_a_conflict_within_the_horizon_is_found_at_once(judge):
     contact = settled(lambda: judge.waiting(PLAN, EMPTY, STANDS_TOWARDS)).time
-    fresh = WayJudge(ROBOT, "other", 0.03, 0.1, HORIZON)
+    fresh = PathJudge(ROBOT, "other", 0.03, 0.1, HORIZON)
     at = contact - HORIZON + 0.1
     verdict = fresh.followed(PLAN, EMPTY, Others(STANDS_TOWARDS.obstacles, Claim(9, "other")), 5, pose(PLAN, at))
     assert verdict.blocked and verdict.time <= HORIZON
