@@ -1,13 +1,13 @@
 """Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [lint|unit|integration|NAME...]`.
 
-Each tool of scripts/lint.py counts as one test. Unit tests run under pytest, each `test/integration/*.test` under rostest with a ROS
-master of its own. A rostest that yields no result counts as one failure.
+Each tool of scripts/lint.py counts as one test. Unit tests run under pytest, each `test/integration/*.test` under rostest with a
+ROS master of its own. A rostest that yields no result counts as one failure.
 
 Lint and the unit tests that need no real time run beside each other. Whatever runs at 250 Hz has the machine to itself, and a probe
-per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as they should, and a
-test that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported and the test is run
-again, `AGAIN` times at most. A failure beside which the machine did run is a failure, and so is every failure where the probe has no
-priority above the tested processes.
+per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as they should, and
+a test that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported, and the test is
+run again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority above the tested
+processes.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ LINE = 300
 #: What failed, for that list, and which runs were made again.
 FAILED: list[str] = []
 DISTURBED: list[str] = []
-#: A failure shows nothing if a core ran no process for this long [ms]; the test is then run again, so many times at most. The monitor
-#: calls a pose stale after 100 ms. Pauses of 20 ms are usual on a shared machine, and the tests allow for them. Linux stops real-time
-#: processes that took 95 % of a second for 50 ms: that would be our fault, so the limit is higher.
+#: A failure shows nothing if a core ran no process for this long [ms]; the test is then run again, so many times at most. The
+#: monitor calls a pose stale after 100 ms. Pauses of 20 ms are usual on a shared machine, and the tests allow for them. Linux stops
+#: real-time processes that took 95 % of a second for 50 ms: that would be our fault, so the limit is higher.
 HALT, AGAIN = 60.0, 3
 #: Period of the probe [ns]: short enough to see such a pause, long enough to take little time from the tests.
 PROBE_PERIOD = 2_000_000

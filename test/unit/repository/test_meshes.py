@@ -1,4 +1,4 @@
-"""model: closed meshes of a moderate size that say the same every time, lie within the collision shapes, and weigh what is stated."""
+"""tools/model: closed meshes of a moderate size, the same every time, within the collision shapes, and of the stated mass."""
 
 from __future__ import annotations
 
