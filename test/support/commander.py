@@ -13,7 +13,7 @@ import numpy as np
 from impairment import hurry
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import StateCheck
+from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.supervisor import LinkState, LinkSupervisor

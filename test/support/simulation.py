@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import StateCheck
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval

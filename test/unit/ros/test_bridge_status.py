@@ -11,7 +11,7 @@ import pytest
 import rospy
 from gateway_cell import following
 
-from construction_twin.core.freshness import StateCheck
+from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import NANOSECONDS, last_digit
 from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.supervisor import LinkState, LinkSupervisor

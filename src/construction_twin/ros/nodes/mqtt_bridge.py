@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from construction_twin.core.errors import PayloadError, ReviewError
-from construction_twin.core.freshness import StateCheck
+from construction_twin.core.travel_time import StateCheck
 from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.status_values import status_values
 from construction_twin.link.supervisor import LinkState, LinkSupervisor
