@@ -24,7 +24,8 @@ from construction_twin.execution.approval import Approval
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.states import LinkState
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings

@@ -17,8 +17,9 @@ from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 from construction_twin.core.errors import PayloadError, ReviewError
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.link.speed_forwarder import SpeedForwarder
+from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
@@ -244,7 +245,7 @@ class MqttBridgeNode:
         with self._lock:
             control, mirrored = Control(uuid.uuid4().hex, self._supervisor.session, "stop"), self._supervisor.mirrors
             # the link is not armed from here on: the executor drops its plan, and no command is sent
-            self._supervisor.drop("stopped at the gateway on request; call reset")
+            self._supervisor.halt("stopped at the gateway on request; call reset")
         self._send_control(control)
         if mirrored:
             rospy.set_param(MIRROR_MODE, False)
