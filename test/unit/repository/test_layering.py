@@ -43,7 +43,7 @@ THIRD_PARTY = {
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
-    "executor": {"arm", "auto_approve", "review_file", "planner", "neighbour", "realtime_priority"},
+    "executor": {"arm", "auto_approve", "review_file", "neighbour", "realtime_priority"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
@@ -55,8 +55,6 @@ DEPLOYMENT = {
     "planner": {"self_collision", "tf_prefix"},
     "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
 }
-#: Names of partner nodes: they follow from the launch files' own node names.
-PARTNERS = {"gate", "executor"}
 
 
 def relative(path: Path) -> str:
@@ -117,15 +115,22 @@ def test_every_public_name_has_a_docstring(path):
     assert undocumented(path) == []
 
 
+#: The one broad handler: rospy would log what a callback did not foresee and go on with the next message, in a node that has lost
+#: its way. The handler hands every exception to `threading.excepthook`, which ends the process; it swallows nothing.
+BROAD = {"src/construction_twin/ros/transport/subscriber.py": 1}
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=relative)
 def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
+    broad = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ExceptHandler):
-            assert node.type is not None and getattr(node.type, "id", "") not in ("Exception", "BaseException"), (
-                node.lineno
-            )
+            assert node.type is not None
+            if getattr(node.type, "id", "") in ("Exception", "BaseException"):
+                broad.append(node.lineno)
         if isinstance(node, ast.ImportFrom):
             assert node.names[0].name != "*"
+    assert len(broad) == BROAD.get(relative(path), 0), broad
 
 
 @pytest.mark.parametrize("path", NODES, ids=relative)
@@ -174,7 +179,7 @@ SETTINGS = {
 
 @pytest.mark.parametrize("node", sorted(SETTINGS))
 def test_configuration_and_settings_have_the_same_keys(node):
-    assert set(config(node)) == SETTINGS[node] - DEPLOYMENT[node] - PARTNERS
+    assert set(config(node)) == SETTINGS[node] - DEPLOYMENT[node]
 
 
 @pytest.mark.parametrize("node", sorted(SETTINGS))
