@@ -27,10 +27,10 @@ from construction_twin.core.errors import (
 from construction_twin.core.histogram import Histogram
 from construction_twin.core.realtime import lock_memory, request_realtime
 from construction_twin.gateway.config import GatewayConfig, load_config
-from construction_twin.gateway.gateway import Gateway, State
+from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.gateway.log import LineLimiter, log_beside_the_loop
-from construction_twin.gateway.mode import NOTES, Mode
+from construction_twin.gateway.states import NOTES, Mode, State
 from construction_twin.gateway.status import StatusClock
 from construction_twin.gateway.trace import TraceWriter
 from construction_twin.mqtt.account import load_account
