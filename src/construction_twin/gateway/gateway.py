@@ -170,6 +170,15 @@ class Gateway:
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
         return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
 
+    def observe(self, telegram: RobotTelegram, correction: tuple[float, ...]) -> None:
+        """Take note of a telegram that the last resort answered with `correction` [rad]: the arm's pose is still reported."""
+        if telegram.measured is not None:
+            self._controller.measured = telegram.measured
+        self._answered_stamp = 0
+        if self.trace is not None:
+            position = tuple([start + value for start, value in zip(self._controller.origin, correction)])
+            self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, 0, position)
+
     def poll(self, now: int) -> None:
         """Notice silence, of the controller or of a speed limit's source; call this at least every 0.1 s."""
         self._poll_speed_limit(now)

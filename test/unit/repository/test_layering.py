@@ -117,10 +117,27 @@ def test_every_public_name_has_a_docstring(path):
     assert undocumented(path) == []
 
 
+#: The one function that may catch every exception: after it the last resort answers RSI, and the gateway takes no command any more.
+#: Without it an error in a status message would end the answers, and the controller would stop the arm dead from full speed.
+LAST_RESORT = ("src/construction_twin/gateway/service.py", "guarded")
+
+
+def last_resort(tree: ast.Module, path: Path) -> list[ast.ExceptHandler]:
+    """Return the one handler in the one function that is exempt, where the file is the one that has it."""
+    if relative(path) != LAST_RESORT[0]:
+        return []
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name == LAST_RESORT[1]]
+    handlers = [node for function in functions for node in ast.walk(function) if isinstance(node, ast.ExceptHandler)]
+    assert len(handlers) == 1 and handlers[0].type.id == "Exception"
+    return handlers
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=relative)
 def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ExceptHandler):
+    tree = ast.parse(path.read_text())
+    exempt = last_resort(tree, path)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ExceptHandler) and node not in exempt:
             assert node.type is not None and getattr(node.type, "id", "") not in ("Exception", "BaseException"), (
                 node.lineno
             )
