@@ -115,22 +115,33 @@ def test_every_public_name_has_a_docstring(path):
     assert undocumented(path) == []
 
 
-#: The one broad handler: rospy would log what a callback did not foresee and go on with the next message, in a node that has lost
-#: its way. The handler hands every exception to `threading.excepthook`, which ends the process; it swallows nothing.
-BROAD = {"src/construction_twin/ros/transport/subscriber.py": 1}
+#: The functions that may catch every exception, and none of them swallows one. In the cell PC's gateway the last resort brakes and
+#: answers RSI from then on: without it an error in a status message would end the answers, and the controller would stop the arm
+#: dead from full speed. A subscriber hands what its callback did not foresee to `threading.excepthook`, which ends the node; rospy
+#: would log it and go on with the next message, in a node that has lost its way.
+BROAD = {
+    "src/construction_twin/gateway/service.py": "guarded",
+    "src/construction_twin/ros/transport/subscriber.py": "_receive",
+}
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=relative)
 def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
-    broad = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    tree, broad = ast.parse(path.read_text()), []
+    for node in ast.walk(tree):
         if isinstance(node, ast.ExceptHandler):
-            assert node.type is not None
+            assert node.type is not None, node.lineno
             if getattr(node.type, "id", "") in ("Exception", "BaseException"):
                 broad.append(node.lineno)
         if isinstance(node, ast.ImportFrom):
             assert node.names[0].name != "*"
-    assert len(broad) == BROAD.get(relative(path), 0), broad
+    exempt = [
+        node.lineno <= line <= node.end_lineno
+        for line in broad
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and node.name == BROAD.get(relative(path))
+    ]
+    assert len(broad) == sum(exempt) == (relative(path) in BROAD), broad
 
 
 @pytest.mark.parametrize("path", NODES, ids=relative)
