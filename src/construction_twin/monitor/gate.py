@@ -64,7 +64,7 @@ class GateSettings:
     thresholds: Mapping[str, float] = field(default_factory=dict)
     aligned: bool = True
     lag_allowance: float = 0.05
-    lag_margin: float = 0.06
+    lag_margin: float = 0.02
     feedback_timeout: float = 0.1
     agree_share: float = 0.8
     agree_time: float = 0.1
