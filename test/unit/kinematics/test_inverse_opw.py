@@ -48,7 +48,7 @@ def test_parameters_of_the_kr120_are_the_facts_sheets():
     "robot, reason",
     [
         (UR_LIKE, r"axis 6 passes 0\.12 m beside .* not spherical"),
-        (TRACK, "6 turning and 1 linear"),
+        (TRACK, "6 revolute and 1 prismatic"),
         (changed("joint_a3", rpy="0.1 0 0"), "axes 2 and 3 are 0.1 rad from parallel"),
         (changed("joint_a5", xyz="0.05 0.02 0"), "axis 6 passes 0.02 m beside"),
         (changed("joint_a5", axis="1 0 0"), "axes 4 and 5 do not meet"),
