@@ -23,13 +23,13 @@ from typing import TypeVar
 
 from paho.mqtt import client as paho
 
-from construction_twin.core.addresses import is_loopback
 from construction_twin.core.errors import (
     ConfigurationError,
     ConstructionTwinError,
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.gateway import Gateway

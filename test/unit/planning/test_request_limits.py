@@ -173,7 +173,8 @@ class Cell:
         self._desk = desk()
         self._settings = SimpleNamespace(scene_timeout=0.0)
         self._scene_subscriber = SimpleNamespace(get_num_connections=lambda: publishers)
-        self._diagnostics = SimpleNamespace(refused=Counter())
+        self.refused = Counter()
+        self._diagnostics = SimpleNamespace(count=lambda reason, _: self.refused.update([reason]))
         self.outcomes = []
 
     def _published(self, plan, asked):
@@ -200,7 +201,7 @@ def test_what_no_check_foresaw_is_answered_too(error, while_reading):
 
     answer = cell._answer_read(fail, REQUEST) if while_reading else cell._answer(fail, REQUEST)
     assert answer[0] is False and type(error).__name__ in answer[1]
-    assert cell.outcomes == [(False, answer[1])] and cell._diagnostics.refused == {type(error).__name__: 1}
+    assert cell.outcomes == [(False, answer[1])] and cell.refused == {type(error).__name__: 1}
     assert cell._answer(plan_in(cell), REQUEST)[0] is True  # and the lock is free
 
 

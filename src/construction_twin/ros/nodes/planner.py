@@ -37,11 +37,12 @@ from construction_twin.ros.messages.plan_requests import (
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.arm_listener import OtherArm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
 from construction_twin.scene.self_collision import read_self_collision
@@ -105,13 +106,14 @@ class PlannerNode:
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._publisher = Publisher("plan", PlanMsg, queue_size=1, latch=True)
         self._outcome_publisher = Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
-        self._scene_subscriber = rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
-        rospy.Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, queue_size=10)
-        rospy.Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
-        rospy.Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
-        rospy.Service("plan_cartesian", PlanCartesian, self._on_plan_cartesian)
-        rospy.Service("plan_from_csv", PlanFromCsv, self._on_plan_from_csv)
+        refuse = self._diagnostics.refuse
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, refuse)
+        self._scene_subscriber = Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1)
+        Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, refuse, queue_size=10)
+        Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
+        Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
+        Service("plan_cartesian", PlanCartesian, self._on_plan_cartesian)
+        Service("plan_from_csv", PlanFromCsv, self._on_plan_from_csv)
 
     def _open_desk(self) -> PlanningDesk:
         settings = self._settings
@@ -187,7 +189,7 @@ class PlannerNode:
             waypoints = trajectory_waypoints(msg, self._robot)
             return lambda asked: self._desk.through(waypoints, self._present_pose(), asked)
 
-        caller = msg._connection_header["callerid"]
+        caller = caller_of(msg)
         self._answer_read(read, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
 
     def _request(self, request, source: str = "request") -> PlanRequest:
@@ -244,7 +246,7 @@ class PlannerNode:
 
     def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> tuple:
         self._last = f"no plan: {sentence}"
-        self._diagnostics.refused[type(error).__name__] += 1
+        self._diagnostics.count(type(error).__name__, sentence)
         rospy.logwarn("%s", self._last)
         self._publish_outcome(False, asked, sentence, "")
         fraction = error.fraction if isinstance(error, CartesianPathError) else 0.0

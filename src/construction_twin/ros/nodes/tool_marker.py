@@ -109,7 +109,7 @@ class ToolMarkerNode:
         self._shown: tuple[str, float] = ("", 0.0)
         self._server = InteractiveMarkerServer("tool_marker")
         self._menu = self._make_menu()
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
         rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
         rospy.Subscriber("tool_marker/feedback", InteractiveMarkerFeedback, self._on_any_feedback, queue_size=50)
 
