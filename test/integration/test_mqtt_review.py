@@ -41,6 +41,8 @@ class MqttReviewTest(unittest.TestCase):
         cls.links = rospy.Publisher("link", Link, queue_size=5, latch=True)
         cls.service = rospy.Service("review_plan", ReviewPlan, cls._on_review)
         cls.programs = {}
+        # planner, executor and bridge are played by this node
+        rospy.set_param("publishers", dict.fromkeys(("plan", "review", "link"), rospy.get_name()))
         cls._start("broker", "--config", str(cls.folder / "site/broker/mosquitto.conf"))
         account = cls.folder / "site/accounts/kr120-bridge/account.json"
         for name, value in (("host", "localhost"), ("port", PORT), ("account", str(account))):

@@ -225,14 +225,17 @@ class GatewayService:
     # -- the loop
 
     def _turn(self) -> None:
+        events: list | None = []
         if not self.failure:
             self.guarded(self._work)
-        elif self.guarded(self._wait) is None:
-            # a selector that fails must not keep the processor from the answers
-            time.sleep(0.001)
+        else:
+            events = self.guarded(self._wait)
         if self.failure:
             self.guarded(self._rescue)
-            if self._mqtt.connected:
+            if events is None:
+                # a selector that fails must neither take the whole processor nor silence MQTT
+                time.sleep(0.001)
+            if self._mqtt.connected if events is None else self._is_readable(events):
                 self.guarded(self._mqtt.read)
             self.guarded(self._mqtt.service, time.monotonic())
             self.guarded(self._report_failure)
@@ -246,7 +249,7 @@ class GatewayService:
         if self._thread_failure is not None:
             raise self._thread_failure
         answered = self._serve_controller()
-        if any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events):
+        if self._is_readable(events):
             self._mqtt.read()
         now = time.monotonic()
         self._mqtt.service(now)
@@ -256,6 +259,9 @@ class GatewayService:
             self._publish_status()
         elif self._status.is_due(now, answered):
             self._publish_status()
+
+    def _is_readable(self, events: list) -> bool:
+        return any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events)
 
     def _report_failure(self) -> None:
         if self.gateway.take_change() or self._status.is_due(time.monotonic(), True):

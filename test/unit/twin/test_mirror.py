@@ -123,7 +123,7 @@ class TestSupervisor:
         with pytest.raises(ReviewError):
             getattr(armed.supervisor, request_name)(armed.now)
 
-    def test_an_emergency_stop_ends_it_and_a_person_goes_on(self, armed):
+    def test_a_halt_ends_it_and_a_person_goes_on(self, armed):
         armed.supervisor.begin_mirror(armed.now)
         armed.run(0.5)
         armed.supervisor.halt("stopped")
