@@ -99,7 +99,7 @@ class ToolMarkerNode:
         self._finished = ""
         self._planning = threading.Lock()
         self._client = OperatorClient(
-            rospy.get_namespace(), self._settings.service_timeout, "tool_marker", lasting=True
+            rospy.get_namespace(), self._settings.service_timeout, "tool_marker"
         )
         self._listener = RobotListener(rospy.get_namespace(), self._robot)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
