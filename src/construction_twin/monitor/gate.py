@@ -209,7 +209,7 @@ class Gate:
         Raises
         ------
         ConfigurationError
-            When the arm moves, when the gate holds, or when `thresholds` names a joint that does not exist. Nothing is changed then.
+            When the arm moves, when the gate holds, or when `thresholds` names a joint that is unknown. Nothing is changed then.
         """
         if self._moved_at is not None and now - self._moved_at < REST:
             raise ConfigurationError(
