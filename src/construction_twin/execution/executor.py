@@ -351,7 +351,7 @@ class Executor:
             raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
         if problem := self.neighbour.problem(plan.id):
             raise ReviewError(f"plan {plan.id} may not start: {problem}")
-        self.desk.check_content()
+        self.desk.check_scene()
         check_start_pose(plan, self._setpoint, self._robot)
 
     def _halt(self, reason: str) -> str:

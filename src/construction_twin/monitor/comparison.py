@@ -168,8 +168,8 @@ class ComparisonSettings:
 def undetected(settings: ComparisonSettings, velocity: Sequence[float], known: bool = True) -> tuple[float, ...]:
     """Return how far the arm may be from the twin's pose for the same command without a violation.
 
-    The comparison takes out a lag of up to `lag_allowance`, and beyond that it grants `lag_margin`; until the lag is known it grants
-    `lag_allowance` a second time, because the part that was learned so far may be wrong by as much.
+    The comparison takes out a lag of up to `lag_allowance`, and grants `lag_margin` beyond that. Until the lag is known it grants
+    `lag_allowance` a second time, because what was learned so far may be wrong by as much.
 
     Parameters
     ----------
