@@ -216,8 +216,10 @@ def _parameter_table(node: str) -> str:
         arg = launched.get(name)
         if arg:
             default = f"launch: `{arg}`"
-        elif name in launched:
+        elif name in launched and name not in given:
             default = "launch"
+        elif name in launched:
+            default = f"`{_yaml_text(given[name])}`; the launch file sets another for the mock"
         elif name in given:
             default = f"`{_yaml_text(given[name])}`"
         else:
@@ -312,6 +314,40 @@ def _exit_codes() -> str:
     return "\n".join(["| exit code | meaning |", "|---|---|", *rows, ""])
 
 
+# -- state machines
+
+
+def state_rows(module: str) -> list[tuple[str, ...]]:
+    """Return a state machine's table in words, as its module has it: state, event, guard, action, next state.
+
+    States with the same row share one; "any" stands for all of them. The monitor's table has neither guards nor actions.
+    """
+    code = importlib.import_module(module)
+    if hasattr(code, "table_cells"):
+        return [tuple(row) for row in code.table_cells()]
+    if hasattr(code, "rows"):
+        return _shared_rows([tuple(row) for row in code.rows()])
+    table = [(s.name, f"`{e.value}`", t.name) for s, row in code.TABLE.items() for e, t in row.items()]
+    return _shared_rows(table)
+
+
+def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    states = list(dict.fromkeys(row[0] for row in rows))
+    shared: dict[tuple[str, ...], list[str]] = {}
+    for state, *rest in rows:
+        shared.setdefault(tuple(rest), []).append(state)
+    return [("any" if len(of) == len(states) else ", ".join(of), *rest) for rest, of in shared.items()]
+
+
+def _state_table(module: str) -> str:
+    rows = state_rows(module)
+    columns = ["state", "event", "guard", "action", "next state"]
+    if len(rows[0]) == 3:
+        columns = ["state", "event", "next state"]
+    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+    return "\n".join([*lines, *(f"| {' | '.join(map(_cell, row))} |".replace("|  |", "| |") for row in rows), ""])
+
+
 PARTS: dict[str, Callable[[], str]] = {
     "launch arguments": _launch_page,
     "parameters": _parameter_page,
@@ -319,6 +355,9 @@ PARTS: dict[str, Callable[[], str]] = {
     "commands": _command_page,
     "exit codes": _exit_codes,
     "messages": _message_page,
+    "gateway states": lambda: _state_table("construction_twin.gateway.states"),
+    "link states": lambda: _state_table("construction_twin.link.states"),
+    "monitor states": lambda: _state_table("construction_twin.monitor.states"),
 }
 
 
