@@ -8,8 +8,8 @@ import math
 
 import shtab
 
-#: Put before the completion that shtab makes of the parser: the short name `twin`, and in bash also `rosrun construction_twin twin`.
-#: Any other `rosrun` is left to ROS's own completion.
+#: Added to the completion that shtab makes of the parser: the short name `twin`, and for bash `rosrun construction_twin twin`. Any
+#: other `rosrun` is left to ROS's own completion.
 _PREAMBLE = {
     "bash": """\
 # Load it in a shell: source <(rosrun construction_twin twin --completion bash)
