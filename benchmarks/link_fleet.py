@@ -136,7 +136,7 @@ class Fleet:
         self._observer.start()
         self.pids: list[int] = []
         shared = bridge_parameters(port, realtime, PREFIX)
-        shared["mqtt_bridge"]["gate"] = "/link_gates"
+        shared["publishers"] = {"command/joint_states": "/link_gates"}
         for name in self.names:
             parameters = shared | {"robot": shared["robot"] | {"name": name}}
             rospy.set_param(f"/{name}", parameters)

@@ -27,7 +27,8 @@ from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, en
 
 from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.mqtt.messages import Topics
-from construction_twin.robot.description import expand_xacro, read_robot_files
+from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.shared.gateway_export import gateway_config
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, from_time
 

@@ -1,14 +1,19 @@
 #!/usr/bin/env python3
-"""Garbage on MQTT and on the RSI port moves nothing, is counted, and disturbs neither link nor motion."""
+"""Garbage on MQTT, on the RSI port and from a bag moves nothing, is counted, and disturbs neither link nor motion."""
 
 import json
+import signal
 import socket
+import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+import rosgraph
 import rospy
 import rostest
 from paho.mqtt import client as paho
@@ -26,6 +31,14 @@ FAR = JointStringCodec(6).encode(radians(RIGHT))
 #: A joint string of the right length, to spoil one byte or field of.
 GOOD = JointStringCodec(6).encode(radians(HOME))
 NOW = "1795000000000000000"
+#: What a bag holds that could open the gate, keep it open or start a motion, and who hears it.
+PLAYED = {
+    "pca_monitor": ("twin/joint_states", "physical/feedback", "next/joint_states", "plan", "execution", "link"),
+    "executor": ("sync", "scene"),
+    "virtual_robot": ("command/joint_states", "physical/joint_states"),
+    "mqtt_bridge": (),
+    "planner": (),
+}
 #: Cycles over which an arm that must not move is watched.
 WATCH = 250
 
@@ -103,6 +116,47 @@ class GarbageTest(RobotTest):
             self.client.assert_at(LEFT, twin, arm)
             self.client.assert_within_limits(arm, missed)
         self.assert_undisturbed()
+
+    def test_played_bag_is_refused(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag = Path(folder) / "motion.bag"
+            self.record_motion(bag)
+            self.client.go_to(HOME)
+            before = {node: self.refused(node) for node in PLAYED}
+            violations = self.client.diagnostics("pca_monitor")["violations"]
+            with Stream("mock_rsi/joint_states") as arm:
+                subprocess.run(["rosbag", "play", "--quiet", bag], check=True, timeout=60)
+                for node in PLAYED:
+                    self.client.wait(lambda: self.refused(node) > before[node], f"{node} to count what the bag holds")
+                    sentence = self.client.diagnostics(node)["last refused publisher"]
+                    self.assertRegex(sentence, r"message from \S*/play_\d+; only /kr120/\w+ may publish /kr120/")
+                positions = arm.positions()
+                np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+        self.assertEqual(self.client.diagnostics("pca_monitor")["violations"], violations)
+        # and the system goes on
+        self.client.wait_until_ready()
+        self.client.go_to(LEFT)
+
+    def refused(self, node: str) -> int:
+        """Messages of somebody else's that a node has counted."""
+        return int(self.client.diagnostics(node).get("refused publisher", 0))
+
+    def record_motion(self, bag: Path) -> None:
+        """Record a motion to another pose."""
+        topics = [rospy.resolve_name(topic) for topics in PLAYED.values() for topic in topics]
+        recorder = subprocess.Popen(["rosbag", "record", "--quiet", "-O", bag, *topics])
+        try:
+            self.client.wait(lambda: self.is_heard_by_recorder(topics[0]), "the recorder to listen")
+            self.client.go_to(LEFT)
+        finally:
+            recorder.send_signal(signal.SIGINT)
+            recorder.wait(10)
+
+    @staticmethod
+    def is_heard_by_recorder(topic: str) -> bool:
+        """Whether rosbag's recorder has subscribed to a topic."""
+        listeners = dict(rosgraph.Master("/test").getSystemState()[1])
+        return any("/record_" in node for node in listeners.get(topic, ()))
 
     # -- what is sent
 

@@ -135,7 +135,7 @@ class Arm:
         if self.has_arm and (self.state(Sync) == "STOPPED" or self.state(Link) != "ARMED"):
             self.call("reset")
         self.wait_until_ready()
-        twin = LatestPose(f"/{self.name}/twin/joint_states", self.robot.joint_names)
+        twin = LatestPose(f"/{self.name}/twin/joint_states", self.robot.joint_names, print)
         try:
             away = np.abs(np.subtract(twin.pose(0.5, 5.0), radians(HOME))).max()
         finally:
@@ -209,7 +209,7 @@ class TwoRobotsTest(unittest.TestCase):
 
     def test_1_both_move_at_once(self):
         arms = self.one, self.two
-        twins = [LatestPose(f"/{arm.name}/twin/joint_states", arm.robot.joint_names) for arm in arms]
+        twins = [LatestPose(f"/{arm.name}/twin/joint_states", arm.robot.joint_names, print) for arm in arms]
         for twin in twins:
             self.addCleanup(twin.close)
         plans = [arm.plan_well(AWAY[arm.name]) for arm in arms]

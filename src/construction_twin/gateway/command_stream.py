@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import MAX_DRIFT
+from construction_twin.core.travel_time import MAX_DRIFT
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec

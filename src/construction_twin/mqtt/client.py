@@ -16,8 +16,8 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from construction_twin.core.addresses import is_loopback
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.network import is_loopback
 from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.fast_client import DirectClient, FastClient
 

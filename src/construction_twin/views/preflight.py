@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from construction_twin.core.addresses import is_loopback
+from construction_twin.core.network import is_loopback
 
 _BOOLEAN = "true or false"
 #: Arguments with a few allowed values.

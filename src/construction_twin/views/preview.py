@@ -157,7 +157,7 @@ def picture(plan: Plan, tool_position: Callable[[np.ndarray], np.ndarray]) -> Pl
 
 def describe(plan: Plan) -> str:
     """Return the plan's duration, closest clearance and largest fractions of the limits, some lines of text."""
-    clearance, fractions = plan.report.clearance, plan.report.fractions
+    clearance, fractions = plan.report.clearance, plan.report.usage
     lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
     if math.isfinite(clearance.distance):
         where = ", ".join(f"{value:.2f}" for value in clearance.point)

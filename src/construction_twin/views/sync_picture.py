@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from urdf_parser_py.urdf import Box, Cylinder, Mesh, Sphere
 
 from construction_twin.monitor.states import SyncState
-from construction_twin.robot.description import parse_urdf
+from construction_twin.robot.urdf import parse_urdf
 
 #: Red, green, blue, alpha of the physical arm by state. Fainter while it agrees: then the twin is what one looks at.
 COLOURS = {

@@ -45,7 +45,7 @@ def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
 
 
 def _fractions(plan: Plan) -> str:
-    fractions, names = plan.report.fractions, plan.trajectory.joint_names
+    fractions, names = plan.report.usage, plan.trajectory.joint_names
     parts = []
     for quantity in ("velocity", "acceleration", "jerk"):
         values = getattr(fractions, quantity)

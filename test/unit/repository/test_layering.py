@@ -44,7 +44,7 @@ THIRD_PARTY = {
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
-    "executor": {"arm", "auto_approve", "review_file", "planner", "neighbour", "realtime_priority"},
+    "executor": {"arm", "auto_approve", "review_file", "neighbour", "realtime_priority"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
@@ -56,8 +56,6 @@ DEPLOYMENT = {
     "planner": {"self_collision", "tf_prefix"},
     "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
 }
-#: Names of partner nodes: they follow from the launch files' own node names.
-PARTNERS = {"gate", "executor"}
 
 
 def relative(path: Path) -> str:
@@ -118,15 +116,33 @@ def test_every_public_name_has_a_docstring(path):
     assert undocumented(path) == []
 
 
+#: The functions that may catch every exception, and none of them swallows one. In the cell PC's gateway the last resort brakes and
+#: answers RSI from then on: without it an error in a status message would end the answers, and the controller would stop the arm
+#: dead from full speed. A subscriber hands what its callback did not foresee to `threading.excepthook`, which ends the node; rospy
+#: would log it and go on with the next message, in a node that has lost its way.
+BROAD = {
+    "src/construction_twin/gateway/service.py": "guarded",
+    "src/construction_twin/ros/transport/subscriber.py": "_receive",
+}
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=relative)
 def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    tree, broad = ast.parse(path.read_text()), []
+    for node in ast.walk(tree):
         if isinstance(node, ast.ExceptHandler):
-            assert node.type is not None and getattr(node.type, "id", "") not in ("Exception", "BaseException"), (
-                node.lineno
-            )
+            assert node.type is not None, node.lineno
+            if getattr(node.type, "id", "") in ("Exception", "BaseException"):
+                broad.append(node.lineno)
         if isinstance(node, ast.ImportFrom):
             assert node.names[0].name != "*"
+    exempt = [
+        node.lineno <= line <= node.end_lineno
+        for line in broad
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and node.name == BROAD.get(relative(path))
+    ]
+    assert len(broad) == sum(exempt) == (relative(path) in BROAD), broad
 
 
 @pytest.mark.parametrize("path", NODES, ids=relative)
@@ -175,7 +191,7 @@ SETTINGS = {
 
 @pytest.mark.parametrize("node", sorted(SETTINGS))
 def test_configuration_and_settings_have_the_same_keys(node):
-    assert set(config(node)) == SETTINGS[node] - DEPLOYMENT[node] - PARTNERS
+    assert set(config(node)) == SETTINGS[node] - DEPLOYMENT[node]
 
 
 @pytest.mark.parametrize("node", sorted(SETTINGS))

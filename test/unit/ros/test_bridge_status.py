@@ -11,10 +11,11 @@ import pytest
 import rospy
 from gateway_cell import following
 
-from construction_twin.core.freshness import StateCheck
+from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import NANOSECONDS, last_digit
 from construction_twin.link.speed_forwarder import SpeedForwarder
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.states import LinkState
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import parse_control
 from construction_twin.ros.nodes import mqtt_bridge as mqtt_bridge_node
 from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE, MqttBridgeNode
@@ -151,9 +152,9 @@ def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(bridge, clo
         if k == 20:
             clocks.wall += 60 * NANOSECONDS
         if k == 30:
-            assert not bridge._supervisor._at_rest(clocks.steady)
+            assert not bridge._supervisor.inputs.at_rest(clocks.steady)
         bridge._on_state(payload, [], False)
-    assert bridge._supervisor._at_rest(clocks.steady)
+    assert bridge._supervisor.inputs.at_rest(clocks.steady)
     # what goes out on ROS carries ROS time
     assert stamps[-1] == clocks.wall
 
@@ -203,6 +204,6 @@ def test_mirror_mode_is_kept_where_the_next_process_finds_it(bridge, clocks, mon
     node._client.is_connected = lambda: True
     node._supervisor.begin_mirror = lambda now: "the arm leads"
     assert node._on_mirror(SimpleNamespace(data=True)).success and kept == {MIRROR_MODE: True}
-    node._supervisor._mirror = True
+    node._supervisor._mirror.active = True
     assert node._on_stop(None).success and kept == {MIRROR_MODE: False}
     assert not node._on_mirror(SimpleNamespace(data=False)).success and kept == {MIRROR_MODE: False}

@@ -35,10 +35,9 @@ class World:
         patch(module, "Cycles", self.grid)
         patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
         patch(rospy.Time, "now", lambda: to_time(self.wall))
-        patch(rospy, "resolve_name", lambda name: name)
         patch(rospy, "on_shutdown", lambda _: None)
-        patch(rospy, "Subscriber", lambda *_, **__: SimpleNamespace(get_num_connections=lambda: 1))
-        patch(rospy, "Service", lambda name, _, handler: self.services.update({name: handler}))
+        patch(module, "Subscriber", lambda *_, **__: SimpleNamespace(get_num_connections=lambda: 1))
+        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
         patch(rospy, "Timer", lambda *_: None)
         for level in ("loginfo", "logwarn", "logerr"):
             patch(rospy, level, self.logger(level))
@@ -163,7 +162,6 @@ class TestPlansThatAreTurnedDown:
 
     def offered(self, world, plan) -> list[tuple[str, bool, str]]:
         message = plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3)))
-        message._connection_header = {"callerid": world.node._planner}
         world.said.clear()
         world.node._on_plan(message)
         world.node._publish_changes()

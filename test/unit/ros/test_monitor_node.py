@@ -41,8 +41,7 @@ class World:
         patch(rospy, "has_param", lambda name: False)
         patch(rospy, "get_param", lambda name, default: self.parameters.get(name, default))
         patch(rospy, "set_param", self.parameters.__setitem__)
-        patch(rospy, "resolve_name", lambda name: name)
-        patch(rospy, "Subscriber", lambda *_, **__: None)
+        patch(module, "Subscriber", lambda *_, **__: None)
         patch(rospy, "Timer", lambda *_: None)
         patch(rospy, "ServiceProxy", lambda *_: self.plan_to_joints)
         for level in ("loginfo", "logwarn", "logerr"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -250,7 +249,7 @@ def planner(unknown: str) -> planner_node.PlannerNode:
     node._other = SimpleNamespace(occupied=lambda _: other().anywhere(), unknown=unknown)
     node._busy = planner_node.threading.Lock()
     node._demand_scene = lambda: None
-    node._diagnostics = SimpleNamespace(refused=Counter())
+    node._diagnostics = SimpleNamespace(count=lambda *_: None)
     node._publish_outcome = lambda *_: None
     return node
 

@@ -131,10 +131,12 @@ def test_who_looks_at_a_field_finds_it(kind):
 class Topic:
     """A subscription whose messages come from the test; what it hands on and what it refuses."""
 
-    def __init__(self, monkeypatch, kind: type = JointState, publisher: str | None = None):
+    def __init__(self, monkeypatch, kind: type = JointState, topic: str = "t"):
         self.poses, self.refused = [], []
         monkeypatch.setattr(joint_stream.rospy, "Subscriber", self.subscribe)
-        JointSubscriber("t", NAMES, lambda *content: self.poses.append(content), self.refuse, publisher, kind=kind)
+        monkeypatch.setattr(joint_stream.rospy, "get_param", lambda _, default: default)
+        monkeypatch.setattr(joint_stream.rospy, "resolve_name", lambda name: f"/{name}")
+        JointSubscriber(topic, NAMES, lambda *content: self.poses.append(content), self.refuse, kind=kind)
 
     def subscribe(self, topic, kind, callback, **_):
         self.kind, self.receive = kind, callback
@@ -189,7 +191,7 @@ class TestSubscriber:
         assert topic.poses == [] and topic.refused == ["names"]
 
     def test_hears_one_node_only_where_one_is_named(self, monkeypatch):
-        topic = Topic(monkeypatch, publisher="/executor")
+        topic = Topic(monkeypatch, topic="next/joint_states")
         sent = PoseMessage(JointState, NAMES).sent(5, (1.0, 2.0, 3.0))
         topic.hear(sent, "/stranger")
         topic.hear(sent)
@@ -198,12 +200,13 @@ class TestSubscriber:
     def test_looks_away_after_each_message_where_that_is_wanted(self, monkeypatch):
         pauses = []
         monkeypatch.setattr(joint_stream.time, "sleep", pauses.append)
-        monkeypatch.setattr(joint_stream.rospy, "Subscriber", lambda *_, **__: None)
+        topic = Topic(monkeypatch)
         message = from_wire(on_wire(PoseMessage(JointState, NAMES).sent(5, (1.0, 2.0, 3.0))), JointState)
         message = from_wire(on_wire(message), PoseMessage(JointState, NAMES).received)
         message._connection_header = {"callerid": "/twin"}
         for pause in (0.0, 0.02):
-            JointSubscriber("t", NAMES, lambda *_: None, print, queue_size=1, pause=pause)._receive(message)
+            JointSubscriber("t", NAMES, lambda *_: None, print, queue_size=1, pause=pause)
+            topic.receive(message)
         assert pauses == [0.02]
 
 

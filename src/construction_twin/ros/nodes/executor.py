@@ -29,11 +29,12 @@ from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
@@ -52,7 +53,6 @@ class Settings(NodeSettings):
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
     review_file: Annotated[str, pydantic.Field(min_length=1)]
-    planner: str = "planner"
     neighbour: str = ""
     speed_limit_deadline: float = pydantic.Field(gt=0)
     speed_limit_silent: float = pydantic.Field(ge=0, le=1)
@@ -79,7 +79,6 @@ class ExecutorNode:
         self._lock = threading.Lock()
         self._approval = Approval(self._executor, self._log.append, self._lock)
         self._auto_approve = settings.auto_approve
-        self._planner = rospy.resolve_name(settings.planner)
         self._session: str | None = None
         self._sync_at = 0
         self._reported: tuple = ()
@@ -89,10 +88,10 @@ class ExecutorNode:
         self._execution = Publisher("execution", Execution, queue_size=10, latch=True)
         self._verdicts = Publisher("review", Review, queue_size=10, latch=True)
         self._subscribe(robot.joint_names, settings.arm)
-        rospy.Service("review_plan", ReviewPlan, self._on_review)
-        rospy.Service("stop", Trigger, self._on_stop)
-        rospy.Service("pause", Trigger, lambda _: self._on_trigger("pause", lambda: self._executor.pause(now_ns())))
-        rospy.Service("resume", Trigger, lambda _: self._on_trigger("resume", self._executor.resume))
+        Service("review_plan", ReviewPlan, self._on_review)
+        Service("stop", Trigger, self._on_stop)
+        Service("pause", Trigger, lambda _: self._on_trigger("pause", lambda: self._executor.pause(now_ns())))
+        Service("resume", Trigger, lambda _: self._on_trigger("resume", self._executor.resume))
         self._timer = rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), self._on_timer)
         rospy.on_shutdown(self._write_records)
         rospy.loginfo("verdicts are recorded in %s (%d so far)", self._log.path, self._log.state.lines)
@@ -102,15 +101,15 @@ class ExecutorNode:
     def _subscribe(self, joint_names: tuple[str, ...], arm: str) -> None:
         refuse = self._diagnostics.refuse
         JointSubscriber("twin/joint_states", joint_names, self._on_twin, refuse, queue_size=1, pause=TWIN_PAUSE)
-        rospy.Subscriber("sync", Sync, self._on_sync, queue_size=50, tcp_nodelay=True)
-        self._scene = rospy.Subscriber("scene", Scene, self._on_scene, queue_size=5)
-        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
-        rospy.Subscriber("speed_limit", SpeedLimitMessage, self._on_limit, queue_size=5, tcp_nodelay=True)
+        Subscriber("sync", Sync, self._on_sync, refuse, queue_size=50, tcp_nodelay=True)
+        self._scene = Subscriber("scene", Scene, self._on_scene, refuse, queue_size=5)
+        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=5)
+        Subscriber("speed_limit", SpeedLimitMessage, self._on_limit, refuse, queue_size=5, tcp_nodelay=True)
         if self._executor.neighbour.name:
-            rospy.Subscriber("conflict", Conflict, self._on_conflict, queue_size=20, tcp_nodelay=True)
+            Subscriber("conflict", Conflict, self._on_conflict, refuse, queue_size=20, tcp_nodelay=True)
         if arm != "none":
             self._executor.on_link(False, "no report of the link yet")
-            rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+            Subscriber("link", Link, self._on_link, refuse, queue_size=5)
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
@@ -145,7 +144,7 @@ class ExecutorNode:
             self._executor.lag = sum(filter(math.isfinite, (message.round_trip, message.servo_lag)))
 
     def _on_limit(self, message: SpeedLimitMessage) -> None:
-        source = message._connection_header["callerid"]
+        source = caller_of(message)
         try:
             with self._lock:
                 self._limit.on_limit(message.limit, message.reason, source, time.monotonic_ns())
@@ -167,11 +166,6 @@ class ExecutorNode:
             self._diagnostics.refuse(error.reason, str(error))
 
     def _on_plan(self, message: Plan) -> None:
-        caller = message._connection_header["callerid"]
-        if caller != self._planner:
-            # what a plan says about itself was measured by the planner; nobody else's word counts
-            self._diagnostics.refuse("publisher", f"plan from {caller}; only {self._planner} may publish plans")
-            return
         try:
             plan = plan_from_msg(message)
         except ConstructionTwinError as error:

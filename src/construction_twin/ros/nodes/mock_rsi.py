@@ -21,7 +21,7 @@ from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.ros.shared.diagnostics import ERROR, OK, NodeDiagnostics
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.transport.publisher import Publisher
@@ -54,8 +54,8 @@ class MockRsiNode:
         self._joints = JointPublisher("~joint_states", self._robot.joint_names)
         self._status = Publisher("~status", String, queue_size=5, latch=True)
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        rospy.Service("~restart", Trigger, self._on_restart)
-        rospy.Service("~inject", InjectFault, self._on_inject)
+        Service("~restart", Trigger, self._on_restart)
+        Service("~inject", InjectFault, self._on_inject)
 
     def run(self) -> None:
         """Run the controller until shutdown."""

@@ -15,10 +15,11 @@ from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from construction_twin.core.errors import PayloadError, ReviewError
-from construction_twin.core.freshness import StateCheck
+from construction_twin.core.travel_time import StateCheck
 from construction_twin.link.speed_forwarder import SpeedForwarder
+from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
@@ -26,10 +27,11 @@ from construction_twin.msg import Feedback, Link, SpeedLimit
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, report_of
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 
 #: Period at which the link's state is looked at [s].
 POLL = 0.02
@@ -40,7 +42,6 @@ MIRROR_MODE = "mirror_mode"
 class Settings(MqttSettings):
     """Private parameters; see config/mqtt_bridge.yaml."""
 
-    gate: str = "pca_monitor"
     reset_timeout: float = pydantic.Field(gt=0)
     max_state_age: float = pydantic.Field(gt=0)
 
@@ -77,14 +78,14 @@ class MqttBridgeNode:
         self._link = Publisher("link", Link, queue_size=10, latch=True)
         self._topics = Topics(settings.prefix, robot.name)
         self._client = self._connect(broker_of(settings))
-        gate = rospy.resolve_name(settings.gate)
-        JointSubscriber("command/joint_states", robot.joint_names, self._on_command, self._diagnostics.refuse, gate)
-        rospy.Service("reset", Trigger, lambda _: self._begin_session(self._supervisor.request_reset))
-        rospy.Service("~arm", Trigger, lambda _: self._begin_session(self._supervisor.request_arm))
-        rospy.Service("~stop", Trigger, self._on_stop)
-        rospy.Service("emergency_stop", Trigger, self._on_stop)
-        rospy.Service("mirror", SetBool, self._on_mirror)
-        rospy.Subscriber("speed_limit", SpeedLimit, self._on_speed_limit, queue_size=5)
+        refuse = self._diagnostics.refuse
+        JointSubscriber("command/joint_states", robot.joint_names, self._on_command, refuse)
+        Service("reset", Trigger, lambda _: self._begin_session(self._supervisor.request_reset))
+        Service("~arm", Trigger, lambda _: self._begin_session(self._supervisor.request_arm))
+        Service("~stop", Trigger, self._on_stop)
+        Service("emergency_stop", Trigger, self._on_stop)
+        Service("mirror", SetBool, self._on_mirror)
+        Subscriber("speed_limit", SpeedLimit, self._on_speed_limit, refuse, queue_size=5)
 
     def run(self) -> None:
         """Look after the link until shutdown."""
@@ -129,7 +130,7 @@ class MqttBridgeNode:
         self._publish_control(control)
 
     def _on_speed_limit(self, message: SpeedLimit) -> None:
-        source = message._connection_header["callerid"]
+        source = caller_of(message)
         try:
             with self._lock:
                 self._speed.on_limit(message.limit, source, time.monotonic_ns())
@@ -244,7 +245,7 @@ class MqttBridgeNode:
         with self._lock:
             control, mirrored = Control(uuid.uuid4().hex, self._supervisor.session, "stop"), self._supervisor.mirrors
             # the link is not armed from here on: the executor drops its plan, and no command is sent
-            self._supervisor.drop("stopped at the gateway on request; call reset")
+            self._supervisor.halt("stopped at the gateway on request; call reset")
         self._send_control(control)
         if mirrored:
             rospy.set_param(MIRROR_MODE, False)

@@ -34,6 +34,7 @@ from construction_twin.ros.transport.joint_stream import (
     to_time,
 )
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PlanToJoints
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
@@ -49,7 +50,6 @@ class Settings(Behaviour):
     decimals: int = pydantic.Field(ge=1, le=6)
     sync_rate: float = pydantic.Field(ge=5)
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
-    executor: str = "executor"
 
 
 class PcaMonitorNode:
@@ -85,17 +85,17 @@ class PcaMonitorNode:
         self._sync = Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
         self._live = LiveSettings(settings, names, self._robot.linear, self._configure, self._diagnostics.refuse)
-        self._subscribe(names, rospy.resolve_name(settings.executor))
+        self._subscribe(names)
         self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), self._on_timer)
 
-    def _subscribe(self, names: tuple[str, ...], executor: str) -> None:
+    def _subscribe(self, names: tuple[str, ...]) -> None:
         refuse = self._diagnostics.refuse
         JointSubscriber("twin/joint_states", names, self._on_twin, refuse)
         JointSubscriber("physical/feedback", names, self._on_feedback, refuse, queue_size=FEEDBACK_KEPT, kind=Feedback)
-        JointSubscriber("next/joint_states", names, self._on_next, refuse, executor, SETPOINTS_KEPT)
-        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
-        rospy.Subscriber("execution", Execution, self._on_execution, queue_size=5)
-        rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+        JointSubscriber("next/joint_states", names, self._on_next, refuse, SETPOINTS_KEPT)
+        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=5)
+        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=5)
+        Subscriber("link", Link, self._on_link, refuse, queue_size=5)
 
     def _stopped_before(self) -> StopMemory:
         """Begin in STOPPED where a monitor before this one was, until the link tells of another session."""

@@ -16,11 +16,12 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Execution, Plan, Review
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
 from construction_twin.views.preview import PlanPicture, Preview, picture
 
@@ -57,11 +58,12 @@ class PreviewNode:
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._ghost = JointPublisher("preview/joint_states", self._robot.joint_names)
         self._markers = Publisher("plan_markers", MarkerArray, queue_size=2, latch=True)
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
-        rospy.Subscriber("review", Review, self._on_review, queue_size=5)
-        rospy.Subscriber("execution", Execution, self._on_execution, queue_size=10)
-        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=2)
-        rospy.Service("preview_plan", PreviewPlan, self._on_preview)
+        refuse = self._diagnostics.refuse
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, refuse)
+        Subscriber("review", Review, self._on_review, refuse, queue_size=5)
+        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=10)
+        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=2)
+        Service("preview_plan", PreviewPlan, self._on_preview)
         self._timer = rospy.Timer(rospy.Duration(1 / settings.frame_rate), self._on_timer)
 
     # -- subscriptions

@@ -21,7 +21,7 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
@@ -95,14 +95,14 @@ class SceneNode:
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._scene_publisher = Publisher("scene", SceneMsg, queue_size=1, latch=True)
         self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
         with self._busy:
             self._publish_scene()
-        rospy.Service("add_object", AddObject, self._on_add)
-        rospy.Service("remove_object", RemoveObject, self._on_remove)
-        rospy.Service("attach_object", AttachObject, self._on_attach)
-        rospy.Service("detach_object", DetachObject, self._on_detach)
-        rospy.Service("clear_scene", Trigger, self._on_clear)
+        Service("add_object", AddObject, self._on_add)
+        Service("remove_object", RemoveObject, self._on_remove)
+        Service("attach_object", AttachObject, self._on_attach)
+        Service("detach_object", DetachObject, self._on_detach)
+        Service("clear_scene", Trigger, self._on_clear)
         self._timer = rospy.Timer(rospy.Duration(1.0 / settings.check_rate), lambda _: self._check())
 
     def _on_add(self, request):

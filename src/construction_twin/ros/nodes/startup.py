@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Literal
 
 import pydantic
@@ -13,6 +14,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.views.startup import Deployment, Seen, StartUp
 
 #: How often it looks [s].
@@ -42,13 +44,16 @@ class StartupNode:
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._listener = RobotListener(namespace, robot)
         self._once = {
-            "feedback": rospy.Subscriber("physical/feedback", Feedback, self._on_first, callback_args="feedback"),
-            "twin": rospy.Subscriber("twin/joint_states", rospy.AnyMsg, self._on_first, callback_args="twin"),
-            "scene": rospy.Subscriber("scene", Scene, self._on_first, callback_args="scene"),
+            name: Subscriber(topic, kind, partial(self._on_first, name), self._diagnostics.refuse, queue_size=1)
+            for name, topic, kind in (
+                ("feedback", "physical/feedback", Feedback),
+                ("twin", "twin/joint_states", rospy.AnyMsg),
+                ("scene", "scene", Scene),
+            )
         }
         self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
 
-    def _on_first(self, _message, name: str) -> None:
+    def _on_first(self, name: str, _message) -> None:
         self._came.add(name)
 
     def _on_timer(self, _event) -> None:

@@ -19,6 +19,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.views.sync_picture import COLOURS, Shape, headline, visual_shapes, worst_joint
 
 #: How often the picture is looked at [s]; it is published when it changes.
@@ -58,7 +59,7 @@ class SyncViewNode:
         self._shown: tuple[SyncState, str] | None = None
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._markers = Publisher("sync_markers", MarkerArray, queue_size=2, latch=True)
-        rospy.Subscriber("sync", Sync, self._on_sync, queue_size=1)
+        Subscriber("sync", Sync, self._on_sync, self._diagnostics.refuse, queue_size=1)
         self._timer = rospy.Timer(rospy.Duration(PERIOD), self._on_timer)
 
     def _on_sync(self, message: Sync) -> None:

@@ -110,7 +110,7 @@ class ToolMarkerNode:
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._verdicts = Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)
         self._server = InteractiveMarkerServer("tool_marker")
-        self._twin = LatestPose("twin/joint_states", self._robot.joint_names)
+        self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
         rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
         rospy.Subscriber("tool_marker/feedback", InteractiveMarkerFeedback, self._menu.on_feedback, queue_size=50)
 

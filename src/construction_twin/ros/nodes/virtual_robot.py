@@ -16,6 +16,7 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.twin.virtual_robot import TwinClock, VirtualRobot
 
 #: Between two looks at the arm's stream while the twin needs nothing from it [s].
@@ -23,10 +24,9 @@ PAUSE = 0.02
 
 
 class Settings(NodeSettings):
-    """Private parameters, given in launch/twin.launch: the physical arm, and the only node whose commands count."""
+    """Private parameters, given in launch/twin.launch: the physical arm."""
 
     arm: Literal["mock", "real", "none"]
-    gate: str = "pca_monitor"
 
 
 class VirtualRobotNode:
@@ -49,9 +49,9 @@ class VirtualRobotNode:
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._twin = JointPublisher("twin/joint_states", robot.joint_names)
         names, refuse = robot.joint_names, self._diagnostics.refuse
-        JointSubscriber("command/joint_states", names, self._on_command, refuse, rospy.resolve_name(settings.gate))
+        JointSubscriber("command/joint_states", names, self._on_command, refuse)
         if settings.arm != "none":
-            rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+            Subscriber("link", Link, self._on_link, refuse, queue_size=5)
             JointSubscriber("physical/joint_states", names, self._on_physical, refuse)
 
     def run(self) -> None:

@@ -24,6 +24,7 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.params import NodeSettings, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.neighbour import Neighbour, Obstacle
 from construction_twin.scene.objects import Scene as SceneValue
@@ -112,7 +113,7 @@ class ArmListener:
             ("review", Review, self._on_review),
             ("scene", Scene, self._on_scene),
         ):
-            rospy.Subscriber(f"{self._space}/{topic}", kind, callback, queue_size=10)
+            Subscriber(f"{self._space}/{topic}", kind, callback, refused, queue_size=10)
 
     @property
     def scene(self) -> SceneValue | None:
@@ -151,7 +152,7 @@ class ArmListener:
     def _open(self) -> list[LatestPose]:
         alone = rospy.get_param(f"{self._space}/executor/arm", "") == "none"
         topics = ["twin/joint_states"] if alone else ["twin/joint_states", "physical/joint_states"]
-        return [LatestPose(f"{self._space}/{topic}", self.robot.joint_names) for topic in topics]
+        return [LatestPose(f"{self._space}/{topic}", self.robot.joint_names, self._refused) for topic in topics]
 
     def _on_plan(self, message: Plan) -> None:
         try:

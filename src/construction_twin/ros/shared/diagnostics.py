@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Callable
 
@@ -13,7 +14,7 @@ from construction_twin.ros.transport.publisher import Publisher
 
 
 class NodeDiagnostics:
-    """Counts refusals and reports them with a node's state.
+    """Counts refusals and reports them with a node's state; for use from several threads.
 
     Parameters
     ----------
@@ -24,7 +25,10 @@ class NodeDiagnostics:
     """
 
     def __init__(self, hardware_id: str, report: Callable[[], tuple[int, str, dict]]):
-        self.refused: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._refused: Counter[str] = Counter()
+        #: The last sentence of each reason.
+        self._sentences: dict[str, str] = {}
         self._report = report
         self._updater = diagnostic_updater.Updater()
         # quiet at shutdown, as every publisher of ours
@@ -33,18 +37,33 @@ class NodeDiagnostics:
         self._updater.add("state", self._fill)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.update())
 
+    @property
+    def refused(self) -> Counter[str]:
+        """How often each reason was counted: a copy, because other threads go on counting."""
+        with self._lock:
+            return Counter(self._refused)
+
     def refuse(self, reason: str, sentence: str) -> None:
-        """Count a rejected input; the operator hears of it at most every 5 s."""
-        self.refused[reason] += 1
+        """Count a rejected input; the operator hears of it at most every 5 s, `/diagnostics` shows the last sentence."""
+        self.count(reason, sentence)
         rospy.logwarn_throttle(5.0, "refused (%s): %s", reason, sentence)
+
+    def count(self, reason: str, sentence: str) -> None:
+        """Count a rejected input that the node itself writes to its log."""
+        with self._lock:
+            self._refused[reason] += 1
+            self._sentences[reason] = sentence
 
     def _fill(self, stat):
         level, sentence, values = self._report()
         stat.summary(level, sentence)
         for key, value in values.items():
             stat.add(key, str(value))
-        for reason, count in sorted(self.refused.items()):
+        with self._lock:
+            refused, sentences = sorted(self._refused.items()), dict(self._sentences)
+        for reason, count in refused:
             stat.add(f"refused {reason}", str(count))
+            stat.add(f"last refused {reason}", sentences[reason])
         return stat
 
 

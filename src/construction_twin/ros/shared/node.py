@@ -1,14 +1,36 @@
-"""What every node does around its own work: start, turn a typed error into one sentence, end."""
+"""What every node does around its own work: start, turn a typed error into one sentence, end.
+
+An error that nobody foresaw ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives on
+without one of its timers, or without its MQTT thread, is worse: it looks alive, and nobody does the work.
+
+==========================  =========================================================================================
+where                       how it comes here
+==========================  =========================================================================================
+thread, timer, MQTT client  nobody catches it: `threading.excepthook`
+subscriber's callback       rospy would log it and go on; `Subscriber` hands it to `threading.excepthook`
+service handler             rospy answers with an error; `Service` ends the process after that
+main thread                 nobody catches it: Python ends with 1
+==========================  =========================================================================================
+"""
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
+import traceback
 from collections.abc import Callable
+from types import TracebackType
 
 import rospy
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
+
+#: Exit code of a process that an unforeseen error has ended.
+UNFORESEEN = 1
+#: How long a service that failed has to send its answer [s].
+ANSWER_TIME = 0.2
 
 
 def run_node(name: str, start: Callable[[], object]) -> None:
@@ -24,6 +46,7 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         Builds the node; its result is kept alive. A result with a `run` method is run in the main thread.
     """
     rospy.init_node(name)
+    threading.excepthook = end_on_error
     try:
         node = start()
         rospy.on_shutdown(release_realtime)
@@ -37,3 +60,51 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         sys.exit(1)
     except rospy.ROSInterruptException:
         return
+
+
+def end_on_error(args: threading.ExceptHookArgs) -> None:
+    """End the process because of an error that nobody caught in a thread; while ROS shuts down, only write it down.
+
+    Nothing is cleaned up: whoever failed may hold a lock, and what must not be lost is on the disk before it takes effect.
+    """
+    if args.exc_type is SystemExit:
+        return
+    where = args.thread.name if args.thread is not None else "a thread that has ended"
+    if rospy.core.is_shutdown_requested():
+        # topics and sockets are closed below the threads that use them
+        _write_down(where, args.exc_value, "during shutdown")
+        return
+    _write_down(where, args.exc_value, "this process ends")
+    os._exit(UNFORESEEN)
+
+
+class Service(rospy.Service):
+    """As `rospy.Service`. A handler that raises is answered with the error, and then the process ends.
+
+    Parameters
+    ----------
+    name : str
+    kind : type
+    handler : callable
+        Takes the request, returns the response; turns typed errors into an answer itself.
+    """
+
+    def __init__(self, name: str, kind: type, handler: Callable):
+        super().__init__(name, kind, handler, error_handler=self._end)
+
+    def _end(self, error: Exception, _kind: type, _value: Exception, _trace: TracebackType) -> None:
+        if rospy.core.is_shutdown_requested():
+            return
+        _write_down(f"service {self.resolved_name}", error, "this process ends")
+        # rospy sends the answer when this returns
+        end = threading.Timer(ANSWER_TIME, os._exit, (UNFORESEEN,))
+        end.daemon = True
+        end.start()
+
+
+def _write_down(where: str, error: BaseException | None, what_follows: str) -> None:
+    trace = "".join(traceback.format_exception(error)) if error is not None else ""
+    rospy.logfatal(
+        "%s: an error that nobody foresaw in %s, %s: %r\n%s", rospy.get_name(), where, what_follows, error, trace
+    )
+    sys.stderr.flush()

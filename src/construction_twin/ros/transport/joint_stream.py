@@ -15,6 +15,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.msg import Feedback
 from construction_twin.ros.transport.pose_message import PoseMessage
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber
 
 #: Messages a publisher keeps for a subscriber that is busy: one second of stream.
 QUEUE = 250
@@ -98,7 +99,7 @@ class JointPublisher:
 
 
 class JointSubscriber:
-    """Hands a topic's poses to a callback; counts what is refused.
+    """Hands a topic's poses to a callback, from the topic's own publisher; see `Subscriber`.
 
     Parameters
     ----------
@@ -108,15 +109,13 @@ class JointSubscriber:
         Called as ``callback(stamp, q)`` with ns and rad; for feedback as ``callback(stamp, q, seq, command_stamp)``.
     refused : callable
         Called as ``refused(reason, sentence)`` for a message that is not used.
-    publisher : str, optional
-        Resolved name of the only node whose messages count (design, law 4).
     queue_size : int, optional
         Messages kept for a callback that is busy; of more the oldest are dropped.
     kind : type, optional
         `sensor_msgs/JointState` or `construction_twin/Feedback`.
     pause : float, optional
-        How long to look away after each message [s]. With a `queue_size` of 1 the callback then gets the newest of what came in the
-        meantime, and nobody is woken up for the others.
+        How long to read nothing after each message [s]. With a `queue_size` of 1 the callback then gets the newest of what came in
+        the meantime, and the thread is not woken up for the others.
     """
 
     def __init__(
@@ -125,7 +124,6 @@ class JointSubscriber:
         names: tuple[str, ...],
         callback: Callable[..., None],
         refused: Callable[[str, str], None],
-        publisher: str | None = None,
         queue_size: int = QUEUE,
         kind: type = JointState,
         pause: float = 0.0,
@@ -134,16 +132,10 @@ class JointSubscriber:
         self._pause = pause
         self._callback = callback
         self._refused = refused
-        self._publisher = publisher
         message = PoseMessage(kind, names).received
-        self._subscriber = rospy.Subscriber(topic, message, self._receive, queue_size=queue_size, tcp_nodelay=True)
+        self._subscriber = Subscriber(topic, message, self._take, refused, queue_size, tcp_nodelay=True)
 
-    def _receive(self, message) -> None:
-        caller = message._connection_header["callerid"]
-        if self._publisher is not None and caller != self._publisher:
-            topic = self._subscriber.resolved_name
-            self._refused("publisher", f"message from {caller}; only {self._publisher} may publish {topic}")
-            return
+    def _take(self, message) -> None:
         try:
             # of another subscriber of this process, which was first, it has the class
             content = getattr(message, "content", None) or self._read(message)

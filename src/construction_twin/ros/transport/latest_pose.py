@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 
 import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.ros.transport.joint_stream import joint_values
+from construction_twin.ros.transport.subscriber import Subscriber
 
 #: Between two looks at the socket while nobody asks [s]: of what has come in the meantime only the newest is kept.
 PAUSE = 0.1
@@ -26,15 +28,17 @@ class LatestPose:
     topic : str
     names : tuple of str
         The robot's joint names.
+    refused : callable
+        See `Subscriber`.
     """
 
-    def __init__(self, topic: str, names: tuple[str, ...]):
+    def __init__(self, topic: str, names: tuple[str, ...], refused: Callable[[str, str], None]):
         self._names = names
         self._news = threading.Condition()
         self._asked = threading.Event()
         self._newest: tuple[float, rospy.AnyMsg] | None = None
         self._looks = 0
-        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=1, tcp_nodelay=True)
+        self._subscriber = Subscriber(topic, rospy.AnyMsg, self._receive, refused, queue_size=1, tcp_nodelay=True)
 
     def pose(self, oldest: float, patience: float = 0.0) -> tuple[float, ...]:
         """Return the newest pose.

@@ -1,0 +1,119 @@
+"""Subscriptions of this package's nodes: each stream has one publisher, and an error in a callback ends the node.
+
+What opens the gate, keeps it open or starts a motion is believed only from the node that publishes it: a second bridge, a forgotten
+test or a `rosbag play` into a live system is refused.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+
+import rospy
+
+#: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
+#: that is not in the table is heard from everybody.
+PUBLISHERS = {
+    "next/joint_states": "executor",
+    "command/joint_states": "pca_monitor",
+    "twin/joint_states": "virtual_robot",
+    "physical/joint_states": "mqtt_bridge",
+    "physical/feedback": "mqtt_bridge",
+    "link": "mqtt_bridge",
+    "sync": "pca_monitor",
+    "plan": "planner",
+    "scene": "scene",
+    "execution": "executor",
+    "review": "executor",
+    "conflict": "neighbour",
+}
+
+
+def publisher_of(topic: str) -> str | None:
+    """Return the resolved name of the only node that may publish a topic; None when everybody may.
+
+    Parameters
+    ----------
+    topic : str
+        A stream in the node's own namespace (``sync``), or in another robot's (``/kr120_b/sync``).
+    """
+    stream = next((name for name in PUBLISHERS if topic == name or topic.endswith(f"/{name}")), None)
+    if stream is None:
+        return None
+    namespace = topic.removesuffix(stream)
+    name = rospy.get_param(f"{namespace}publishers", {}).get(stream, PUBLISHERS[stream])
+    return rospy.resolve_name(name if name.startswith("/") else namespace + name)
+
+
+def caller_of(message) -> str:
+    """Return the name of the node that sent a message, "" when it did not say."""
+    return message._connection_header.get("callerid", "")
+
+
+def hand_on_error() -> None:
+    """Hand the exception that is being handled to `threading.excepthook`, as if nobody had caught it in this thread."""
+    threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
+
+
+class Subscriber:
+    """As `rospy.Subscriber`, for one publisher.
+
+    Parameters
+    ----------
+    topic : str
+    kind : type
+    callback : callable
+        Takes the message. An exception that leaves it goes to `threading.excepthook`; rospy would log it and go on.
+    refused : callable
+        Called as ``refused(reason, sentence)`` for a message from another node than `publisher_of` the topic.
+    queue_size : int
+        Messages kept for a callback that is busy; of more the oldest are dropped.
+    tcp_nodelay : bool, optional
+
+    Attributes
+    ----------
+    publisher : str or None
+        Resolved name of the only node that is heard; None: everybody is.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        kind: type,
+        callback: Callable,
+        refused: Callable[[str, str], None],
+        queue_size: int,
+        tcp_nodelay: bool = False,
+    ):
+        self.publisher = publisher_of(topic)
+        self._callback = callback
+        self._refused = refused
+        self._subscriber = rospy.Subscriber(topic, kind, self._receive, queue_size=queue_size, tcp_nodelay=tcp_nodelay)
+
+    @property
+    def resolved_name(self) -> str:
+        """The topic with its namespace."""
+        return self._subscriber.resolved_name
+
+    def get_num_connections(self) -> int:
+        """Return the number of connected publishers that are heard."""
+        if self.publisher is None:
+            return self._subscriber.get_num_connections()
+        return sum(connection.callerid_pub == self.publisher for connection in self._subscriber.impl.connections)
+
+    def unregister(self) -> None:
+        """Hear no more."""
+        self._subscriber.unregister()
+
+    def _receive(self, message) -> None:
+        try:
+            # the header lacks the name only when somebody wrote a client of his own
+            if self.publisher is None or caller_of(message) == self.publisher:
+                self._callback(message)
+            else:
+                caller = caller_of(message) or "a node without a name"
+                sentence = f"message from {caller}; only {self.publisher} may publish {self.resolved_name}"
+                self._refused("publisher", sentence)
+        except Exception:
+            hand_on_error()
