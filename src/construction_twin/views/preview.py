@@ -54,8 +54,8 @@ class Playing:
 class Preview:
     """Which plan is shown, and where the ghost is.
 
-    While the ghost does not play, it has the twin's pose and is hidden by it. A ghost that has reached the goal stays there until the
-    plan is approved or rejected.
+    While the ghost does not play, it has the twin's pose and is hidden by it. A ghost that has reached the goal stays there
+    until the plan is approved or rejected.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """Can the arm bring its tool to a pose without touching anything? A quick answer for an operator who drags the marker.
 
-The solutions and contacts are those that `planning.planner.Planner.plan_to_pose` starts from. Whether a path leads there only planning
-can tell. SI; poses are ``base_T_tool``; sentences are in deg and mm.
+The solutions and contacts are those that `planning.planner.Planner.plan_to_pose` starts from. Whether a path leads there only
+planning can tell. SI; poses are ``base_T_tool``; sentences are in deg and mm.
 """
 
 from __future__ import annotations

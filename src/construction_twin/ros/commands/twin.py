@@ -142,8 +142,8 @@ class Command:
     def _await_latched(self, listener: RobotListener) -> None:
         """Wait for the latched messages that were published before this process began, where somebody publishes them.
 
-        No plan has been published yet if none was made since the start. A latched plan arrives within a moment; its verdict, if there
-        is one, may arrive shortly after it.
+        No plan has been published yet if none was made since the start. A latched plan arrives within a moment; its verdict, if
+        there is one, may arrive shortly after it.
         """
         patience = min(LATCHED, self._options.timeout)
         for name, limit in (("link", patience), ("plan", patience), ("review", patience / 2)):
