@@ -136,7 +136,9 @@ class OwnPath:
         fraction = min((self._fraction(batch) for batch in self._batches), default=1.0)
         contacts = [batch.contact for batch in self._batches if batch.contact]
         self._settle()
-        return PathCheck(self._conflict(*min(contacts, key=lambda found: found[0]), row) if contacts else None, fraction)
+        return PathCheck(
+            self._conflict(*min(contacts, key=lambda found: found[0]), row) if contacts else None, fraction
+        )
 
     def _sort(self, obstacles: frozenset[Obstacle], row: int) -> None:
         """Put new obstacles into a batch of their own, and forget what is over."""

@@ -131,7 +131,7 @@ class PathJudge:
 
     def forget(self, kept: Collection[str]) -> None:
         """Forget all plans but some."""
-        self._paths = {plan_id: path for plan_id, way in self._paths.items() if plan_id in kept}
+        self._paths = {plan_id: path for plan_id, path in self._paths.items() if plan_id in kept}
 
     def _judge(
         self, plan: Plan, scene: Scene | None, others: Others, own: Claim, poses: tuple | None, horizon: float

@@ -76,6 +76,13 @@ def under_review(plan: Plan | None) -> str:
     return f"plan {plan.id} of {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
 
 
+def waiting_plan(plan: Plan) -> str:
+    """Return the short line about the plan under review that stands beside the marker."""
+    clearance = plan.report.clearance.distance
+    closest = f", closest {clearance * 1e3:.0f} mm" if math.isfinite(clearance) else ""
+    return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s{closest}"
+
+
 def because(reason: str) -> str:
     """Return a reason as the rest of a line; nothing for none."""
     return f": {reason}" if reason else ""

@@ -86,7 +86,9 @@ def test_waypoints_that_nobody_counted_count():
     with pytest.raises(PlanSizeError, match="waypoints"):
         pipeline(max_waypoints=20).along(HOME, [to(0.3, 0.0, 0.0)], 0.2, REQUEST)
     with pytest.raises(PlanSizeError, match="waypoints"):
-        pipeline(max_waypoints=30).along(HOME, [to(0.1 * (number % 2), 0.0, 0.0) for number in range(1, 5)], None, REQUEST)
+        pipeline(max_waypoints=30).along(
+            HOME, [to(0.1 * (number % 2), 0.0, 0.0) for number in range(1, 5)], None, REQUEST
+        )
 
 
 @pytest.mark.parametrize("end", [601.0, 1e7, 2e9])

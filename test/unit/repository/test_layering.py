@@ -39,6 +39,7 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
     "coal", "pinocchio", "py_opw_kinematics", "manifold3d",
+    "shtab",
 }  # fmt: skip
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
