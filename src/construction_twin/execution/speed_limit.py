@@ -9,6 +9,7 @@ from __future__ import annotations
 from enum import Enum
 
 from construction_twin.core.deadline import SpeedLimitSource
+from construction_twin.core.errors import ExecutionError
 
 
 class LimitState(Enum):
@@ -100,3 +101,46 @@ class SpeedLimit:
         return (
             f"{limit}: {source.name} is silent for more than {source.deadline:g} s; check it, or start another source"
         )
+
+
+class PlayRate:
+    """The newest limit on a plan's speed.
+
+    Attributes
+    ----------
+    fraction : float
+        0 to 1; 0: it stands still until the limit is raised.
+    standing : bool
+        Whether the plan has come to rest because of it.
+    """
+
+    def __init__(self):
+        self.fraction = 1.0
+        self.standing = False
+        self._reason = ""
+
+    def take(self, fraction: float, reason: str) -> bool:
+        """Take a limit and why it is there; return whether there is something new to say.
+
+        Raises
+        ------
+        ExecutionError
+            When it is no fraction; nothing has changed then.
+        """
+        if fraction == self.fraction and reason == self._reason:
+            return False
+        # written so that a nan does not pass
+        if not 0.0 <= fraction <= 1.0:
+            raise ExecutionError(
+                f"a rate of {fraction} was asked for; expected a fraction of the planned speed, 0 to 1"
+            )
+        self.fraction, self._reason = fraction, reason
+        return True
+
+    def sentence(self, cause: str) -> str:
+        """Return what a playing plan does, and why: always of the present limit. `cause` is why it plays."""
+        if self.standing:
+            return f"stands still on the path, goes on by itself: {self._reason}"
+        if self.fraction < 1.0:
+            return f"{cause}; at {self.fraction:.0%} of the planned speed: {self._reason}"
+        return cause

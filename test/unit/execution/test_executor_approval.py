@@ -9,8 +9,7 @@ from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
 
 from construction_twin.core.errors import RecordError, ReviewError
 from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval
-from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.start_pose import START_TOLERANCE
+from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.trajectory import Trajectory
 
