@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`plan` and `review` over MQTT with the real node, the site's broker and a tablet's account; planner and executor are played here."""
+"""`plan` and `review` over MQTT: the real node, the site's broker and a tablet's account; the test plays planner and executor."""
 
 import json
 import shutil

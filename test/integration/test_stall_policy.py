@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""A stalled joint under each policy that was set live: `resume` ends the approved path, `stop` waits for a person's reset."""
+"""A stalled joint under each policy that was set at rest: `resume` ends the approved path, `stop` waits for a person's reset."""
 
 import sys
 
 import rospy
 import rostest
 from construction_twin.msg import Execution, Sync, Transition
-from dynamic_reconfigure.client import Client
+from construction_twin.srv import ConfigureGate
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 
 JOINT = "joint_a3"
@@ -21,14 +21,19 @@ class StallPolicyTest(RobotTest):
         cls.client = TwinClient()
         cls.transitions: list[Transition] = []
         rospy.Subscriber("transitions", Transition, cls.transitions.append)
-        cls.live = Client("pca_monitor/live", timeout=30.0)
+        rospy.wait_for_service("configure_gate", 30.0)
+        cls.gate = rospy.ServiceProxy("configure_gate", ConfigureGate)
 
     def setUp(self):
         # a busy machine's late feedback is not what is tested here
-        self.live.update_configuration({"policy": "replan", "feedback_timeout": 2.0, "escalate_count": 100})
         self.begin()
         self.client.go_to(HOME)
+        self.configure("{policy: replan, feedback_timeout: 2.0, escalate_count: 100}")
         self.transitions.clear()
+
+    def configure(self, settings: str):
+        """Change settings as soon as the gate has seen the arm at rest."""
+        self.client.wait(lambda: self.gate(settings, "tester").success, f"the gate to take {settings}")
 
     def stall_in_motion(self, goal) -> str:
         """Approve a motion and block a joint in the middle of it; return the plan's id."""
@@ -43,7 +48,8 @@ class StallPolicyTest(RobotTest):
         return [change for change in self.transitions if change.event == name]
 
     def test_resume_goes_on_along_the_approved_path(self):
-        self.live.update_configuration({"policy": "resume"})
+        self.configure("{policy: resume}")
+        self.transitions.clear()
         plans = len(self.client.plans)
         with Stream("twin/joint_states") as twin, Stream("physical/joint_states") as physical:
             plan = self.stall_in_motion(LEFT)
@@ -55,7 +61,8 @@ class StallPolicyTest(RobotTest):
         self.assertEqual([change.to_text for change in self.transitions], ["HOLDING", "IN_SYNC"])
 
     def test_stop_waits_for_a_reset(self):
-        self.live.update_configuration({"policy": "stop"})
+        self.configure("{policy: stop}")
+        self.transitions.clear()
         self.stall_in_motion(RIGHT)
         self.client.wait(lambda: self.client.sync.state == Sync.STOPPED, "the state STOPPED")
         self.assertEqual([change.event for change in self.transitions], ["pose_differs", "policy_stop"])
@@ -69,19 +76,28 @@ class StallPolicyTest(RobotTest):
         self.client.wait_until_ready()
         self.assertEqual([change.event for change in self.transitions][2:4], ["new_session", "opened"])
 
-    def test_thresholds_are_live_and_nonsense_is_refused(self):
-        name = f"threshold_{JOINT}"
-        self.live.update_configuration({name: 0.02, "agree_time": 0.2})
+    def test_thresholds_change_at_rest_alone_and_nonsense_is_refused(self):
+        self.configure(f"{{thresholds: {{{JOINT}: 0.02}}, agree_time: 0.2}}")
+        self.client.wait(lambda: self.events("configured"), "the transition")
+        self.assertIn("tester changed thresholds", self.events("configured")[0].reason)
         index = list(self.client.sync.name).index(JOINT)
         self.client.wait(lambda: self.client.sync.threshold[index] == 0.02, "the threshold of one joint to change")
         self.assertEqual([limit for i, limit in enumerate(self.client.sync.threshold) if i != index], [0.01] * 5)
-        held = self.live.update_configuration({"policy": "hope"})
-        self.assertEqual((held["policy"], held[name]), ("replan", 0.02))
+        refused = int(self.client.diagnostics("pca_monitor").get("refused configure_gate", 0))
+        self.assertIn("nothing was changed", self.gate("{policy: hope, agree_time: 0.1}", "tester").message)
+        with Stream("mock_rsi/joint_states") as arm:
+            plan = self.client.start(LEFT, duration=3.0)
+            wait(lambda: arm.moved(5.0), "the arm to move")
+            answer = self.gate("{threshold: 1.0}", "tester")
+            self.assertFalse(answer.success, "thresholds were changed in motion")
+            self.assertIn("PLAYING", answer.message)
+            self.client.wait_for_outcome(plan.plan_id, "finished")
         self.client.wait(
-            lambda: self.client.diagnostics("pca_monitor").get("refused live_setting") == "1",
-            "the refusal to be counted",
+            lambda: int(self.client.diagnostics("pca_monitor").get("refused configure_gate", 0)) >= refused + 2,
+            "the refusals to be counted",
         )
-        self.live.update_configuration({name: 0.01, "agree_time": 0.1})
+        self.assertEqual(len(self.events("configured")), 1)
+        self.configure("{thresholds: {}, agree_time: 0.1}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Real processes for the tests of faults: mosquitto, the gateway program, the mock controller; between them proxies, and a Commander.
+"""Real processes for the tests of faults: mosquitto, gateway, mock controller, the proxies between them, and a Commander.
 
 ::
 

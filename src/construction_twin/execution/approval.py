@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from construction_twin.core.errors import RecordError, ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
-from construction_twin.review.queue import REFUSED, Ending, Verdict
+from construction_twin.review.queue import REFUSED, Ending, Verdict, prove_hash
 
 #: Reviewer of a plan that was approved because of the launch argument.
 AUTO_APPROVE = "auto_approve"
@@ -59,6 +59,8 @@ class Approval:
         """
         with self._verdict:
             try:
+                if approve:
+                    self._prove(plan_id)
                 with self._lock:
                     verdict = self._executor.examine(plan_id, plan_hash, approve, reviewer, reason)
             except ReviewError as error:
@@ -106,6 +108,13 @@ class Approval:
             if isinstance(error, RecordError):
                 raise
             return None
+
+    def _prove(self, plan_id: str) -> None:
+        """Prove the named plan's hash once, outside of the lock: a plan cannot change, so that it holds when it is carried out."""
+        with self._lock:
+            plan = self._executor.desk.plan
+        if plan is not None and plan.id == plan_id:
+            prove_hash(plan)
 
     def _refuse(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str) -> None:
         if not approve:

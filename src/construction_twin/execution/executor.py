@@ -6,13 +6,25 @@ for `stop` and `restart`: these are compared with when a plan was made, on the c
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from construction_twin.core.errors import ExecutionError, ReviewError
+from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import NeighbourWatch
-from construction_twin.execution.play_rate import PlayRate
 from construction_twin.execution.playback import Braking, Playback
-from construction_twin.execution.start_pose import check_start_pose
-from construction_twin.execution.states import ACTIVE, MOVING, RESTING, SURVIVED, ExecutorState
+from construction_twin.execution.speed_limit import PlayRate
+from construction_twin.execution.states import (
+    ACTIVE,
+    OUTCOMES,
+    SURVIVED,
+    Action,
+    ExecutorEvent,
+    ExecutorState,
+    Guard,
+    Row,
+    rows_for,
+)
 from construction_twin.execution.stopping import distance_along
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
 from construction_twin.review.queue import APPROVED, EXECUTOR, REJECTED, WITHDRAWN, Ending, ReviewDesk, Verdict
@@ -21,6 +33,33 @@ from construction_twin.robot.plan import Plan
 
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
+#: A plan may start this far from the present pose [rad]; rounding, not motion.
+START_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class TwinPose:
+    """The twin's pose `q` [rad], the stamp of the command that it executes, and when it was received [ns]."""
+
+    stamp: int
+    q: tuple[float, ...]
+    received: int
+
+
+def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> None:
+    """Check that a plan starts at a pose, shape (n,) [rad].
+
+    Raises
+    ------
+    ReviewError
+        Naming the joint that does not, and by how much.
+    """
+    start = tuple(plan.trajectory.positions[0])
+    off = outside_tolerance(start, pose, START_TOLERANCE)
+    if off is not None:
+        joint, unit = robot.joint_names[off], "m" if robot.linear[off] else "rad"
+        distance = f"{start[off] - pose[off]:.6f} {unit}"
+        raise ReviewError(f"plan {plan.id} starts {distance} from the present pose at {joint}; plan again")
 
 
 class Executor:
@@ -50,7 +89,8 @@ class Executor:
         self.cause = self.reason = "started; waits for twin and physical arm to agree"
         self.outcome = ""
         self._playback: Playback | None = None
-        self._after_hold = ExecutorState.PLAYING
+        self._approved: Plan | None = None
+        self._paused = False
         self.limit = PlayRate()
         self._stopping: list[tuple[float, ...]] = []
         self._events: list[Verdict | Ending] = []
@@ -58,7 +98,7 @@ class Executor:
         self._agreed = False
         self._policy, self._passed = "", 0
         self._unarmed = ""
-        self._twin: tuple[int, tuple[float, ...], int] | None = None
+        self._twin: TwinPose | None = None
         self._setpoint: tuple[float, ...] | None = None
         self._setpoint_stamp = 0
 
@@ -86,7 +126,7 @@ class Executor:
 
     def on_twin(self, stamp: int, q: tuple[float, ...], now: int) -> None:
         """Take the twin's pose [rad], the stamp of the command it executes, and the time of reception [ns]."""
-        self._twin = stamp, q, now
+        self._twin = TwinPose(stamp, q, now)
 
     def on_sync(self, state: SyncState, agreed: bool, policy: str = REPLAN, held_stamp: int = 0) -> None:
         """Take the monitor's state; on anything but IN_SYNC the plan is held, or its rest is dropped.
@@ -104,18 +144,17 @@ class Executor:
         if self.state not in ACTIVE:
             return
         if state is SyncState.IN_SYNC:
-            if self.state is ExecutorState.HELD:
-                self._go_on()
+            self._on(ExecutorEvent.GATE_OPENS)
         elif policy != RESUME or state not in SURVIVED:
-            self._finish("held", f"the gate holds ({state.name})")
-        elif self.state is not ExecutorState.HELD:
-            self._hold(state, held_stamp)
+            self._on(ExecutorEvent.GATE_ENDS, f"the gate holds ({state.name})")
+        else:
+            self._on(ExecutorEvent.GATE_HOLDS, f"the gate holds ({state.name})")
 
     def on_link(self, armed: bool, reason: str) -> None:
         """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played."""
         self._unarmed = "" if armed else reason
-        if not armed and self.state in ACTIVE:
-            self._finish("dropped", f"the arm is no longer armed: {reason}")
+        if not armed:
+            self._on(ExecutorEvent.DISARMED, f"the arm is no longer armed: {reason}")
 
     def on_scene(self, scene: str) -> None:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
@@ -123,7 +162,7 @@ class Executor:
         reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
         self.turn_down(self.desk.on_scene(scene), f"{reason}; plan again")
         if self.state in ACTIVE and scene != self.plan.scene:
-            self._halt(reason)
+            self._on(ExecutorEvent.STOP, reason)
 
     def limit_rate(self, factor: float, reason: str = "") -> None:
         """Play at most at this fraction of the planned speed from now on; 0 stands still until it is raised. The path stays.
@@ -145,14 +184,14 @@ class Executor:
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
         self.turn_down(self.desk.void(now), reason)
-        if self.state in ACTIVE:
-            self._finish("dropped", reason)
-        self._wait(reason)
+        while self.state is not ExecutorState.WAITING:
+            self._on(ExecutorEvent.NEW_SESSION, reason)
+        self._on(ExecutorEvent.NEW_SESSION, reason)
 
     def stall(self, reason: str) -> None:
         """Drop a moving plan because setpoints could not be produced in time; the arm is left to the gateway's braking."""
-        if self.state in MOVING and not self.limit.standing:
-            self._finish("dropped", reason)
+        if not self.limit.standing:
+            self._on(ExecutorEvent.STALLED, reason)
 
     # -- review
 
@@ -190,8 +229,8 @@ class Executor:
         plan = self.desk.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         if not verdict.approved:
             return f"plan {plan.id} rejected by {verdict.reviewer}"
-        self._playback, self.outcome = Playback(plan, self._robot), ""
-        self._enter(ExecutorState.PLAYING, f"approved by {verdict.reviewer}")
+        self._approved = plan
+        self._on(ExecutorEvent.APPROVED, f"approved by {verdict.reviewer}")
         return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
 
     def ready_to_approve(self) -> bool:
@@ -226,9 +265,14 @@ class Executor:
         if self.state not in ACTIVE:
             return f"nothing is playing ({self.state.name})"
         if self.plan_start == 0:
-            self._finish("stopped", "stopped before it began")
+            self._on(ExecutorEvent.STOP, "stopped before it began")
             return f"plan {self.plan.id} had not begun"
-        return self._halt("stop requested")
+        brakes = self.state is ExecutorState.STOPPING
+        self._on(ExecutorEvent.STOP, "stop requested")
+        if brakes:
+            return f"plan {self.plan.id} is braking already"
+        stopping = self.state is ExecutorState.STOPPING
+        return f"braking plan {self.plan.id}" if stopping else f"plan {self.plan.id} ended at rest"
 
     def braking(self) -> Braking | None:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
@@ -242,15 +286,16 @@ class Executor:
         ExecutionError
             When nothing is playing.
         """
-        if self.state in (ExecutorState.PAUSING, ExecutorState.PAUSED):
-            return f"plan {self.plan.id} is {self.state.name} already"
-        if self.state is ExecutorState.HELD:
-            self._after_hold = ExecutorState.PAUSED
-            return f"plan {self.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
-        if self.state is not ExecutorState.PLAYING:
+        if not rows_for(self.state, ExecutorEvent.PAUSE):
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
-        self.desk.void_coming(now)
-        self._enter(ExecutorState.PAUSING, "pause requested")
+        before = self.state
+        if before is ExecutorState.PLAYING:
+            self.desk.void_coming(now)
+        self._on(ExecutorEvent.PAUSE, "pause requested")
+        if before is ExecutorState.HELD:
+            return f"plan {self.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
+        if before is not ExecutorState.PLAYING:
+            return f"plan {self.plan.id} is {before.name} already"
         return f"plan {self.plan.id} comes to rest on its path; resume goes on"
 
     def resume(self) -> str:
@@ -261,7 +306,7 @@ class Executor:
         ExecutionError
             When nothing is paused, or twin and arm are not in sync and armed.
         """
-        if self.state not in (ExecutorState.PAUSING, ExecutorState.PAUSED):
+        if not rows_for(self.state, ExecutorEvent.RESUME):
             raise ExecutionError(f"nothing to resume: the executor is {self.state.name} ({self.reason})")
         if self._sync is not SyncState.IN_SYNC:
             raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
@@ -269,7 +314,7 @@ class Executor:
             raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
         if problem := self.neighbour.problem(self.plan.id):
             raise ExecutionError(f"plan {self.plan.id} may not go on: {problem}")
-        self._enter(ExecutorState.PLAYING, "resumed")
+        self._on(ExecutorEvent.RESUME, "resumed")
         rest = self.plan.trajectory.duration - self._playback.elapsed
         return f"plan {self.plan.id} goes on; {rest:.3f} s of it are left"
 
@@ -280,31 +325,25 @@ class Executor:
         self.neighbour.now = now
         if self.state in ACTIVE and self.state is not ExecutorState.STOPPING:
             if problem := self.neighbour.problem(self.plan.id):
-                self._halt(problem)
-        if self.state is ExecutorState.WAITING:
-            self._try_to_begin(now)
+                self._on(ExecutorEvent.STOP, problem)
+        if self.state is ExecutorState.WAITING and self._agreed and self._twin_fresh(now):
+            self._on(ExecutorEvent.AGREED, "twin and physical arm agree")
         if self.state is ExecutorState.WAITING:
             return None
         if self.state is ExecutorState.IDLE:
             return self._repeat_twin(stamp, now)
         return self._advance(stamp)
 
-    def _try_to_begin(self, now: int) -> None:
-        if self._agreed and self._twin_fresh(now):
-            self._setpoint, self._setpoint_stamp = self._twin[1], 0
-            self._enter(ExecutorState.IDLE, "twin and physical arm agree")
-
     def _twin_fresh(self, now: int) -> bool:
-        return self._twin is not None and now - self._twin[2] <= TWIN_TIMEOUT
+        return self._twin is not None and now - self._twin.received <= TWIN_TIMEOUT
 
     def _repeat_twin(self, stamp: int, now: int) -> tuple[float, ...] | None:
         if not self._twin_fresh(now):
-            self._wait("the twin's pose is not known")
+            self._on(ExecutorEvent.TWIN_LOST, "the twin's pose is not known")
             return None
-        twin_stamp, pose, _ = self._twin
-        # until the twin has executed our last setpoint its pose is on the way there; repeating it would step back
-        if twin_stamp >= self._setpoint_stamp:
-            self._setpoint = pose
+        # until the twin has executed the last setpoint it is still on the way there; repeating its pose would step back
+        if self._twin.stamp >= self._setpoint_stamp:
+            self._setpoint = self._twin.q
         return self._setpoint
 
     def _advance(self, stamp: int) -> tuple[float, ...]:
@@ -319,26 +358,16 @@ class Executor:
         if playback.goal_stamp and self.state is not ExecutorState.HELD:
             # a hold may still come that takes back the last setpoints: then the plan must be there to go on
             if self._policy != RESUME or self._passed >= playback.goal_stamp:
-                self._finish("finished", "goal reached")
+                self._on(ExecutorEvent.GOAL, "goal reached")
         elif playback.at_rest:
-            self._on_rest()
+            self._on(ExecutorEvent.AT_REST)
+            if self.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.fraction == 0.0:
+                self.limit.standing = True
+                self._say()
         elif self.limit.standing:
             self.limit.standing = False
             self._say()
         return self._setpoint
-
-    def _on_rest(self) -> None:
-        if self.state is ExecutorState.STOPPING:
-            way = distance_along(self._stopping)
-            self._finish("stopped", f"{self.cause}; at rest after {way.text(self._robot)}")
-        elif self.state is ExecutorState.PAUSING:
-            self._enter(ExecutorState.PAUSED, self._where_paused())
-        elif self.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.fraction == 0.0:
-            self.limit.standing = True
-            self._say()
-
-    def _where_paused(self) -> str:
-        return f"at rest {self._playback.elapsed:.3f} s into the plan; resume goes on"
 
     # -- plans
 
@@ -351,46 +380,64 @@ class Executor:
             raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
         if problem := self.neighbour.problem(plan.id):
             raise ReviewError(f"plan {plan.id} may not start: {problem}")
-        self.desk.check_content()
+        self.desk.check_scene()
         check_start_pose(plan, self._setpoint, self._robot)
 
-    def _halt(self, reason: str) -> str:
-        if self.state is ExecutorState.STOPPING:
-            # the first cause is the cause, and the way is measured from there
-            return f"plan {self.plan.id} is braking already"
-        if self.state in RESTING or self.plan_start == 0:
-            self._finish("stopped", reason)
-            return f"plan {self.plan.id} ended at rest"
-        self._stopping = [self._setpoint]
-        self._enter(ExecutorState.STOPPING, reason)
-        return f"braking plan {self.plan.id}"
+    # -- the table
 
-    def _hold(self, state: SyncState, held_stamp: int) -> None:
-        cause = f"the gate holds ({state.name})"
-        if self.state is ExecutorState.STOPPING:
-            self._finish("stopped", f"{self.cause}; {cause}")
-        elif not self._playback.rest_where(held_stamp):
-            self._finish("held", f"{cause} at a setpoint that is not known to be of plan {self.plan.id}")
-        else:
-            paused = self.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
-            self._after_hold = ExecutorState.PAUSED if paused else ExecutorState.PLAYING
+    def _on(self, event: ExecutorEvent, reason: str = "") -> None:
+        """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
+        for row in rows_for(self.state, event):
+            if self._is_true(row.guard):
+                self._follow(row, reason)
+                return
+
+    def _is_true(self, guard: Guard) -> bool:
+        if guard is Guard.BEGUN:
+            return self.plan_start != 0
+        if guard is Guard.KNOWN:
+            return self._playback.knows(self._passed)
+        return self._paused if guard is Guard.PAUSED else True
+
+    def _follow(self, row: Row, reason: str) -> None:
+        action = row.action
+        if action is Action.START_FROM_TWIN:
+            self._setpoint, self._setpoint_stamp = self._twin.q, 0
+        elif action is Action.FORGET_TWIN:
+            self._twin, self._agreed, self._setpoint = None, False, None
+        elif action is Action.PLAY:
+            self._playback, self.outcome = Playback(self._approved, self._robot), ""
+        elif action is Action.BRAKE:
+            self._stopping = [self._setpoint]
+        elif action is Action.STAND:
+            self._playback.rest_where(self._passed)
+            self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
+        elif action is Action.NOTE_PAUSE:
+            self._paused = True
+        sentence = self._sentence(row, reason)
+        if action in OUTCOMES:
+            self.outcome = OUTCOMES[action]
+            self._events.append(Ending(self.plan, self.outcome, sentence))
+        # a restart is told although the state stays
+        if row.target is not row.state or action is Action.FORGET_TWIN:
+            self._enter(row.target, sentence)
+
+    def _sentence(self, row: Row, reason: str) -> str:
+        """Return why the next state is entered, in words for the operator."""
+        if row.event is ExecutorEvent.GATE_HOLDS:
+            if row.state is ExecutorState.STOPPING:
+                return f"{self.cause}; {reason}"
+            if row.action is Action.LOSE:
+                return f"{reason} at a setpoint that is not known to be of plan {self.plan.id}"
             where = f"{self._playback.elapsed:.3f} s into the plan"
-            self._enter(ExecutorState.HELD, f"{cause} {where}; goes on by itself when twin and arm agree again")
-
-    def _go_on(self) -> None:
-        if self._after_hold is ExecutorState.PAUSED:
-            self._enter(ExecutorState.PAUSED, self._where_paused())
-        else:
-            self._enter(ExecutorState.PLAYING, "twin and arm agree again; the same approval covers the rest")
-
-    def _finish(self, outcome: str, reason: str) -> None:
-        self.outcome = outcome
-        self._events.append(Ending(self.plan, outcome, reason))
-        self._enter(ExecutorState.IDLE, reason)
-
-    def _wait(self, reason: str) -> None:
-        self._twin, self._agreed, self._setpoint = None, False, None
-        self._enter(ExecutorState.WAITING, reason)
+            return f"{reason} {where}; goes on by itself when twin and arm agree again"
+        if row.target is ExecutorState.PAUSED:
+            return f"at rest {self._playback.elapsed:.3f} s into the plan; resume goes on"
+        if row.event is ExecutorEvent.GATE_OPENS:
+            return "twin and arm agree again; the same approval covers the rest"
+        if row.event is ExecutorEvent.AT_REST:
+            return f"{self.cause}; at rest after {distance_along(self._stopping).text(self._robot)}"
+        return reason
 
     def _enter(self, state: ExecutorState, reason: str) -> None:
         self.state, self.cause, self.limit.standing = state, reason, False

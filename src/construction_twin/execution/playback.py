@@ -81,20 +81,14 @@ class Playback:
         self._remember(stamp)
         return setpoint
 
-    def rest_where(self, stamp: int) -> bool:
-        """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was.
+    def knows(self, stamp: int) -> bool:
+        """Return whether a setpoint of this execution had this nominal stamp [ns]; of those too long ago nothing is known."""
+        return any(known == stamp for known, _ in self._history)
 
-        Returns
-        -------
-        known : bool
-            False, and nothing is changed, when no setpoint of this execution had that stamp or it is too long ago.
-        """
-        for known, elapsed in reversed(self._history):
-            if known == stamp:
-                self._progress.rest_at(elapsed)
-                self.goal_stamp = 0
-                return True
-        return False
+    def rest_where(self, stamp: int) -> None:
+        """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was: one that it `knows`."""
+        self._progress.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
+        self.goal_stamp = 0
 
     def _remember(self, stamp: int) -> None:
         self._history.append((stamp, self._progress.elapsed_ns))

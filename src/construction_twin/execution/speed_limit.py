@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from enum import Enum
 
-from construction_twin.core.errors import PayloadError
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.deadline import SpeedLimitSource
+from construction_twin.core.errors import ExecutionError
 
 
 class LimitState(Enum):
@@ -44,12 +44,9 @@ class SpeedLimit:
     """
 
     def __init__(self, deadline: float, silent: float, required: bool):
-        self._deadline = round(deadline * NANOSECONDS)
+        self._source = SpeedLimitSource(deadline, silent)
         self._silent = silent
         self._required = required
-        self._source = ""
-        self._heard_at = 0
-        self._asked = 1.0
         self._words = ""
         self.state, self.limit, self.reason = LimitState.UNLIMITED, 1.0, ""
         self.update(0)
@@ -73,41 +70,77 @@ class SpeedLimit:
         PayloadError
             ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
         """
-        # written so that a nan does not pass
-        if not 0.0 <= limit <= 1.0:
-            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a fraction from 0 to 1")
-        if source != self._source and self._in_time(now):
-            raise PayloadError(
-                "speed_limit_source", f"{source} sent a speed limit while {self._source} does; let only one of them"
-            )
-        self._source, self._heard_at, self._asked = source, now, limit
+        self._source.accept(limit, source, now)
         self._words, self.reason = reason.strip() or "no reason given", ""
         self.update(now)
 
     def update(self, now: int) -> float:
         """Return the fraction of the planned speed that is allowed at `now` [ns]."""
-        if not self._source:
+        source = self._source
+        if not source.name:
             state = LimitState.MISSING if self._required else LimitState.UNLIMITED
             asked = self._silent if self._required else 1.0
-        elif self._in_time(now):
-            state, asked = LimitState.HEARD, self._asked
+        elif source.is_heard(now):
+            state, asked = LimitState.HEARD, source.fraction
         else:
-            state, asked = LimitState.SILENT, min(self._silent, self._asked)
+            state, asked = LimitState.SILENT, source.fraction_when_silent
         # called every cycle: a sentence only when there is something new to say
         if state is not self.state or asked != self.limit or not self.reason:
             self.state, self.limit = state, asked
             self.reason = self._sentence()
         return self.limit
 
-    def _in_time(self, now: int) -> bool:
-        return bool(self._source) and now - self._heard_at <= self._deadline
-
     def _sentence(self) -> str:
         if self.state is LimitState.UNLIMITED:
             return "no speed limit: no source of `speed_limit` was heard"
         if self.state is LimitState.HEARD:
-            return f"speed limit {self.limit:g} by {self._source}: {self._words}"
+            return f"speed limit {self.limit:g} by {self._source.name}: {self._words}"
         if self.state is LimitState.MISSING:
             return f"speed limit {self.limit:g}: none was heard, and one is required; start a source of `speed_limit`"
-        limit, deadline = f"speed limit {self.limit:g}", self._deadline / NANOSECONDS
-        return f"{limit}: {self._source} is silent for more than {deadline:g} s; check it, or start another source"
+        limit, source = f"speed limit {self.limit:g}", self._source
+        return (
+            f"{limit}: {source.name} is silent for more than {source.deadline:g} s; check it, or start another source"
+        )
+
+
+class PlayRate:
+    """The newest limit on a plan's speed.
+
+    Attributes
+    ----------
+    fraction : float
+        0 to 1; 0: it stands still until the limit is raised.
+    standing : bool
+        Whether the plan has come to rest because of it.
+    """
+
+    def __init__(self):
+        self.fraction = 1.0
+        self.standing = False
+        self._reason = ""
+
+    def take(self, fraction: float, reason: str) -> bool:
+        """Take a limit and why it is there; return whether there is something new to say.
+
+        Raises
+        ------
+        ExecutionError
+            When it is no fraction; nothing has changed then.
+        """
+        if fraction == self.fraction and reason == self._reason:
+            return False
+        # written so that a nan does not pass
+        if not 0.0 <= fraction <= 1.0:
+            raise ExecutionError(
+                f"a rate of {fraction} was asked for; expected a fraction of the planned speed, 0 to 1"
+            )
+        self.fraction, self._reason = fraction, reason
+        return True
+
+    def sentence(self, cause: str) -> str:
+        """Return what a playing plan does, and why: always of the present limit. `cause` is why it plays."""
+        if self.standing:
+            return f"stands still on the path, goes on by itself: {self._reason}"
+        if self.fraction < 1.0:
+            return f"{cause}; at {self.fraction:.0%} of the planned speed: {self._reason}"
+        return cause

@@ -57,10 +57,11 @@ class Player:
         if self.follower is not None:
             self.follower.limit(fraction)
 
-    def place(self, position: tuple[float, ...]) -> None:
-        """Stand at `position` [rad], at rest."""
+    def place(self, position: tuple[float, ...]) -> Follower:
+        """Stand at `position` [rad], at rest; return the follower there."""
         self.follower = Follower(self._config.limits, self._config.decimals, position)
         self.follower.limit(self.fraction)
+        return self.follower
 
     def remove(self) -> None:
         """Stand nowhere: there is no origin."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from construction_twin.core.deadline import SpeedLimitSource
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.messages import Control, message_number
@@ -18,8 +19,8 @@ REMEMBERED = 64
 class SpeedLimit:
     """The fraction of the velocity limits at which the arm may move.
 
-    Nobody has to give one. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the last
-    limit where that was lower: who lowers the speed for a person must not be lost unnoticed. That outlives command sessions, or
+    Nobody has to give one. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the
+    last limit where that was lower, because a lost source must not speed the arm up. Both outlive command sessions, otherwise
     arming anew would lift the limit.
 
     A lowered limit is enforced a grace after it came, a raised one at once: in force is the highest of those that were given within
@@ -34,16 +35,14 @@ class SpeedLimit:
     """
 
     def __init__(self, config: GatewayConfig):
-        self._deadline = round(config.speed_limit_deadline * NANOSECONDS)
+        self._source = SpeedLimitSource(config.speed_limit_deadline, config.speed_limit_silent)
         self._grace = round(config.speed_limit_grace * NANOSECONDS)
-        self._silent_fraction = config.speed_limit_silent
         #: The fraction given last, that for silence included; 1 before the first one.
         self.given = 1.0
         #: Who gave it: "none", a session id, or "silence".
         self.source = "none"
         #: The fraction in force.
         self.fraction = 1.0
-        self._heard: int | None = None
         # session and number of the last message that was taken
         self._numbered: tuple[str, int] = ("", -1)
         # (when it came, fraction): fractions fall from left to right, so the first is the highest
@@ -75,7 +74,7 @@ class SpeedLimit:
 
     def give(self, fraction: float, session: str, now: int) -> bool:
         """Take a limit, 0 to 1, from a session; return whether it, or who gave it, is another than before."""
-        self._heard = now
+        self._source.hear(fraction, session, now)
         news = (fraction, session) != (self.given, self.source)
         self.source = session
         self._take(fraction, now)
@@ -83,14 +82,13 @@ class SpeedLimit:
 
     def poll(self, now: int) -> bool:
         """Notice silence, and what has come into force; return whether the source has just fallen silent."""
-        if self._heard is None:
+        recent = self._recent
+        if not recent:
             return False
-        silent = now - self._heard > self._deadline and self.source != "silence"
+        silent = self.source != "silence" and self._source.is_silent(now)
         if silent:
             self.source = "silence"
-            # who asked for less asked for it to the end: silence must not lift it
-            self._take(min(self._silent_fraction, self.given), now)
-        recent = self._recent
+            self._take(self._source.fraction_when_silent, now)
         while len(recent) > 1 and now - recent[1][0] >= self._grace:
             recent.popleft()
         self.fraction = recent[0][1]

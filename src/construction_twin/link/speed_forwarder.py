@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from construction_twin.core.errors import PayloadError
+from construction_twin.core.deadline import SpeedLimitSource
 from construction_twin.core.units import NANOSECONDS
 
 #: An unchanged limit is repeated no faster than this [ns].
@@ -23,13 +23,11 @@ class SpeedForwarder:
     """
 
     def __init__(self, deadline: float):
-        self._deadline = round(deadline * NANOSECONDS)
+        self._source = SpeedLimitSource(deadline)
         #: The last limit heard; None before the first one.
         self.limit: float | None = None
         #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.
         self.number = 0
-        self._source = ""
-        self._heard_at = 0
         self._unsent = False
         self._sent: tuple[float, str] | None = None
         self._sent_at = 0
@@ -42,20 +40,14 @@ class SpeedForwarder:
         PayloadError
             ``speed_limit``, or ``speed_limit_source`` while another source is heard: the executor refuses it too.
         """
-        # written so that a nan does not pass
-        if not 0.0 <= limit <= 1.0:
-            raise PayloadError("speed_limit", f"{source} sent the speed limit {limit}; expected a fraction from 0 to 1")
-        if source != self._source and self.limit is not None and now - self._heard_at <= self._deadline:
-            raise PayloadError(
-                "speed_limit_source", f"{source} sent a speed limit while {self._source} does; let only one of them"
-            )
-        self.limit, self._source, self._heard_at, self._unsent = limit, source, now, True
+        self._source.accept(limit, source, now)
+        self.limit, self._unsent = limit, True
 
     def poll(self, session: str, now: int) -> float | None:
         """Return the limit to send now to the armed session `session` ("" for none), or None."""
         if not session or self.limit is None:
             return None
-        if now - self._heard_at > self._deadline:
+        if self._source.is_silent(now):
             # silence is silence, also for a session that begins meanwhile
             self._unsent = False
             return None

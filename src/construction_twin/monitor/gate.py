@@ -24,8 +24,11 @@ POLICIES = (REPLAN, RESUME, STOP)
 #: A setpoint may be this much later than the quickest one [ns]: an executor that catches up sends what is 80 ms late, and what is
 #: later the gateway has bridged and braked for.
 LATEST = NANOSECONDS // 10
+#: A gate is at rest when the command has not changed for this long [ns]: by then the arm has arrived, too.
+REST = NANOSECONDS // 2
 _TOO_LATE = f"at most {LATEST / NANOSECONDS:g} s: the monitor was not run, or the executor's clock was set back (then call reset)"
-#: Silence is the link's to judge: the arm has contradicted nobody.
+#: The gate closes on silence, but does not count it towards `escalate_count`: no pose has differed, and whether the link is lost is
+#: for the bridge to say.
 _SILENCE = (SyncEvent.FEEDBACK_STALE, SyncEvent.SETPOINT_STALE)
 
 
@@ -64,7 +67,7 @@ class GateSettings:
     thresholds: Mapping[str, float] = field(default_factory=dict)
     aligned: bool = True
     lag_allowance: float = 0.05
-    lag_margin: float = 0.06
+    lag_margin: float = 0.02
     feedback_timeout: float = 0.1
     agree_share: float = 0.8
     agree_time: float = 0.1
@@ -140,6 +143,8 @@ class Gate:
         self._obstacle = ""
         self._policy = self.settings.policy
         self._closed_at = 0
+        #: When the last command that passed differed from the one before it.
+        self._moved_at: int | None = None
         self._closings: deque[int] = deque()
         #: Whether the present hold is one of them.
         self._counted = False
@@ -190,16 +195,33 @@ class Gate:
             self._forget()
         self.mirrored = leads
 
-    def configure(self, settings: GateSettings) -> None:
-        """Go on with other settings; a gate that is closed keeps the policy that it closed with.
+    def configure(self, settings: GateSettings, reason: str, now: int) -> None:
+        """Go on with other settings, from rest; the change is a transition.
+
+        Parameters
+        ----------
+        settings : GateSettings
+        reason : str
+            Who changed what.
+        now : int
+            [ns]
 
         Raises
         ------
         ConfigurationError
-            When `thresholds` names a joint that there is not; then nothing is changed.
+            When the arm moves, when the gate holds, or when `thresholds` names a joint that is unknown. Nothing is changed then.
         """
-        self.comparison.configure(settings.comparison(self._limits))
+        if self._moved_at is not None and now - self._moved_at < REST:
+            raise ConfigurationError(
+                "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
+            )
+        if self.state in HELD_STATES:
+            expected = "WAITING, IN_SYNC or STOPPED: settings must not open a gate that a violation has closed"
+            raise ConfigurationError("the gate", self.state.name, expected)
+        comparison = settings.comparison(self._limits)
+        self.comparison.configure(comparison)
         self.settings = settings
+        self._fire(SyncEvent.CONFIGURED, reason, now)
 
     def on_replan(self, reason: str, now: int) -> bool:
         """Take that a path from the held pose to the interrupted goal was asked for; return whether the gate still holds."""
@@ -375,7 +397,8 @@ class Gate:
     def _checked(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...]:
         try:
             command = self._codec.quantise(theta_next)
-            if stamp - self._before > LATEST and command != self._check.position:
+            moves = command != self._check.position
+            if moves and stamp - self._before > LATEST:
                 missing = f"theta_next moves after {(stamp - self._before) / NANOSECONDS:.3f} s without setpoints"
                 self._close(SyncEvent.SETPOINT_STALE, f"{missing}; {_TOO_LATE}", now)
                 return self._check.position
@@ -385,6 +408,8 @@ class Gate:
             self._close(SyncEvent.SETPOINT_REFUSED, str(refusal), now)
             return self._check.position
         self.held_stamp = self._before = stamp
+        if moves:
+            self._moved_at = now
         return command
 
     def _fire(self, event: SyncEvent, reason: str, now: int) -> bool:

@@ -40,6 +40,7 @@ class SyncEvent(Enum):
     ESCALATED = "escalated"
     GAVE_UP = "gave_up"
     STOPPED_BEFORE = "stopped_before"
+    CONFIGURED = "configured"
 
 
 _ANEW = {SyncEvent.NEW_SESSION: SyncState.WAITING, SyncEvent.MIRROR: SyncState.WAITING}
@@ -52,11 +53,13 @@ TABLE: dict[SyncState, dict[SyncEvent, SyncState]] = {
     SyncState.WAITING: _ANEW
     | {
         SyncEvent.STARTED: SyncState.WAITING,
+        SyncEvent.CONFIGURED: SyncState.WAITING,
         SyncEvent.STOPPED_BEFORE: SyncState.STOPPED,
         SyncEvent.OPENED: SyncState.IN_SYNC,
     },
     SyncState.IN_SYNC: _ANEW
     | {
+        SyncEvent.CONFIGURED: SyncState.IN_SYNC,
         SyncEvent.POSE_DIFFERS: SyncState.HOLDING,
         SyncEvent.FEEDBACK_STALE: SyncState.STALE,
         SyncEvent.SETPOINT_STALE: SyncState.STALE,
@@ -76,7 +79,7 @@ TABLE: dict[SyncState, dict[SyncEvent, SyncState]] = {
     # whoever sent what no robot can execute is not asked for a new plan
     SyncState.FAULT: _ANEW | _END,
     # a person has to see to it: only a new command session leads out
-    SyncState.STOPPED: {SyncEvent.NEW_SESSION: SyncState.WAITING},
+    SyncState.STOPPED: {SyncEvent.NEW_SESSION: SyncState.WAITING, SyncEvent.CONFIGURED: SyncState.STOPPED},
 }
 
 #: States of a gate that was closed by a violation, and may open again by itself.
@@ -120,7 +123,7 @@ class SyncMachine:
     ----------
     state : SyncState
     reason : str
-        Why it was entered.
+        Why it was entered; other settings are no reason to be in a state.
     """
 
     def __init__(self):
@@ -147,7 +150,9 @@ class SyncMachine:
         if target is None:
             return False
         self._taken.append(Transition(now, self.state, target, event, reason, comparison, held_stamp))
-        self.state, self.reason = target, reason
+        self.state = target
+        if event is not SyncEvent.CONFIGURED:
+            self.reason = reason
         return True
 
     @property

@@ -3,19 +3,30 @@
 Standard library and paho-mqtt only. What it saves per message: paho builds a table of all MQTT 5 properties for each
 message it sends or receives (25 and 50 us), reads a packet in three pieces, keeps a record with a lock of each that it
 sends, and hands what another thread publishes to its own thread.
+
+paho has no public place for this: it uses private parts, which another version may have changed. `is_tested` says whether the
+installed one is a version with which all of this was tested; with any other `client.make_client` takes the `PlainClient`.
 """
 
 from __future__ import annotations
 
+import functools
+import logging
 import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
 
+from paho.mqtt import __version__ as paho_version
 from paho.mqtt import client as paho
 from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
 
+from construction_twin.mqtt.plain_client import PlainClient, StreamCallback
+
+log = logging.getLogger("construction_twin.mqtt")
+
+#: Versions of paho-mqtt with which the tests of this module have passed; setup/requirements.txt pins the last one.
+TESTED_VERSIONS = ("2.2.0",)
 _USER_PROPERTY = 0x26
 _LENGTH = struct.Struct("!H")
 #: How much of what has come in is looked at before it is taken; what is longer is paho's [bytes].
@@ -122,36 +133,35 @@ def whole_publish(ahead: bytes) -> tuple[int, int] | None:
     return (start, start + length) if start + length <= len(ahead) else None
 
 
-def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
-    """Return a message's user properties; empty under MQTT 3.1.1 or when it has none."""
-    return list(getattr(message.properties, "UserProperty", ()))
+@functools.cache
+def is_tested() -> bool:
+    """Return whether the installed paho is one whose private parts were tested; warns when it is not, once per process."""
+    tested = paho_version in TESTED_VERSIONS
+    if not tested:
+        log.warning(
+            "paho-mqtt %s was not tested with the fast client (tested: %s): running on paho's public interface, which costs up to "
+            "0.1 ms more per message; install a tested version",
+            paho_version,
+            ", ".join(TESTED_VERSIONS),
+        )
+    return tested
 
 
-class FastClient(paho.Client):
+class FastClient(PlainClient):
     """Reads and sends joint strings without paho's general code, whatever else goes over the connection.
 
-    paho has no public place for this; test_fast_client compares what is read and what is sent with paho's own.
+    test_fast_client compares what is read and what is sent with paho's own.
     """
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
-        self._streams: dict[bytes, Callable[[bytes, list[tuple[str, str]], bool], None]] = {}
+        self._streams: dict[bytes, StreamCallback] = {}
         self._writing = threading.RLock()
 
-    def on_stream(self, topic: str, callback: Callable[[bytes, list[tuple[str, str]], bool], None]) -> None:
-        """Call ``callback(payload, pairs, retained)`` for each message on `topic`, in the thread that serves the connection.
-
-        Parameters
-        ----------
-        topic : str
-            Without wildcards.
-        callback : callable
-            ``pairs`` are the user properties.
-        """
+    def on_stream(self, topic: str, callback: StreamCallback) -> None:
+        """Call ``callback(payload, pairs, retained)`` for each message on `topic`; see `PlainClient`."""
         self._streams[topic.encode()] = callback
-        self.message_callback_add(
-            topic, lambda _client, _data, message: callback(message.payload, received_pairs(message), message.retain)
-        )
+        super().on_stream(topic, callback)
 
     def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
         """Publish with QoS 0, from the caller's thread unless paho has one of its own for the connection.

@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from paho.mqtt import client as paho
+from construction_twin.mqtt.plain_client import PlainClient
 
 #: Pause between attempts to connect [s].
 RETRY = 0.5
@@ -27,7 +27,7 @@ class PolledClient:
 
     Parameters
     ----------
-    client : paho.Client
+    client : PlainClient
         With `connect_async` called and callbacks set.
     selector : selectors.BaseSelector
         The loop's selector; the MQTT socket is registered with this object as data.
@@ -37,7 +37,7 @@ class PolledClient:
 
     def __init__(
         self,
-        client: paho.Client,
+        client: PlainClient,
         selector: selectors.BaseSelector,
         on_failure: Callable[[OSError], None] = lambda error: None,
     ):

@@ -50,6 +50,12 @@ class Ending:
     reason: str
 
 
+def prove_hash(plan: Plan) -> None:
+    """Raise ReviewError when a plan's trajectory is not what its hash says. Too slow for the cycle's lock."""
+    if plan.trajectory.content_hash() != plan.hash:
+        raise ReviewError(f"plan {plan.id} is no longer what its hash {plan.hash} says; plan again")
+
+
 class ReviewDesk:
     """Holds the newest plan until it is approved, rejected, replaced or void.
 
@@ -151,8 +157,8 @@ class ReviewDesk:
         if plan_hash and plan_hash != self.plan.hash:
             raise ReviewError(f"plan {plan_id} has hash {self.plan.hash}, not {plan_hash}; look at it again")
 
-    def check_content(self) -> None:
-        """Raise ReviewError when the plan on the desk must not be executed: for another scene, or not what its hash says."""
+    def check_scene(self) -> None:
+        """Raise ReviewError when the plan on the desk must not be executed: no scene is known, or it was made for another."""
         plan = self.plan
         if not self.scene:
             raise ReviewError(
@@ -166,5 +172,3 @@ class ReviewDesk:
             raise ReviewError(
                 f"plan {plan.id} was made for scene {plan.scene[:12]}, the present one is {self.scene[:12]}; plan again"
             )
-        if plan.trajectory.content_hash() != plan.hash:
-            raise ReviewError(f"plan {plan.id} is no longer what its hash {plan.hash} says; plan again")

@@ -1,9 +1,8 @@
 """The review record: a file of verdicts and of what became of them, one JSON object per line, each chained to the one before.
 
-Every line carries the SHA-256 of the line before it in `previous`, so that an edited, removed or moved line breaks the
-chain. A second file, the same path with ``.head`` behind it, holds number and SHA-256 of the lines, so that lines cut off
-or added at the end are found too. Who may write both files can forge both: compare the last hash with one that was noted
-elsewhere. Durations in s, distances in m.
+Every line carries the SHA-256 of the line before it in `previous`, so that an edited, removed or moved line breaks the chain. The
+last line has no successor: compare its hash with one that was noted elsewhere, to find what was cut off, added or changed at the end.
+Durations in s, distances in m.
 """
 
 from __future__ import annotations
@@ -30,6 +29,8 @@ from construction_twin.robot.plan import Plan
 
 #: `previous` of the first line.
 BEGIN = "0" * 64
+#: Records that are kept while the file cannot be written; what comes then is counted, and the number is recorded later.
+KEPT = 1000
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,6 @@ def verify(path: str | Path) -> LogState:
     for number, line in enumerate(lines, start=1):
         _check_line(path, number, line, hashes[-1])
         hashes.append(hashlib.sha256(line).hexdigest())
-    _check_head(Path(path), hashes)
     return LogState(len(lines), hashes[-1])
 
 
@@ -79,6 +79,11 @@ class ReviewLog:
         ``~`` is the home folder.
     clock : callable
         Returns the time since 1970 in UTC [ns].
+
+    Attributes
+    ----------
+    lost : int
+        Deferred records that were not kept, because `KEPT` others waited for a file that could not be written.
 
     Raises
     ------
@@ -97,6 +102,7 @@ class ReviewLog:
         self._clock = clock
         self._lock = threading.Lock()
         self._deferred: deque[tuple[int, Verdict | Ending]] = deque()
+        self.lost = self._unrecorded = 0
         self._file = _open(self.path)
         try:
             self._state = verify(self.path)
@@ -113,6 +119,11 @@ class ReviewLog:
 
     def defer(self, record: Verdict | Ending) -> None:
         """Keep a record for the next `flush`, with the present time; does not touch the disk."""
+        if len(self._deferred) >= KEPT:
+            # no verdict is taken meanwhile: `append` writes these first, and fails
+            self.lost += 1
+            self._unrecorded += 1
+            return
         self._deferred.append((self._clock(), record))
 
     def flush(self) -> None:
@@ -128,6 +139,11 @@ class ReviewLog:
                 now, record = self._deferred[0]
                 self._append(now, _fields(record))
                 self._deferred.popleft()
+            if self._unrecorded:
+                number = self._unrecorded
+                reason = f"the file could not be written, and {KEPT} records waited already"
+                self._append(self._clock(), {"record": "gap", "lost": number, "reason": reason})
+                self._unrecorded -= number
 
     def append(self, record: Verdict | Ending) -> None:
         """Write one record, behind those that were deferred; when this returns it is on the disk.
@@ -163,7 +179,7 @@ class ReviewLog:
         line = json.dumps(fields, allow_nan=False).encode()
         state = LogState(self._state.lines + 1, hashlib.sha256(line).hexdigest())
         self._check_untouched()
-        self._write(line + b"\n", state)
+        self._write(line + b"\n")
         self._state = state
 
     def _check_untouched(self) -> None:
@@ -179,14 +195,12 @@ class ReviewLog:
                 str(self.path), f"the file has {here.st_size} bytes, not {self._size}: somebody else wrote to it"
             )
 
-    def _write(self, data: bytes, state: LogState) -> None:
+    def _write(self, data: bytes) -> None:
         try:
-            _write_head(self.path, self._state, state.head)
             written = os.write(self._file, data)
             if written != len(data):
                 raise OSError(f"only {written} of {len(data)} bytes could be written")
             os.fsync(self._file)
-            _write_head(self.path, state, "")
         except OSError as error:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, self._size)
@@ -297,35 +311,3 @@ def _check_line(path: str | Path, number: int, line: bytes, previous: str) -> No
     if found != previous:
         before = f"line {number - 1}" if number > 1 else "the beginning"
         raise ConfigurationError(where, found, f"{previous}, the hash of {before}; one of the two was changed or moved")
-
-
-def _head_path(path: Path) -> Path:
-    return path.with_name(path.name + ".head")
-
-
-def _check_head(path: Path, hashes: list[str]) -> None:
-    """The head is behind only by the record that was being written when the writer ended, and that it had announced."""
-    lines, head = len(hashes) - 1, _head_path(path)
-    try:
-        noted = json.loads(head.read_bytes())
-        count, value, announced = int(noted["lines"]), noted["head"], noted["next"]
-    except FileNotFoundError:
-        count, value, announced = 0, BEGIN, ""
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise ConfigurationError(str(head), repr(error), "number and hash of the review file's lines") from error
-    if count != lines and not (count == lines - 1 and announced == hashes[-1]):
-        expected = f"{count} lines, as {head.name} says (without that file: none)"
-        raise ConfigurationError(f"{path} line {min(lines, count) + 1}", f"{lines} lines", expected)
-    if value != hashes[count]:
-        raise ConfigurationError(f"{path} line {count}", hashes[count], f"the hash {value}, as {head.name} says")
-
-
-def _write_head(path: Path, state: LogState, announced: str) -> None:
-    """Replace the head file in one step: what is there, and the hash of the line that is about to follow. Raises OSError."""
-    head = _head_path(path)
-    new = head.with_name(head.name + ".new")
-    with open(new, "w", encoding="ascii") as file:
-        json.dump({"lines": state.lines, "head": state.head, "next": announced}, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(new, head)

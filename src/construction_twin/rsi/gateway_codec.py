@@ -188,13 +188,18 @@ class SensorEncoder:
         self._count = len(axes)
         order = [axes.index(channel.partition(".")[2]) for channel in receive if channel != STOP]
         factors = [unit.correction_factor for unit in axis_units(axes, units)]
-        self._order = [(index, factors[index]) for index in order]
+        #: Per number in a reply: index of the axis, and wire units per rad or m.
+        self.order = tuple((index, factors[index]) for index in order)
         self._templates = {stop: _reply(sentype, receive, stop) for stop in (None, False, True)}
 
     @classmethod
     def of(cls, layout: RsiLayout, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()) -> SensorEncoder:
         """Return the encoder for an Ethernet XML's replies."""
         return cls(layout.sentype, axes, layout.receive, units)
+
+    def template(self, stop: bool | None) -> bytes:
+        """Return the %-template of a reply; it takes the numbers of `order`, and IPOC."""
+        return self._templates[stop]
 
     def encode(self, correction: Sequence[float], ipoc: int, stop: bool | None = None) -> bytes:
         """Write one reply.
@@ -219,7 +224,7 @@ class SensorEncoder:
             If a correction is missing or not finite.
         """
         check_values("correction", correction, self._count)
-        values = [correction[index] * factor for index, factor in self._order]
+        values = [correction[index] * factor for index, factor in self.order]
         return (self._templates[stop] % (*values, ipoc)).replace(b'"-0.000000"', b'"0.000000"')
 
 

@@ -8,10 +8,10 @@ import pytest
 from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
 
 from construction_twin.core.errors import RecordError, ReviewError
-from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY
-from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.start_pose import START_TOLERANCE
+from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval
+from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
 from construction_twin.monitor.gate import SyncState
+from construction_twin.robot.trajectory import Trajectory
 
 
 @pytest.fixture
@@ -128,6 +128,25 @@ class TestApproval:
         with pytest.raises(ReviewError, match="no longer what its hash"):
             bench.review("p", "", True, "Ada")
         assert set(bench.run(50)) == {ROBOT.home}
+
+    def test_a_hash_is_proven_once_and_never_under_the_lock_of_the_cycle(self, bench, monkeypatch):
+        held, proven = [], []
+        lock = threading.RLock()
+
+        class Lock:
+            def __enter__(self):
+                held.append(lock.acquire())
+
+            def __exit__(self, *_):
+                held.pop()
+                lock.release()
+
+        plan = make_plan()
+        bench.executor.offer(plan)
+        compute = Trajectory.content_hash
+        monkeypatch.setattr(Trajectory, "content_hash", lambda self: (proven.append(len(held)), compute(self))[1])
+        Approval(bench.executor, bench.records.append, Lock()).review("p", plan.hash, True, "Ada")
+        assert proven == [0] and bench.run(3)[-1] is not None and bench.state is ExecutorState.PLAYING
 
 
 class TestRecordFirst:

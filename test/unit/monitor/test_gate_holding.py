@@ -11,7 +11,7 @@ from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved, states
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.gate import Gate, GateSettings
+from construction_twin.monitor.gate import REST, Gate, GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
 
 
@@ -35,12 +35,21 @@ class TestThresholds:
         with pytest.raises(ConfigurationError, match="joint_a9"):
             Gate(LIMITS, CODEC, GateSettings(thresholds={"joint_a9": 0.1}))
 
-    def test_can_be_changed_live(self):
+    def test_can_be_changed_at_rest_and_the_change_is_a_transition(self):
         gate = bench().gate
-        gate.configure(GateSettings(threshold=0.3))
+        gate.take_transitions()
+        reason = gate.reason
+        gate.configure(GateSettings(threshold=0.3), "Ada changed threshold 0.01 -> 0.3", gate.held_stamp)
+        (change,) = gate.take_transitions()
+        assert (change.source, change.event, change.target) == (
+            SyncState.IN_SYNC,
+            SyncEvent.CONFIGURED,
+            SyncState.IN_SYNC,
+        )
+        assert change.reason == "Ada changed threshold 0.01 -> 0.3" and gate.reason == reason
         gate.on_physical(moved(START, 0.2), 0, gate.held_stamp)
         assert gate.state is SyncState.IN_SYNC
-        gate.configure(GateSettings(thresholds={"joint_a1": 0.1}))
+        gate.configure(GateSettings(thresholds={"joint_a1": 0.1}), "Ada", gate.held_stamp)
         gate.on_physical(moved(START, 0.2), 0, gate.held_stamp)
         assert gate.state is SyncState.HOLDING
 
@@ -48,7 +57,7 @@ class TestThresholds:
         gate = bench().gate
         before = gate.settings
         with pytest.raises(ConfigurationError):
-            gate.configure(GateSettings(threshold=0.3, thresholds={"": 0.1}))
+            gate.configure(GateSettings(threshold=0.3, thresholds={"": 0.1}), "Ada", gate.held_stamp)
         assert gate.settings is before
         gate.on_physical(moved(START, 0.2), 0, gate.held_stamp)
         assert gate.state is SyncState.HOLDING
@@ -150,13 +159,28 @@ class TestPolicy:
         cell.run(0.2)
         assert states(cell.gate) == [("pose_differs", "HOLDING"), ("opened", "IN_SYNC")]
 
-    def test_a_closed_gate_keeps_the_policy_that_it_closed_with(self):
+    def test_a_closed_gate_keeps_the_settings_that_it_closed_with(self):
         cell = bench(policy="resume")
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
-        cell.gate.configure(dataclasses.replace(cell.gate.settings, policy="stop"))
+        stricter = dataclasses.replace(cell.gate.settings, policy="stop")
+        with pytest.raises(ConfigurationError, match="HOLDING"):
+            cell.gate.configure(stricter, "Ada", cell.stamp)
         assert cell.gate.policy == "resume"
         cell.run(0.2)
+        cell.gate.configure(stricter, "Ada", cell.stamp)
         assert (cell.state, cell.gate.policy) == (SyncState.IN_SYNC, "stop")
+
+    def test_in_motion_no_setting_changes_until_the_arm_has_arrived(self):
+        cell = bench()
+        gate, stamp = cell.gate, cell.stamp + CYCLE_NS
+        gate.on_physical(START, 0, stamp)
+        command = gate.pass_next(stamp, moved(START, 1e-5), stamp)
+        assert command != START and gate.state is SyncState.IN_SYNC
+        for now in (stamp, stamp + REST - 1):
+            with pytest.raises(ConfigurationError, match="in motion"):
+                gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", now)
+        gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", stamp + REST)
+        assert gate.settings.threshold == 0.3
 
     def test_a_re_plan_is_a_state_of_its_own_until_the_poses_agree(self):
         cell = bench()

@@ -18,12 +18,12 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.monitor.gate import POLICIES, Gate, GateSettings
-from construction_twin.monitor.states import TABLE, SyncEvent, SyncState
+from construction_twin.monitor.gate import POLICIES, REST, Gate, GateSettings
+from construction_twin.monitor.states import HELD_STATES, TABLE, SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
 LIMITS = MotionLimits.of(ROBOT)
@@ -98,7 +98,7 @@ class Cell(RuleBasedStateMachine):
         for change in self.gate.take_transitions():
             assert TABLE[change.source][change.event] is change.target
             assert change.source is self.state and change.reason and 0 < change.at <= self.stamp
-            if change.source is SyncState.STOPPED:
+            if change.source is SyncState.STOPPED is not change.target:
                 assert change.event is SyncEvent.NEW_SESSION and self.new_session
             if change.event is SyncEvent.POSE_DIFFERS:
                 assert not change.comparison.agrees
@@ -186,7 +186,17 @@ class Cell(RuleBasedStateMachine):
 
     @rule(policy=st.sampled_from(POLICIES), threshold=st.sampled_from([0.002, 0.01, 0.1]))
     def reconfigure(self, policy, threshold):
-        self.gate.configure(GateSettings(policy=policy, threshold=threshold, **BRISK))
+        before, reason = self.gate.settings, self.gate.reason
+        rests = self.gate._moved_at is None or self.stamp - self.gate._moved_at >= REST
+        try:
+            self.gate.configure(GateSettings(policy=policy, threshold=threshold, **BRISK), "by the test", self.stamp)
+        except ConfigurationError:
+            assert (not rests or self.state in HELD_STATES) and self.gate.settings is before
+            self.seen["refused settings"] += 1
+        else:
+            assert rests and self.state not in HELD_STATES
+            assert self.gate.reason == reason.split("; not opened: ")[0]
+        self.check_transitions()
 
     @rule(cycles=st.integers(1, 20), reset=st.booleans())
     def mirror(self, cycles, reset):
@@ -250,7 +260,7 @@ class Cell(RuleBasedStateMachine):
 
 
 #: What the random sequences must have reached, for their result to mean something.
-REACHED = set(SyncEvent) - {SyncEvent.REPLAN_FAILED} | {"moved", "refused approval"}
+REACHED = set(SyncEvent) - {SyncEvent.REPLAN_FAILED} | {"moved", "refused approval", "refused settings"}
 
 
 def test_whatever_happens_a_closed_gate_changes_nothing_and_nothing_moves_without_approval():

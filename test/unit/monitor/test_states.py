@@ -36,14 +36,24 @@ class TestTable:
         assert {event for row in TABLE.values() for event in row} == set(SyncEvent)
 
     def test_stopped_is_left_by_a_new_session_alone(self):
-        assert TABLE[SyncState.STOPPED] == {SyncEvent.NEW_SESSION: SyncState.WAITING}
+        leaving = {event for event, target in TABLE[SyncState.STOPPED].items() if target is not SyncState.STOPPED}
+        assert leaving == {SyncEvent.NEW_SESSION}
 
     def test_every_state_goes_back_to_waiting_with_a_new_session(self):
         assert {row[SyncEvent.NEW_SESSION] for row in TABLE.values()} == {SyncState.WAITING}
 
     def test_only_opening_leads_to_in_sync(self):
-        leading = {event for row in TABLE.values() for event, target in row.items() if target is SyncState.IN_SYNC}
+        leading = {
+            event
+            for state, row in TABLE.items()
+            for event, target in row.items()
+            if target is SyncState.IN_SYNC is not state
+        }
         assert leading == {SyncEvent.OPENED}
+
+    def test_other_settings_change_no_state_and_are_taken_only_where_nothing_holds(self):
+        taken = {state: row[SyncEvent.CONFIGURED] for state, row in TABLE.items() if SyncEvent.CONFIGURED in row}
+        assert taken == {state: state for state in set(SyncState) - HELD_STATES}
 
     def test_a_gate_that_holds_can_be_given_up(self):
         held = {SyncState.HOLDING, SyncState.REPLANNING, SyncState.STALE, SyncState.FAULT}
@@ -73,7 +83,8 @@ def test_an_event_leads_where_the_table_says_or_nowhere(state, event):
     if target is None:
         assert (machine.state, machine.reason) == before and not machine.changed and machine.take() == []
         return
-    assert (machine.state, machine.reason, machine.changed) == (target, "why", True)
+    reason = before[1] if event is SyncEvent.CONFIGURED else "why"
+    assert (machine.state, machine.reason, machine.changed) == (target, reason, True)
     (change,) = machine.take()
     assert (change.at, change.source, change.target, change.event) == (7, state, target, event)
     assert (change.reason, change.comparison, change.held_stamp) == ("why", None, 5)

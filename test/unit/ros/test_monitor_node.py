@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from construction_twin.msg import Execution, Link, Plan, Sync
+from construction_twin.srv import ConfigureGateRequest
 from executor_bench import ROBOT
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.states import SyncState
+from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.ros.nodes import pca_monitor as module
-from construction_twin.ros.shared.live_settings import Behaviour
 from construction_twin.ros.transport.joint_stream import to_time
 
 HOME = ROBOT.home
@@ -33,6 +33,8 @@ class World:
         self.parameters: dict[str, str] = {}
         self.said: list[tuple[str, object]] = []
         self.logged: list[str] = []
+        self.refused: list[tuple[str, str]] = []
+        self.services: dict[str, object] = {}
         self.planned = threading.Event()
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
@@ -49,8 +51,8 @@ class World:
         settings = module.Settings(**SETTINGS, arm="mock", decimals=6, sync_rate=50, transition_file="none")
         patch(module, "read_parameters", lambda model: settings)
         patch(module, "robot_from_parameters", lambda: ROBOT)
-        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
-        patch(module, "LiveSettings", lambda *_: None)
+        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *said: self.refused.append(said)))
+        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
         patch(module, "JointSubscriber", lambda *_, **__: None)
         patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
         patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
@@ -111,7 +113,71 @@ def opened(world: World, session: str = "s1"):
 
 
 def test_settings_of_this_test_are_all_there_are():
-    assert set(SETTINGS) | {"thresholds", "realtime_priority"} == set(Behaviour.model_fields)
+    assert set(SETTINGS) | {"thresholds"} == set(module.Behaviour.model_fields)
+
+
+class TestSettings:
+    def change(self, world, settings: str, operator: str = "Ada"):
+        """Ask for other settings."""
+        return world.services["configure_gate"](ConfigureGateRequest(settings=settings, operator=operator))
+
+    def test_change_at_rest_and_are_recorded(self, world):
+        node = opened(world)
+        world.said.clear()
+        answer = self.change(world, "{agree_time: 0.2, thresholds: {joint_a3: 0.02}}")
+        assert answer.success and "agree_time 0.1 -> 0.2" in answer.message
+        (change,) = [change for name, change in world.said if name == "transitions"]
+        assert (change.event, change.target) == (SyncEvent.CONFIGURED, SyncState.IN_SYNC)
+        assert change.reason.startswith("Ada changed thresholds {} -> {'joint_a3': 0.02}") and change.at == world.wall
+        assert node._gate.settings.agree_time == 0.2 and not world.planned.is_set()
+        # what was changed before stays changed
+        assert self.change(world, "{policy: stop}").success
+        assert (node._gate.settings.agree_time, node._gate.settings.policy) == (0.2, "stop")
+
+    def test_that_are_the_same_are_no_transition(self, world):
+        opened(world)
+        world.said.clear()
+        assert self.change(world, "{policy: replan}").message == "nothing to change" and world.said == []
+
+    @pytest.mark.parametrize(
+        "settings, operator, problem",
+        [
+            ("{policy: hope}", "Ada", "policy"),
+            ("{agree_time: 0.2, threshold: -1}", "Ada", "threshold"),
+            ("{agree_time: 0.2, thresholds: {joint_a9: 0.1}}", "Ada", "joint_a9"),
+            ("{lag_margin: .nan}", "Ada", "lag_margin"),
+            ("{arm: none}", "Ada", "arm"),
+            ("{decimals: 1}", "Ada", "decimals"),
+            ("{policy", "Ada", "YAML"),
+            ("", "Ada", "mapping"),
+            ("[1]", "Ada", "mapping"),
+            ("{policy: stop}", " ", "operator"),
+        ],
+    )
+    def test_that_make_no_sense_change_nothing_at_all(self, world, settings, operator, problem):
+        node = opened(world)
+        before = node._gate.settings
+        world.said.clear()
+        answer = self.change(world, settings, operator)
+        assert not answer.success and problem in answer.message and answer.message.endswith("nothing was changed")
+        assert node._gate.settings is before and world.said == []
+        assert world.refused == [("configure_gate", answer.message)]
+
+    @pytest.mark.parametrize("state", ["PLAYING", "STOPPING", "PAUSING", "PAUSED", "HELD"])
+    def test_do_not_change_while_a_plan_is_being_executed(self, world, state):
+        node = opened(world)
+        node._on_execution(Execution(state=getattr(Execution, state), text=state, plan_id="p"))
+        answer = self.change(world, "{threshold: 0.5}")
+        assert not answer.success and f"plan p is {state}" in answer.message
+        node._on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
+        assert self.change(world, "{threshold: 0.5}").success
+
+
+def test_a_plan_without_points_is_refused_with_a_sentence(world):
+    node = opened(world)
+    node._on_plan(Plan(id="empty"))
+    ((reason, sentence),) = world.refused
+    assert reason == "plan" and "plan empty has no points" in sentence
 
 
 class TestOrder:

@@ -310,6 +310,7 @@ class ExecutorNode:
             "speed limit": f"{self._limit.limit:.3f}",
             "speed limit because": self._limit.reason,
             "records": log.state.lines,
+            "records lost": log.lost,
             "SHA-256 of the last record": log.state.head,
         }
         if self._record_problem:

@@ -12,18 +12,19 @@ from typing import Annotated, Literal
 
 import pydantic
 import rospy
+import yaml
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.monitor.gate import REPLAN, Gate
+from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
-from construction_twin.ros.shared.live_settings import NAMESPACE, Behaviour, LiveSettings
-from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.node import Service, run_node
+from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.shared.transition_report import TransitionReport
 from construction_twin.ros.transport.joint_stream import (
@@ -35,7 +36,7 @@ from construction_twin.ros.transport.joint_stream import (
 )
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import PlanToJoints
+from construction_twin.srv import ConfigureGate, ConfigureGateRequest, ConfigureGateResponse, PlanToJoints
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
@@ -43,7 +44,69 @@ SETPOINTS_KEPT = 25
 FEEDBACK_KEPT = 50
 
 
-class Settings(Behaviour):
+_Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
+_NotNegative = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
+
+
+class Behaviour(pydantic.BaseModel):
+    """How strict the gate is: what the service `configure_gate` can change at rest; see config/pca_monitor.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    threshold: _Positive
+    threshold_linear: _Positive
+    thresholds: dict[str, _Positive] = {}
+    comparison: Literal["aligned", "instant"]
+    lag_allowance: _NotNegative
+    lag_margin: _NotNegative
+    feedback_timeout: _Positive
+    agree_share: float = pydantic.Field(gt=0, le=1)
+    agree_time: _NotNegative
+    policy: Literal["replan", "resume", "stop"]
+    give_up_time: _Positive
+    escalate_count: int = pydantic.Field(ge=1)
+    escalate_time: _Positive
+
+    def gate_settings(self, compares: bool) -> GateSettings:
+        """Return the same for the gate; `compares` is False without a physical arm."""
+        values = {name: getattr(self, name) for name in Behaviour.model_fields if name in GateSettings.__match_args__}
+        return GateSettings(**values, aligned=self.comparison == "aligned", compares=compares)
+
+    def changed(self, text: str) -> Behaviour:
+        """Return the behaviour with some settings changed.
+
+        Parameters
+        ----------
+        text : str
+            YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
+
+        Raises
+        ------
+        ConfigurationError
+            When one of them does not exist or makes no sense.
+        """
+        try:
+            changes = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ConfigurationError("settings", text, f"YAML ({' '.join(str(error).split())})") from error
+        if not isinstance(changes, dict):
+            raise ConfigurationError("settings", text, "a YAML mapping, e.g. {policy: resume}")
+        try:
+            return Behaviour.model_validate(self.model_dump() | changes)
+        except pydantic.ValidationError as error:
+            first = error.errors()[0]
+            raise ConfigurationError("/".join(map(str, first["loc"])), first.get("input"), first["msg"]) from error
+
+    def difference(self, other: Behaviour) -> str:
+        """Return what another behaviour changes, as words; empty when nothing."""
+        return ", ".join(
+            f"{name} {getattr(self, name)} -> {getattr(other, name)}"
+            for name in Behaviour.model_fields
+            if getattr(self, name) != getattr(other, name)
+        )
+
+
+class Settings(NodeSettings, Behaviour):
     """Private parameters; see config/pca_monitor.yaml."""
 
     arm: Literal["mock", "real", "none"]
@@ -56,8 +119,6 @@ class PcaMonitorNode:
     """ROS around a Gate."""
 
     def __init__(self):
-        if rospy.has_param(f"~{NAMESPACE}"):
-            rospy.delete_param(f"~{NAMESPACE}")
         settings = read_parameters(Settings)
         self._robot = robot_from_parameters()
         names = self._robot.joint_names
@@ -84,7 +145,10 @@ class PcaMonitorNode:
         self._command = JointPublisher("command/joint_states", names)
         self._sync = Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
-        self._live = LiveSettings(settings, names, self._robot.linear, self._configure, self._diagnostics.refuse)
+        self._behaviour = Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields)))
+        #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
+        self._executing = ""
+        Service("configure_gate", ConfigureGate, self._on_configure)
         self._subscribe(names)
         self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), self._on_timer)
 
@@ -154,17 +218,42 @@ class PcaMonitorNode:
                 self._session = message.session
             self._note_changes()
 
-    def _configure(self, behaviour: Behaviour) -> None:
-        with self._lock:
-            self._gate.configure(behaviour.gate_settings(self._compares))
+    def _on_configure(self, request: ConfigureGateRequest) -> ConfigureGateResponse:
+        now = time.monotonic_ns()
+        try:
+            with self._lock:
+                behaviour = self._behaviour.changed(request.settings)
+                difference = self._behaviour.difference(behaviour)
+                if not request.operator.strip():
+                    raise ConfigurationError(
+                        "operator", request.operator, "the name of a person: the change is recorded"
+                    )
+                if self._executing:
+                    raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
+                if difference:
+                    settings = behaviour.gate_settings(self._compares)
+                    self._gate.configure(settings, f"{request.operator.strip()} changed {difference}", now)
+                    self._behaviour = behaviour
+                    self._note_changes()
+        except ConfigurationError as error:
+            sentence = f"{error}; nothing was changed"
+            self._diagnostics.refuse("configure_gate", sentence)
+            return ConfigureGateResponse(False, sentence)
+        self._publish(now)
+        return ConfigureGateResponse(True, f"changed {difference}" if difference else "nothing to change")
 
     # -- the re-plan
 
     def _on_plan(self, message: Plan) -> None:
+        if not message.trajectory.points:
+            self._diagnostics.refuse("plan", f"plan {message.id} has no points; expected at least a start and a goal")
+            return
         goal = message.trajectory.points[-1].positions
         self._goals.on_plan(message.id, goal, message.velocity_use, message.acceleration_use)
 
     def _on_execution(self, message: Execution) -> None:
+        active = message.state not in (Execution.WAITING, Execution.IDLE)
+        self._executing = f"plan {message.plan_id} is {message.text}" if active else ""
         self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, from_time(message.header.stamp))
 
     def _note_changes(self) -> None:
@@ -175,7 +264,8 @@ class PcaMonitorNode:
         if not self._gate.changed:
             return
         changes = self._gate.take_transitions()
-        if changes[0].source is SyncState.IN_SYNC and self._gate.policy == REPLAN:
+        closed = changes[0].source is SyncState.IN_SYNC and changes[0].target is not SyncState.IN_SYNC
+        if closed and self._gate.policy == REPLAN:
             self._ask_for_plan(changes[0])
             changes += self._gate.take_transitions()
         # the gate's clock is nobody else's

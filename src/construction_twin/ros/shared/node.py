@@ -1,7 +1,7 @@
 """What every node does around its own work: start, turn a typed error into one sentence, end.
 
-An error that nobody foresaw ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives on
-without one of its timers, or without its MQTT thread, is worse: it looks alive, and nobody does the work.
+An error that nobody foresaw ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives
+on without one of its timers, or without its MQTT thread, is worse: it looks alive, and nobody does the work.
 
 ==========================  =========================================================================================
 where                       how it comes here

@@ -1,0 +1,54 @@
+"""A source that must repeat itself: its limit counts until the deadline, its silence never lifts it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from construction_twin.core.deadline import SpeedLimitSource
+from construction_twin.core.errors import PayloadError
+
+SECOND = 1_000_000_000
+
+
+def test_before_the_first_limit_nobody_is_heard_and_nobody_is_silent():
+    source = SpeedLimitSource(0.5, 0.1)
+    assert (source.name, source.fraction) == ("", 1.0)
+    assert not source.is_heard(0) and not source.is_silent(100 * SECOND)
+
+
+def test_a_source_counts_until_its_deadline_and_is_silent_after_it():
+    source = SpeedLimitSource(0.5, 0.1)
+    source.accept(0.4, "camera", SECOND)
+    assert source.is_heard(SECOND + SECOND // 2) and not source.is_silent(SECOND + SECOND // 2)
+    assert source.is_silent(SECOND + SECOND // 2 + 1) and not source.is_heard(SECOND + SECOND // 2 + 1)
+    assert source.deadline == 0.5
+
+
+@pytest.mark.parametrize("last, counts", [(0.4, 0.1), (0.1, 0.1), (0.05, 0.05), (0.0, 0.0)])
+def test_silence_counts_as_the_lower_of_the_last_limit_and_that_for_silence(last, counts):
+    source = SpeedLimitSource(0.5, 0.1)
+    source.accept(last, "camera", 0)
+    assert source.fraction_when_silent == counts
+
+
+@pytest.mark.parametrize("fraction", [-0.01, 1.01, math.nan, math.inf, -math.inf])
+def test_what_is_no_fraction_is_refused_and_the_deadline_runs_on(fraction):
+    source = SpeedLimitSource(0.5)
+    source.accept(0.4, "camera", 0)
+    with pytest.raises(PayloadError) as refusal:
+        source.accept(fraction, "camera", SECOND // 2)
+    assert refusal.value.reason == "speed_limit"
+    assert source.fraction == 0.4 and source.is_silent(SECOND // 2 + 1)
+
+
+def test_another_source_is_refused_while_one_is_heard_and_taken_after_its_silence():
+    source = SpeedLimitSource(0.5)
+    source.accept(0.4, "camera", 0)
+    with pytest.raises(PayloadError) as refusal:
+        source.accept(0.9, "fence", SECOND // 2)
+    assert refusal.value.reason == "speed_limit_source"
+    assert (source.name, source.fraction) == ("camera", 0.4)
+    source.accept(0.9, "fence", SECOND // 2 + 1)
+    assert (source.name, source.fraction) == ("fence", 0.9)
