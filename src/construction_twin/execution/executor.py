@@ -27,7 +27,7 @@ from construction_twin.execution.states import (
 )
 from construction_twin.execution.stopping import distance_along
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
-from construction_twin.review.queue import APPROVED, EXECUTOR, REJECTED, WITHDRAWN, Ending, ReviewDesk, Verdict
+from construction_twin.review.queue import EXECUTOR, WITHDRAWN, Ending, ReviewDesk, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -193,56 +193,41 @@ class Executor:
         if not self.limit.standing:
             self._on(ExecutorEvent.STALLED, reason)
 
-    # -- review
+    # -- the desk, and the start of a plan
 
     def offer(self, plan: Plan) -> None:
         """Put a plan on the desk in place of the one before; ReviewError when it cannot be reviewed."""
         self.turn_down(self.desk.offer(plan), f"replaced by plan {plan.id}")
 
-    def examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
-        """Return the verdict that could be carried out now; nothing is changed.
+    def check_start(self, plan: Plan) -> None:
+        """Check that the plan on the desk may start now.
 
         Raises
         ------
         ReviewError
-            When it cannot be taken; an approval that came at the wrong moment leaves the plan on the desk.
+            Naming what is against it.
         """
-        self.desk.check(plan_id, plan_hash, reviewer)
-        plan = self.desk.plan
-        if approve:
-            self._check_start(plan)
-        return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
+        if self.state is not ExecutorState.IDLE:
+            raise ReviewError(f"the executor is {self.state.name} ({self.reason}); approve when it is idle")
+        if self._sync is not SyncState.IN_SYNC:
+            raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
+        if self._unarmed:
+            raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
+        if problem := self.neighbour.problem(plan.id):
+            raise ReviewError(f"plan {plan.id} may not start: {problem}")
+        self.desk.check_scene()
+        check_start_pose(plan, self._setpoint, self._robot)
 
-    def carry_out(self, verdict: Verdict) -> str:
-        """Apply a verdict that was recorded; an approval starts the plan with the next cycle.
-
-        Returns
-        -------
-        sentence : str
-
-        Raises
-        ------
-        ReviewError
-            When it cannot be taken any more.
-        """
-        self.examine(verdict.plan_id, verdict.plan_hash, verdict.approved, verdict.reviewer)
-        plan = self.desk.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
-        if not verdict.approved:
-            return f"plan {plan.id} rejected by {verdict.reviewer}"
-        self._approved = plan
-        self._on(ExecutorEvent.APPROVED, f"approved by {verdict.reviewer}")
-        return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
-
-    def ready_to_approve(self) -> bool:
-        """Return whether a plan is on the desk and neither state nor missing scene stands against approving it."""
+    def is_ready(self) -> bool:
+        """Return whether a plan is on the desk and neither state nor missing scene is against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
         ready = ready and self.desk.plan is not None and bool(self.desk.scene) and self.desk.scene_alive
         return ready and not self.neighbour.problem(self.desk.plan.id)
 
-    def withdraw(self, plan_id: str, reason: str) -> None:
-        """Take a plan off the desk, if it still lies there."""
-        if self.desk.plan is not None and self.desk.plan.id == plan_id:
-            self.turn_down(self.desk.clear(), reason)
+    def begin(self, plan: Plan, reason: str) -> None:
+        """Play a plan that was approved, from the next cycle on; `Approval` has checked and recorded it."""
+        self._approved = plan
+        self._on(ExecutorEvent.APPROVED, reason)
 
     def turn_down(self, plan: Plan | None, reason: str) -> None:
         """Tell that a plan is not, or no longer, on the desk."""
@@ -368,20 +353,6 @@ class Executor:
             self.limit.standing = False
             self._say()
         return self._setpoint
-
-    # -- plans
-
-    def _check_start(self, plan: Plan) -> None:
-        if self.state is not ExecutorState.IDLE:
-            raise ReviewError(f"the executor is {self.state.name} ({self.reason}); approve when it is idle")
-        if self._sync is not SyncState.IN_SYNC:
-            raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
-        if self._unarmed:
-            raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
-        if problem := self.neighbour.problem(plan.id):
-            raise ReviewError(f"plan {plan.id} may not start: {problem}")
-        self.desk.check_scene()
-        check_start_pose(plan, self._setpoint, self._robot)
 
     # -- the table
 
