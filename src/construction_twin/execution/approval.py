@@ -72,7 +72,7 @@ class Approval:
                     return verdict, self._carry_out(verdict)
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
-                if verdict.approved:
+                if verdict.approved and verdict.plan is not None:
                     self._record(Ending(verdict.plan, "dropped", f"not started: {error}"))
                 else:
                     self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, f"not rejected: {error}", verdict.plan))
