@@ -48,8 +48,8 @@ class TelegramInbox:
     def newest(self) -> tuple[RobotTelegram, tuple, int] | None:
         """Read until nothing waits; return the newest telegram, its source and its time of arrival [ns].
 
-        An answer to any other would come too late (rsi.md, section 4). Whatever is no telegram is dropped here, so that it cannot
-        take the place of one; nor can a copy of an older one that the network brings last.
+        An answer to any other would come too late (docs/rsi.md, section 4). Whatever is no telegram is dropped here, so that it
+        cannot take the place of one; nor can a copy of an older one that the network brings last.
         """
         newest, counters = None, self._gateway.counters
         for _ in range(DRAIN_LIMIT):

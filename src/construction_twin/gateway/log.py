@@ -36,7 +36,7 @@ class BoundedQueueHandler(QueueHandler):
 
 
 def log_beside_the_loop() -> QueueListener:
-    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (design, law 1).
+    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (docs/architecture.md, law 1).
 
     Returns
     -------

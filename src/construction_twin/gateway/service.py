@@ -174,7 +174,7 @@ class GatewayService:
             return None
 
     def on_thread_failure(self, arguments: threading.ExceptHookArgs) -> None:
-        """Take an exception that ended another thread, as `threading.excepthook`; the loop looks after it in its next turn."""
+        """Take an exception that ended another thread, as `threading.excepthook`; the loop takes it in its next turn."""
         if arguments.exc_value is not None:
             self._thread_failure = arguments.exc_value
         # to stderr as well: the thread that has ended may be the one that writes the log

@@ -25,7 +25,7 @@ MAX_CONTROL_BYTES = 2048
 
 @dataclass(frozen=True)
 class Topics:
-    """Topic names of one robot, ``<prefix>/<robot>/...`` (design, section 4)."""
+    """Topic names of one robot, ``<prefix>/<robot>/...`` (docs/interface.md)."""
 
     prefix: str
     robot: str

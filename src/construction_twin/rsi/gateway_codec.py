@@ -41,11 +41,11 @@ __all__ = [
     "SensorTelegram", "parse_robot", "parse_sensor",
 ]  # fmt: skip
 
-#: Decimals of a degree or mm in a correction, as every known driver sends them (rsi.md section 3).
+#: Decimals of a degree or mm in a correction, as every known driver sends them (docs/rsi.md, section 3).
 CORRECTION_DECIMALS = 6
-#: Telegrams between two looks for a shape. One whose text changes from telegram to telegram has none, and looking costs as
-#: much as reading it.
-LOOK_AGAIN = 250
+#: Telegrams between two attempts to learn a shape. A telegram whose text changes every time has none, and an attempt costs as much
+#: as reading it.
+RELEARN_AFTER = 250
 
 
 class RobotDecoder:
@@ -75,7 +75,7 @@ class RobotDecoder:
         ]
         self._in_shape = (*positions, ("Delay", "D"))
         self._shape: TelegramShape | None = None
-        self._look_in = 0
+        self._relearn_in = 0
         self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
 
     def parse(self, data: bytes) -> RobotTelegram:
@@ -109,21 +109,21 @@ class RobotDecoder:
             self._positions(found, self._setpoint_blocks),
             None if delay is None else read_count(delay.get("D"), "Delay D", "number"),
         )
-        if self._look_in:
-            self._look_in -= 1
+        if self._relearn_in:
+            self._relearn_in -= 1
         else:
             self._learn(data, telegram)
         return telegram
 
     def _learn(self, data: bytes, telegram: RobotTelegram) -> None:
-        self._look_in = LOOK_AGAIN
+        self._relearn_in = RELEARN_AFTER
         self._shape = TelegramShape.of(data, self._in_shape)
         if self._shape is not None and self._of_shape(self._shape, data) != telegram:
             # the same words stand elsewhere too, e.g. in an element of an element
             self._shape = None
 
     def _of_shape(self, shape: TelegramShape, data: bytes) -> RobotTelegram | None:
-        """Read a telegram that looks like the last one; None when it does not, or when it is to be refused."""
+        """Read a telegram of the same shape as the last one; None when it does not, or when it is to be refused."""
         found = shape.read(data)
         if found is None:
             return None

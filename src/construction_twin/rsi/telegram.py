@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 from construction_twin.core.errors import TelegramError
 
-#: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (rsi.md section 2) and stays below 2 kB; what is
+#: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (docs/rsi.md, section 2) and stays below 2 kB; what is
 #: longer than this is none, and taking it apart would only keep the loop that answers.
 MAX_TELEGRAM = 8192
 
