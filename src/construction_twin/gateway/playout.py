@@ -1,9 +1,10 @@
 """Playout: from stamped commands that arrive when they arrive to one target per controller cycle.
 
-Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (docs/architecture.md, law 1). It
-stays a delay behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole cycles:
-a cycle of a stream on the 4 ms grid is then played exactly on a command's stamp, except while the delay is being changed. Clock drift
-shows as a delay that grows or shrinks, and is corrected in the same way. Standard library only; stamps in ns, angles in rad.
+Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (docs/architecture.md, law 1).
+It stays a delay behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole
+cycles: a cycle of a stream on the 4 ms grid is then played exactly on a command's stamp, except while the delay is being changed.
+Clock drift shows as a delay that grows or shrinks, and is corrected in the same way. Standard library only; stamps in ns, angles in
+rad.
 """
 
 from __future__ import annotations

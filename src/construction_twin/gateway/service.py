@@ -298,13 +298,13 @@ class GatewayService:
         newest = self._inbox.newest()
         if newest is None:
             return False
-        telegram, source, arrived = newest
+        telegram, source = newest.telegram, newest.source
         correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
         if correction is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             self._answer(self._encoder.encode(correction, telegram.ipoc, stop), source)
             self._last_resort.sent(telegram.ipoc, source, correction)
-            self.reply_time.add((time.time_ns() - arrived) / 1e3)
+            self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True
 

@@ -13,19 +13,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from construction_twin.core.errors import TelegramError
-from construction_twin.rsi.channels import (
-    attribute_template,
-    axis_units,
-    check_names,
-    check_values,
-    correction_channels,
-)
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, parse_sensor
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, AxisUnit, RsiLayout
 from construction_twin.rsi.telegram import (
     MAX_TELEGRAM,
     RobotTelegram,
     SensorTelegram,
+    attribute_template,
+    axis_units,
+    check_names,
+    check_values,
+    correction_channels,
     find_children,
     is_number,
     is_number_in_bytes,

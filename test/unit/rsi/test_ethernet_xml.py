@@ -114,7 +114,7 @@ def test_with_onlysend_no_corrections_are_needed():
         ('TAG="AK.A4" TYPE="DOUBLE"', 'TAG="AK.A4" TYPE="REAL"', "RECEIVE AK.A4 TYPE", "one of BOOL"),
         ('TAG="Stop" TYPE="BOOL"', 'TAG="Stop" TYPE="DOUBLE"', "RECEIVE Stop TYPE", "BOOL"),
         ('TAG="DEF_AIPos" TYPE="DOUBLE"', 'TAG="DEF_AIPos" TYPE="LONG"', "SEND DEF_AIPos TYPE", "DOUBLE"),
-        ('TAG="DEF_AIPos" TYPE="DOUBLE" INDX="INTERNAL"', 'TAG="DEF_AIPos" TYPE="DOUBLE" INDX="1"', "SEND DEF_AIPos INDX", "INTERNAL"),
+        ('"DEF_AIPos" TYPE="DOUBLE" INDX="INTERNAL"', '"DEF_AIPos" TYPE="DOUBLE" INDX="1"', "SEND DEF_AIPos INDX", "INTERNAL"),
         ('TAG="Stop" TYPE="BOOL" INDX="1"', 'TAG="DEF_Tech.T1" TYPE="DOUBLE" INDX="INTERNAL"', "RECEIVE DEF_Tech.T1", "generator"),
         ('TAG="AK.A4"', 'TAG="AK.A4.x"', "RECEIVE AK.A4.x", "at most one"),
         ('TAG="AK.A4"', 'TAG=""', "RECEIVE ", "a TAG"),
