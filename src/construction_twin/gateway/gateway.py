@@ -53,7 +53,7 @@ class Gateway:
         self.correction: tuple[float, ...] = ()
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
-        #: What was refused, and why; whoever stands before the gateway refuses here too.
+        #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
         self.refusals = Refusals(self.counters)
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
         self.fault = False

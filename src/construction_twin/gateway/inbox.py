@@ -111,7 +111,7 @@ class TelegramInbox:
             return None
 
     def _tell_of(self, stranger: str) -> None:
-        """Say, while there is no controller, that somebody else sends: once, whoever else does after that."""
+        """Say, while there is no controller, that another address sends: once, however many addresses follow."""
         gateway = self._gateway
         if gateway.state is State.NO_CONTROLLER and gateway.reason != self._told:
             gateway.add_reason(f"datagrams from {stranger} are not read, because --controller is {self._controller}")

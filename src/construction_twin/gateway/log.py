@@ -62,7 +62,7 @@ class _Written:
 
 
 class LineLimiter:
-    """At most one line per reason and period: whoever sends rubbish must not fill the disk, nor hide what else is said.
+    """At most one line per reason and period: a sender of rubbish must neither fill the disk nor hide other lines.
 
     Parameters
     ----------

@@ -75,12 +75,12 @@ class ControllerSession:
         return source == self._source or not (self.alive and now - self.heard_at <= ALIVE)
 
     def is_repeated(self, ipoc: int, source: object) -> bool:
-        """Tell whether the network brought a telegram twice, or behind a newer one: it was answered, or it is too late to."""
+        """Return whether a telegram came twice, or behind a newer one: it was answered, or an answer comes too late."""
         behind = (self.ipoc - ipoc) * IPOC_NS
         return self.alive and 0 <= behind <= self._timeout and source == self._source
 
     def is_silent(self, now: int) -> bool:
-        """Tell whether the controller has been silent for its timeout."""
+        """Return whether the controller has been silent for its timeout."""
         return self.alive and now - self.heard_at > self._timeout
 
     def hear(

@@ -369,7 +369,7 @@ class GatewayService:
         verb = control.verb if control.verb in VERBS else "unknown verb"
         kind = verb if ok else f"refused {verb}"
         self._log(logging.INFO if ok else logging.WARNING, kind, f"session {control.session}: {reason}")
-        # the state first: whoever reads the answer must not act on an older status
+        # the status first: a reader of the answer must not act on an older status
         self._publish_status()
         answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
         self._mqtt.client.publish(self._topics.control_ack, json.dumps(answer), qos=1)

@@ -73,7 +73,7 @@ class SpeedLimit:
         return ""
 
     def is_repeated(self, control: Control) -> bool:
-        """Tell whether this message, one without a `refusal`, or a later one of its session came before: a copy, or a recording."""
+        """Return whether this message (one without a `refusal`) or a later one of its session came before: a copy, a recording."""
         number = message_number(control.id)
         session, last = self._numbered
         if number is None or (control.session == session and number <= last):

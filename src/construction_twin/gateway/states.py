@@ -224,7 +224,7 @@ class Machine:
     reason : str
         Why it was entered.
     changed : bool
-        True after every change of state or reason; whoever reports it resets it.
+        True after every change of state or reason, until the change is reported.
     """
 
     def __init__(

@@ -130,7 +130,7 @@ def _number(name: str, text: str) -> int:
 
 
 def is_session(text: str) -> bool:
-    """Tell whether a text can be a session's id beside a command: 1 to 64 letters, digits, - and _."""
+    """Return whether a text can be a session's id beside a command: 1 to 64 letters, digits, - and _."""
     return _SESSION.fullmatch(text) is not None
 
 

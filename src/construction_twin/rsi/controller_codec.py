@@ -42,7 +42,7 @@ class RobotEncoder:
     send : tuple of str, optional
         Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
 
     Raises
     ------
@@ -133,7 +133,7 @@ class SensorDecoder:
     receive : tuple of str, optional
         Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
     """
 
     def __init__(

@@ -54,7 +54,7 @@ class RobotDecoder:
     axes : tuple of str, length n
         Axes to read, in the order wanted.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
     """
 
     def __init__(self, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()):
@@ -170,7 +170,7 @@ class SensorEncoder:
     receive : tuple of str, optional
         Channels in the order of the Ethernet XML, see `RsiLayout`; default: `AK` and `EK`, no `Stop`.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
 
     Raises
     ------
@@ -227,7 +227,7 @@ class SensorEncoder:
 
 
 def parse_robot(data: bytes, axes: tuple[str, ...]) -> RobotTelegram:
-    """Read one controller packet of a robot whose axes all turn; `RobotDecoder` is for every cycle."""
+    """Read one controller packet of a robot whose axes are all revolute; `RobotDecoder` is for every cycle."""
     return RobotDecoder(axes).parse(data)
 
 
