@@ -67,9 +67,9 @@ class Authority:
         if not key.exists():
             make_key(key)
         hosts = tuple(hosts)
-        extensions = (*_END, f"extendedKeyUsage={'serverAuth' if hosts else 'clientAuth'}")
+        extensions = [*_END, f"extendedKeyUsage={'serverAuth' if hosts else 'clientAuth'}"]
         if hosts:
-            extensions += (f"subjectAltName={','.join(map(_alternative_name, hosts))}",)
+            extensions.append(f"subjectAltName={','.join(map(_alternative_name, hosts))}")
         signer = ("-CA", self.certificate, "-CAkey", self._key)
         write_private(certificate, _sign(name, key, days, extensions, signer))
 

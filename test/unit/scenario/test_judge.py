@@ -19,7 +19,7 @@ from construction_twin.scenario.definition import make_scenario
 from construction_twin.scenario.judge import judge, matches
 from construction_twin.scenario.motion import distance_after, limit_usage, trace_arrays
 from construction_twin.scenario.table import BEGIN, END, markdown_table, put_into, read_verdicts
-from construction_twin.scenario.timeline import Change, Run, SyncMoment
+from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 ROOT = Path(__file__).resolve().parents[3]
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -171,11 +171,11 @@ def test_a_stalled_joint_s_error_may_grow_until_the_gate_closes_and_no_further()
     assert failed(verdict_of(stall_expectation(), bad)) == [GROWTH]
 
 
-@pytest.mark.parametrize("joint, further, fails", [(0, 0.0, []), (0, 0.01, ["way after silence"]), (2, 0.01, [])])
+@pytest.mark.parametrize("joint, further, fails", [(0, 0.0, []), (0, 0.01, ["distance after silence"]), (2, 0.01, [])])
 def test_no_sound_joint_goes_further_than_the_gateway_stated(joint, further, fails):
     stated, moved = [1.0] * 6, [1.0] * 6
     moved[joint] += further
-    run = dataclasses.replace(stalled_run(), stops=(("silence", tuple(stated), tuple(moved)),))
+    run = dataclasses.replace(stalled_run(), stops=(GatewayStop("silence", tuple(stated), tuple(moved)),))
     # A3 is the joint that stalls
     assert failed(verdict_of(stall_expectation(), run)) == fails
 
