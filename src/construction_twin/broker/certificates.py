@@ -89,12 +89,12 @@ def expiry(certificate: Path) -> datetime:
 
 
 def make_key(path: Path) -> None:
-    """Write a new private key; nobody but the owner may read it."""
+    """Write a new private key, readable by its owner only."""
     write_private(path, openssl("genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256"))
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder that nobody but the owner may look into."""
+    """Make a folder that only its owner may open."""
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
 
 

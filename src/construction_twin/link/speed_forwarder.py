@@ -12,7 +12,7 @@ PERIOD = NANOSECONDS // 5
 class SpeedForwarder:
     """Forwards what the source of `speed_limit` says, and nothing that it does not say.
 
-    A message is forwarded at most once, except to a session that began after it: the deadline of who listens then runs from
+    A message is forwarded at most once, except to a session that began after it: the receiver's deadline then runs from
     where the source's own silence began.
 
     Parameters

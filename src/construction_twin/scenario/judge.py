@@ -54,8 +54,8 @@ class Verdict:
     checks : tuple of Check
     measured : dict
         Figures for the table: ``did``, ``detection_s``, ``detection_samples``, ``worst_error_deg``, ``worst_joint``,
-        ``velocity_share``, ``acceleration_share`` (of the corrections), ``arm_velocity_share``,
-        ``arm_acceleration_share`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``;
+        ``velocity_fraction``, ``acceleration_fraction`` (of the corrections), ``arm_velocity_fraction``,
+        ``arm_acceleration_fraction`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``;
         None where there is none.
     """
 
@@ -313,7 +313,7 @@ def _corrections(trace: Sequence[TraceEntry], limits: MotionLimits, decimals: in
         return [Check("corrections inside the limits", "a trace of the gateway", "an empty one", False)]
     excesses = trace_excesses(trace, limits, decimals)
     velocity, acceleration = limit_usage(*trace_arrays(trace), limits, decimals)
-    measured |= {"velocity_share": float(velocity.max()), "acceleration_share": float(acceleration.max())}
+    measured |= {"velocity_fraction": float(velocity.max()), "acceleration_fraction": float(acceleration.max())}
     found = "; ".join(map(str, excesses[:3])) or f"{len(trace)} replies inside"
     return [Check("corrections inside the limits", "every reply", found, not excesses)]
 
@@ -322,7 +322,7 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
     """What the arm did with its sound joints; the cycles of a missed reply, which stops it dead, are only reported."""
     names = [name for name in limits.names if name not in scenario.faulted]
     if not names:
-        measured |= {"arm_velocity_share": None, "arm_acceleration_share": None}
+        measured |= {"arm_velocity_fraction": None, "arm_acceleration_fraction": None}
         return []
     breaks = np.zeros(len(run.arm), dtype=bool)
     breaks[0] = True
@@ -334,7 +334,7 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
     velocity, acceleration = limit_usage(run.arm, breaks, limits, decimals)
     columns = [limits.names.index(name) for name in names]
     v, a = float(velocity[columns].max()), float(acceleration[columns].max())
-    measured |= {"arm_velocity_share": v, "arm_acceleration_share": a}
+    measured |= {"arm_velocity_fraction": v, "arm_acceleration_fraction": a}
     missed = np.zeros(len(run.arm), dtype=bool)
     for cycle in np.searchsorted(run.arm_stamps, run.missed_at):
         missed[max(0, cycle - _MISSED) : cycle + _MISSED + 1] = True

@@ -11,7 +11,7 @@ from construction_twin.evaluation.recording import Recording
 
 @dataclass(frozen=True)
 class Change:
-    """Something changed, or somebody did something.
+    """A change of a state, or something that was done.
 
     Attributes
     ----------

@@ -432,7 +432,7 @@ def start() -> MqttBridge:
             Publisher("link", Link, queue_size=10, latch=True),
         ),
         functools.partial(NodeDiagnostics, robot.name),
-        # no private parameter: those are what somebody set, and this is what somebody asked for while it ran
+        # not a private parameter: those hold settings, and this was asked for while the bridge ran
         mirrors=rospy.get_param(MIRROR_MODE, False) is True,
     )
     bridge.connect()

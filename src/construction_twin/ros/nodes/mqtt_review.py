@@ -124,7 +124,7 @@ class MqttReview:
         self._publish_plan()
 
     def on_verdict(self, message: Review) -> None:
-        """Take a plan away that somebody has judged."""
+        """Take a plan away that was approved or rejected."""
         with self._lock:
             self._board.on_verdict(message.plan_id)
         self._publish_plan()
@@ -188,7 +188,7 @@ class MqttReview:
             self._answer(review, False, sentence)
 
     def carry_out(self, review: RemoteReview) -> None:
-        """Give a verdict to the executor, and its answer to whoever judged."""
+        """Give a verdict to the executor, and its answer to the reviewer."""
         try:
             rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
             answer = self._review_plan(
@@ -267,7 +267,7 @@ def start() -> MqttReview:
     settings = read_parameters(Settings)
     robot = robot_from_parameters().name
     broker = broker_of(settings)
-    # as the last will, nothing: while this node does not run nobody takes a verdict, so there is nothing to review
+    # the last will takes the plan away: while this node does not run, a verdict on it would not be heard
     client = make_client(broker, unique_id(robot, "review"), Topics(settings.prefix, robot).plan, will="")
     review_plan = rospy.ServiceProxy("review_plan", ReviewPlan)
     node = MqttReview(settings, robot, broker, client, review_plan, functools.partial(NodeDiagnostics, robot))
