@@ -1,7 +1,7 @@
 """Checks the arguments of a launch before anything starts: what cannot work, or must not be left to a default, is one sentence.
 
-Standard library only. Called by bringup.launch as ``preflight name:=value ...``. A port that is taken is reported by the program that
-opens it.
+Standard library only. Called by bringup.launch as ``preflight name:=value ...``. A port that is taken is reported by the program
+that opens it.
 """
 
 from __future__ import annotations
