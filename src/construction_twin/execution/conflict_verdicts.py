@@ -5,8 +5,8 @@ from __future__ import annotations
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
 
-#: A verdict holds this long after the poses that it goes by were read [ns]; the watch repeats it at its `rate`. Five looks:
-#: fewer would stop a sound arm whenever a busy machine leaves a few out. It is part of the braking horizon.
+#: A verdict holds this long after the poses that it goes by were read [ns]; the watch repeats it at its `rate`. Five periods:
+#: with fewer, a busy machine that leaves a few out would stop a sound arm. It is part of the braking horizon.
 VERDICT_TIMEOUT = NANOSECONDS // 2
 #: How far a verdict's stamp may lie ahead of our clock [ns]: both nodes run on one machine, whose clock may be corrected
 #: in between.
@@ -42,7 +42,7 @@ class NeighbourWatch:
         ----------
         plan_id : str
         problem : str
-            Why it must not start, or not go on; empty: its way is free.
+            Why it must not start, or not go on; empty: its path is free.
         now : int
             [ns]
         age : int, optional
@@ -71,8 +71,8 @@ class NeighbourWatch:
         at, problem = self._verdicts.get(plan_id, (None, ""))
         hint = "is the node `neighbour` running?"
         if at is None:
-            return f"its way was not checked against {self.name} yet; {hint}"
+            return f"its path was not checked against {self.name} yet; {hint}"
         age = self.now - at
         if age > VERDICT_TIMEOUT:
-            return f"its way was last checked against {self.name} {age / NANOSECONDS:.1f} s ago; {hint}"
+            return f"its path was last checked against {self.name} {age / NANOSECONDS:.1f} s ago; {hint}"
         return problem

@@ -39,11 +39,11 @@ from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanRespo
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
 SYNC_TIMEOUT = NANOSECONDS // 2
-#: How often records that nobody waits for are written, and a plan is looked for that may approve itself [s].
+#: How often deferred records are written, and a plan is checked for that may be approved by itself [s].
 BACKGROUND_PERIOD = 0.05
-#: Between two looks at the twin [s]: its pose is needed where it rests, and counts as known for much longer.
+#: Between two reads of the twin's pose [s]: its pose is needed where it rests, and counts as known for much longer.
 TWIN_PAUSE = 0.02
-#: How long who computes a forecast leaves the processor to the cycle, every few setpoints [s].
+#: How long the forecast of a stop leaves the processor to the cycle, every few setpoints [s].
 PAUSE = 0.0005
 
 
@@ -177,7 +177,7 @@ class ExecutorNode:
                     raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
                 self._executor.offer(plan)
             except ReviewError as error:
-                # whoever shows it as waiting takes it away
+                # displays that show it as waiting take it away
                 self._executor.turn_down(plan, str(error))
                 self._diagnostics.refuse("plan", str(error))
 
@@ -210,7 +210,7 @@ class ExecutorNode:
         with self._lock:
             sentence = self._executor.stop(now_ns())
             braking = self._executor.braking()
-        # it brakes already; looking ahead takes some cycles' time, and must not hold up a setpoint
+        # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
             sentence = f"{sentence}; {braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)}"
         self._said.add(rospy.logwarn, "stop: %s", sentence)
@@ -285,7 +285,7 @@ class ExecutorNode:
             told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
             limit = self._limit.state, self._limit.limit, self._limit.reason
             plan, rate = executor.plan, executor.rate
-            # with the state: whoever goes by this report must not seem to know of a stop that came after it
+            # with the state: a stop that comes after this stamp is not known to the report
             stamp = now_ns()
         if change != self._reported:
             self._reported = change

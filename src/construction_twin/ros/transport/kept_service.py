@@ -1,4 +1,4 @@
-"""A service whose connection is made before it is needed: who calls `stop` waits for no master and no handshake."""
+"""A service whose connection is made before it is needed: a call of `stop` waits for no master and no handshake."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import rospy
 from rospy.exceptions import TransportException
 from rospy.impl.tcpros_base import TCPROSTransport
 
-#: How often a tool looks whether the connection is still there [s].
+#: How often it is checked that the connection is still there [s].
 PERIOD = 1.0
 
 
@@ -32,7 +32,7 @@ class _Proxy(rospy.ServiceProxy):
             transport.buff_size = self.buff_size
             transport.connect(*rospy.core.parse_rosrpc_uri(uri), uri)
         except (rosgraph.MasterException, OSError, TransportException, rospy.ROSException):
-            # nobody is there to answer: whoever calls is told so, and it is tried again
+            # no server: a caller is told so, and it is tried again
             return False
         self.transport = transport
         return True
@@ -57,7 +57,7 @@ class KeptService:
     """Calls a service over a connection that is kept; for use from several threads.
 
     A connection that broke is made again, at once by a call and otherwise within `PERIOD`. So only a service may be called that may
-    be called twice: of a broken connection nobody knows whether the request had arrived.
+    be called twice: when a connection breaks it is not known whether the request had arrived.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class KeptService:
     def __call__(self):
         """Call without arguments; return the answer, or raise ServiceException."""
         if not self._busy.acquire(blocking=False):
-            # somebody else waits for an answer on it
+            # another thread waits for an answer on it
             return rospy.ServiceProxy(self._service, self._kind)()
         try:
             return self._call()
