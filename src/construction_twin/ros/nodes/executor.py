@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import pydantic
 import rospy
@@ -59,6 +59,18 @@ class Settings(NodeSettings):
     speed_limit_required: bool
 
 
+class Said(NamedTuple):
+    """What is reported of the executor in one message: made in every cycle, so that a change is noticed."""
+
+    state: ExecutorState
+    reason: str
+    plan_start: int
+    outcome: str
+    steady: bool
+    #: A limit that follows a sensor changes all the time: a hundredth is worth a message, none of it a line in the log.
+    limit: float
+
+
 class ExecutorNode:
     """ROS around an Executor."""
 
@@ -81,7 +93,7 @@ class ExecutorNode:
         self._auto_approve = settings.auto_approve
         self._session: str | None = None
         self._sync_at = 0
-        self._reported: tuple = ()
+        self._reported: Said | None = None
         self._told: tuple = ()
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._next = JointPublisher("next/joint_states", robot.joint_names)
@@ -279,28 +291,33 @@ class ExecutorNode:
         executor = self._executor
         with self._lock:
             events = executor.take_events()
-            state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
-            # a limit that follows a sensor changes all the time: a hundredth is worth a message, none of it a line in the log
-            change = (*state, executor.steady, round(self._limit.limit, 2))
+            said = Said(
+                executor.state,
+                executor.reason,
+                executor.plan_start,
+                executor.outcome,
+                executor.steady,
+                round(self._limit.limit, 2),
+            )
             told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
-            limit = self._limit.state, self._limit.limit, self._limit.reason
+            limit, limit_state, limit_reason = self._limit.limit, self._limit.state, self._limit.reason
             plan, rate = executor.plan, executor.rate
             # with the state: a stop that comes after this stamp is not known to the report
             stamp = now_ns()
-        if change != self._reported:
-            self._reported = change
-            self._execution.publish(_execution(state, plan, rate, limit[1], stamp))
+        if said != self._reported:
+            self._reported = said
+            self._execution.publish(_execution(said, plan, rate, limit, stamp))
         for event in events:
             self._log.defer(event)
             if isinstance(event, Verdict):
                 self._publish_verdict(event)
-        if limit[0] is not self._limit_state:
-            self._limit_state = limit[0]
-            warns = limit[0] in (LimitState.SILENT, LimitState.MISSING)
-            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", limit[2])
+        if limit_state is not self._limit_state:
+            self._limit_state = limit_state
+            warns = limit_state in (LimitState.SILENT, LimitState.MISSING)
+            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", limit_reason)
         if told != self._told:
             self._told = told
-            self._said.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
+            self._said.add(rospy.loginfo, "%s: %s", said.state.name, said.reason)
 
     def _report(self) -> tuple[int, str, dict]:
         executor, log = self._executor, self._log
@@ -320,15 +337,20 @@ class ExecutorNode:
         return level, f"{executor.state.name}: {executor.reason}", values
 
 
-def _execution(state: tuple, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
-    """Return the message of a state, reason, start and outcome, all of the moment `stamp` [ns]."""
+def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
+    """Return the message of what is said at the moment `stamp` [ns]."""
     message = Execution(
-        state=state[0].value, text=state[0].name, reason=state[1], outcome=state[3], rate=rate, speed_limit=limit
+        state=said.state.value,
+        text=said.state.name,
+        reason=said.reason,
+        outcome=said.outcome,
+        rate=rate,
+        speed_limit=limit,
     )
     message.header.stamp = to_time(stamp)
     if plan is not None:
         message.plan_id = plan.id
-        message.plan_start = to_time(state[2])
+        message.plan_start = to_time(said.plan_start)
         message.duration = plan.trajectory.duration
     return message
 
