@@ -1,11 +1,12 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo test bench properties fuzz scenarios soak screenshots clean
+.PHONY: help setup demo test lint bench properties fuzz scenarios soak screenshots clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
 	@echo "make test             build and run every test"
+	@echo "make lint             check style, format, order of the folders and types; make test does it too"
 	@echo "make bench            measure inverse kinematics, planning and link; writes results/bench/*.json; ARGS=ik for one of them"
 	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
@@ -23,6 +24,9 @@ demo: setup
 
 test: setup
 	@bash -c 'source .ws/env.bash && python scripts/run_tests.py $(ARGS)'
+
+lint: setup
+	@bash -c 'source .ws/env.bash && python scripts/lint.py'
 
 bench: setup
 	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'

@@ -16,7 +16,8 @@ import PyKDL
 from scipy.spatial.transform import Rotation
 
 from construction_twin.kinematics.chain import to_kdl
-from construction_twin.robot.description import RobotModel, chain_joints, parse_urdf
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 
 @dataclass(eq=False)

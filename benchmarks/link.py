@@ -1,10 +1,10 @@
 """The link benchmark: routes, reply time, fleet and smoothness; writes results/bench/link.json and link_details.json.
 
-``python benchmarks/link.py`` (`make bench ARGS=link`) takes about half an hour; every part can be made shorter or left out. Ours is the real
-bridge between a ROS master and mosquitto on loopback; the floor is bare rospy and bare paho that hand each other bytes,
-measured in the same run in turns. Everything on the path runs as launch/bringup.launch runs it: with SCHED_FIFO where the system
-permits it, both ends and the floor as well. What is not in the first file's fixed shape (end to end, the playout's delay, every round,
-the floor's highest rates, 3 decimals, no MQTT 5 properties) is in the second one.
+``python benchmarks/link.py`` (`make bench ARGS=link`) takes about half an hour; every part can be shortened or left out. `ours`
+is the real bridge between a ROS master and mosquitto on loopback; the `floor` is bare rospy and bare paho that hand each other
+bytes. Both are measured in turns in the same run. Every process on the path runs as launch/bringup.launch runs it: with
+SCHED_FIFO where the system permits it, both ends and the floor included. The first file has a fixed shape; everything else (end
+to end, the playout's delay, every round, the floor's highest rates, 3 decimals, no MQTT 5 properties) is in the second one.
 """
 
 from __future__ import annotations

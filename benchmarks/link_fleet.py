@@ -1,9 +1,10 @@
 """Several robots on one machine, each with bridge, gateway and mock controller: processor time, latency, late replies.
 
-``python benchmarks/link_fleet.py --robots 4 --output FILE`` measures one number of robots. One process plays every gate; an observer on the
-broker, another process, sees what passes there. Stamps are the monotonic clock, which all fraction. The latency is that of both
-directions together: a command from its publication on ROS to a subscriber on the broker, and a state from the gateway's reply to
-`physical/feedback`. With one robot the file also says how long it takes from a command to the RSI packet and from there to ROS.
+``python benchmarks/link_fleet.py --robots 4 --output FILE`` measures one number of robots. One process plays the gates of all of
+them; another process subscribes on the broker and sees what passes there. All processes stamp with the same monotonic clock. The
+latency covers both directions together: a command from its publication on ROS to a subscriber on the broker, and a state from the
+gateway's reply to `physical/feedback`. With one robot the file also holds the times from a command to the RSI packet and from there
+to ROS.
 """
 
 from __future__ import annotations
@@ -203,9 +204,10 @@ class Fleet:
 
 
 def command_to_rsi(states: list) -> list[int]:
-    """Return how long after a command's stamp its target went out in a reply, for the states of one robot [ns].
+    """Return the times from a command's stamp to the reply that carried its target, for the states of one robot [ns].
 
-    A state carries the playout time of the reply before the one it was sent with: that reply went out when the state before was sent.
+    A state carries the playout time of the reply before the one it was sent with. That reply went out together with the state
+    before.
     """
     return [
         earlier[2] - later[3] for earlier, later in zip(states, states[1:]) if later[1] == earlier[1] + 1 and later[3]

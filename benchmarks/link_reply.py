@@ -1,4 +1,4 @@
-"""How long the gateway takes to answer the controller: from the kernel's time of arrival to the reply, idle and with all cores busy."""
+"""The gateway's time to answer the controller, from the kernel's time of arrival to the reply: idle, and with all cores busy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dic
     That is the gateway's ``state`` at the end, the ``machine``'s own pauses in the meantime (see `MachineProbe`), how many replies
     were ``held_up``, and how many of these beside no pause (``held_up_by_us``, see `machine.Replies`).
 
-    On a machine that does not run the mock controller in time the stream gets ahead of it, and the gateway brakes: it goes on answering.
+    If the machine does not run the mock controller in time, the stream gets ahead of it and the gateway brakes, but goes on
+    answering.
 
     Parameters
     ----------

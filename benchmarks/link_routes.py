@@ -1,9 +1,9 @@
 """Latency of the routes through the bridge, and through the floor: the ROS side of the measurement, run once per subject and round.
 
-``python benchmarks/link_routes.py --subject ours`` prints the JSON that `link.py` reads. The subject is a process of its own, so that
-its processor time is only its own; both ends stamp with the clock they share. The ROS side is the node that the bridge takes
-commands from, the gate; the MQTT side (`link_peer.py`) plays the gateway. A state counts as arrived with `physical/feedback`,
-which is what the gate compares by, and which leaves the bridge after `physical/joint_states`.
+``python benchmarks/link_routes.py --subject ours`` prints the JSON that `link.py` reads. The subject is a process of its own,
+so that its processor time is its own only; both ends stamp with the same monotonic clock. The ROS side has the name of the
+gate, the node that the bridge takes commands from; the MQTT side (`link_peer.py`) plays the gateway. A state has arrived when
+`physical/feedback` has: the gate compares by it, and it leaves the bridge after `physical/joint_states`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, en
 
 from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.mqtt.messages import Topics
-from construction_twin.robot.description import expand_xacro, read_robot_files
+from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.shared.gateway_export import gateway_config
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, from_time
 
@@ -35,7 +36,8 @@ from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, 
 RATE = 250.0
 #: Tried for the highest sustained rate, until one fails [Hz].
 RATES = (500, 1000, 1500, 2000, 2500, 3000, 4000, 5000)
-#: The second sender of a duplex route is slower by this fraction: in 20 s the phase of the two passes four times through every value.
+#: The second sender of a duplex route is slower by this fraction: within 20 s the phase between the two takes every value four
+#: times.
 SLIDE = 1 / 1250
 #: What arrives later than this after the last one was sent is a backlog [s].
 BACKLOG = 0.1
@@ -198,7 +200,7 @@ def run(subject: str, seconds: float, rate_seconds: float, realtime: int = REALT
         os.environ |= {"ROS_MASTER_URI": world.start_master(), "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": folder}
         parameters = bridge_parameters(port, realtime)
         config = gateway_config(robot, parameters["gateway"])
-        parameters["mqtt_bridge"]["gate"] = "/pca_monitor"  # this process, outside of the namespace
+        parameters["publishers"] = {"command/joint_states": "/pca_monitor"}  # this process, outside of the namespace
         rospy.set_param(f"/{NAMESPACE}", parameters)
         process = world.start(subject, subject_command(subject, port, topics, realtime), ROS_NAMESPACE=NAMESPACE)
         request_realtime(realtime)  # both ends; after the master, which has no part in the path

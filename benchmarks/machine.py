@@ -1,7 +1,7 @@
-"""Whether the machine itself kept anybody waiting: a process per core that only sleeps, at a priority above the 250 Hz path.
+"""Pauses of the machine itself, seen by a process per core that only sleeps, at a priority above the 250 Hz path.
 
-When such a process wakes up late, nobody on that core was run: a virtual machine whose host is busy, or the kernel. A late reply during
-such a pause says something of the machine; one beside it says something of us.
+If such a process wakes up late, its core ran no process at all meanwhile: the host of a virtual machine was busy, or the kernel. A
+reply that is late during such a pause is the machine's fault; one that is late at another time is ours.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-#: Time asleep, short enough to see what holds up a single reply, and lateness from which on a wake-up counts as a pause [ns].
+#: Time asleep, short enough to see what delays a single reply; and the delay of a wake-up that counts as a pause [ns].
 PERIOD, PAUSE = 500_000, 1_000_000
-#: A host that gives a processor away in slivers makes pauses that none is long, one after the other: from here on they are part of
-#: an explanation [ns]. Awake and left alone a watch is late by 0.1 ms at most.
+#: A busy host may take a processor away in many short pieces. Pauses of this length and more help to explain a late reply [ns];
+#: on an idle machine a watch wakes up at most 0.1 ms late.
 SLIVER = 250_000
-#: The controller's cycle, and from how much more between two replies on one of them was held up [ns].
+#: The controller's cycle, and how much longer the time between two replies is when the later one counts as held up [ns].
 CYCLE, HELD_UP = 4_000_000, 2_000_000
 
 
@@ -32,7 +32,7 @@ class MachineProbe(ExitStack):
     realtime : int
         SCHED_FIFO priority of the 250 Hz path; the probe's is 20 above it. 0: none, and the probe also sees what that path does.
     period : int, optional
-        Time asleep between two looks [ns]: a pause that is shorter may pass unseen, and every look costs.
+        Time asleep between two wake-ups [ns]: a shorter pause may pass unseen, and every wake-up costs processor time.
     """
 
     def __init__(self, realtime: int, period: int = PERIOD):
@@ -43,14 +43,14 @@ class MachineProbe(ExitStack):
     def _start(self, core: int, priority: int, period: int) -> subprocess.Popen:
         command = [sys.executable, __file__, str(core), str(priority), str(period)]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        # it ends with its standard input; leaving the block closes that and waits
+        # it ends with its standard input, which is closed at the end of the block
         return self.enter_context(subprocess.Popen(command, text=True, bufsize=1, **pipes))
 
     def taken(self) -> dict:
-        """Return what was seen since the last call: number of pauses, the longest and all of them together [ms].
+        """Return the pauses since the last call: their number, the longest one and their sum [ms].
 
-        ``intervals`` are beginnings and ends on the monotonic clock [ns], also of shorter ones: of `SLIVER` and more. ``above`` says
-        whether every watch has its priority; else its pauses are also those that other programs made.
+        ``intervals`` are the beginnings and ends on the monotonic clock [ns] of all pauses of `SLIVER` and more. ``above`` says
+        whether every watch has its priority; without it a pause may also be due to another program.
         """
         seen = []
         for watch in self._watches:
@@ -66,15 +66,15 @@ class MachineProbe(ExitStack):
 
 
 class Replies:
-    """When a gateway answered, told by its states; says how many replies were held up, and by whom."""
+    """The times of a gateway's replies, taken from its states: how many replies were held up, by the machine or by us."""
 
     def __init__(self):
-        # stretches of states without a gap in their numbers: over a gap nobody knows what happened
+        # stretches of states without a gap in their numbers: what happened in a gap is not known
         self._stretches: list[list[int]] = [[]]
         self._number: int | None = None
 
     def add(self, number: int, stamp: int) -> int:
-        """Note a state; return how many are missing between the last one and this.
+        """Note a state; return how many are missing between the previous one and this.
 
         Parameters
         ----------
@@ -90,13 +90,13 @@ class Replies:
         return missing
 
     def interrupt(self) -> None:
-        """Let the next state follow on nothing."""
+        """Begin a new stretch: the next state has no predecessor."""
         self._number = None
 
     def taken(self, machine: dict) -> tuple[int, int | None]:
-        """Return how many replies were held up since the last call, and how many of these by no pause of the machine: by us.
+        """Return how many replies were held up since the last call, and how many of these no pause of the machine explains.
 
-        The latter is None where the probe had no priority above ours, and so saw what we do.
+        The second number is None where the probe had no priority above ours, because its pauses are then also due to us.
 
         Parameters
         ----------
@@ -111,8 +111,8 @@ class Replies:
 def held_up(stamps: Sequence[int], intervals: Sequence[tuple[int, int]]) -> tuple[int, int]:
     """Return how many replies came late after the one before them, and how many of these no pause of the machine explains.
 
-    A pause explains a reply when it covers at least half of what the distance to the one before is beyond a cycle. Whose core it
-    was is not asked: gateway and controller move between cores. Where the kernel throttles real-time tasks that counts as a pause too.
+    Pauses explain a late reply if they cover at least half of the time by which it exceeds a cycle. Pauses of every core count,
+    because gateway and controller move between cores. The kernel's throttling of real-time tasks counts as a pause, too.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def held_up(stamps: Sequence[int], intervals: Sequence[tuple[int, int]]) -> tupl
 
 
 def watch(core: int, priority: int, period: int) -> None:
-    """Sleep and see how late the wake-ups are; answer each line of the standard input with a line of JSON."""
+    """Sleep and measure how late each wake-up is; answer each line of the standard input with a line of JSON."""
     os.sched_setaffinity(0, {core})
     above = False
     if priority:
@@ -155,7 +155,7 @@ def watch(core: int, priority: int, period: int) -> None:
     while True:
         asked, _, _ = select.select([sys.stdin], [], [], period / 1e9)
         now = time.monotonic_ns()
-        # also a pause in which somebody asked, or between two looks; the work of an answer is none
+        # a pause between two rounds of this loop counts, the work of an answer does not
         due = looked + answering + period
         looked, answering = now, 0
         if now - due > SLIVER:

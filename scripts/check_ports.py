@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 
 from construction_twin.broker.start import DEFAULT_PORT
-from construction_twin.core.ports import port_is_free
+from construction_twin.core.network import port_is_free
 
 
 def launch_arguments(arguments: list[str]) -> dict[str, str]:

@@ -1,12 +1,13 @@
-"""Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [unit|integration|NAME...]`.
+"""Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [lint|unit|integration|NAME...]`.
 
-Unit tests run under pytest, each `test/integration/*.test` under rostest with a ROS master of its own. A rostest that yields no
-result counts as one failure.
+Each tool of scripts/lint.py counts as one test. Unit tests run under pytest, each `test/integration/*.test` under rostest with a
+ROS master of its own. A rostest that yields no result counts as one failure.
 
-What runs at 250 Hz is watched by a probe per core (benchmarks/machine.py): when the machine itself runs nobody for `HALT`, arm and
-gateway rightly brake, and a test that wants a motion to be finished fails without a fault of ours. Such a run shows nothing: it is
-said so and made again, `AGAIN` times at most. A failure beside which the machine ran stays a failure, and so does every failure where
-the probe may not have a priority above what is tested.
+Lint and the unit tests that need no real time run beside each other. Whatever runs at 250 Hz has the machine to itself, and a probe
+per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as they should, and
+a test that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported, and the test is
+run again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority above the tested
+processes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from xml.etree import ElementTree
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+import lint  # noqa: E402
 from machine import MachineProbe  # noqa: E402
 
 RESULTS = ROOT / ".ws" / "test_results"
@@ -34,12 +36,12 @@ LINE = 300
 #: What failed, for that list, and which runs were made again.
 FAILED: list[str] = []
 DISTURBED: list[str] = []
-#: Time for which a core ran nobody, from which on a failure shows nothing [ms], and how often the run is then made again. The
-#: monitor calls a pose stale after 100 ms; 20 ms are usual on a shared machine, and the tests allow for that. More than the 50 ms
-#: for which Linux stops real-time processes that took 95 % of a second: that would be a fault of ours.
+#: A failure shows nothing if a core ran no process for this long [ms]; the test is then run again, so many times at most. The
+#: monitor calls a pose stale after 100 ms. Pauses of 20 ms are usual on a shared machine, and the tests allow for them. Linux stops
+#: real-time processes that took 95 % of a second for 50 ms: that would be our fault, so the limit is higher.
 HALT, AGAIN = 60.0, 3
-#: How often the probe looks [ns]: for such a time seldom is often enough, and every look takes from the tests.
-LOOK = 2_000_000
+#: Period of the probe [ns]: short enough to see such a pause, long enough to take little time from the tests.
+PROBE_PERIOD = 2_000_000
 #: Highest SCHED_FIFO priority of the nodes; the probe stands above it.
 REALTIME = 50
 #: Unit tests that run gateway, mock controller or bridge as processes in real time: they need the machine for themselves.
@@ -74,8 +76,20 @@ def count(file: Path) -> tuple[int, int]:
     return (total - failed - skipped, failed) if total else (0, 1)
 
 
+def count_lint(findings: list[lint.Finding]) -> tuple[int, int]:
+    """Show what lint found; return (passed, failed) and remember what failed, each tool as one test."""
+    for finding in findings:
+        print(f"lint, {finding.name}: {'passed' if finding.passed else 'failed'}", flush=True)
+        if not finding.passed:
+            print(finding.output, flush=True)
+            lines = finding.output.strip().splitlines()
+            FAILED.append(f"lint, {finding.name}: {lines[-1] if lines else 'no message'}"[:LINE])
+    failed = sum(not finding.passed for finding in findings)
+    return len(findings) - failed, failed
+
+
 def said(file: Path) -> list[str]:
-    """Return what the tests of a rostest's result file printed: figures that are reported, not judged."""
+    """Return what the tests of a rostest's result file printed: figures that are reported, not asserted."""
     try:
         root = ElementTree.parse(file).getroot()
     except (OSError, ElementTree.ParseError):
@@ -85,21 +99,30 @@ def said(file: Path) -> list[str]:
     return [line for text in texts for line in text.splitlines() if line.strip()]
 
 
-def run_unit(probe: MachineProbe) -> tuple[int, int]:
-    """Run pytest over test/unit: first in two halves beside each other, then alone what runs the 250 Hz path in real processes."""
-    alone, rest = [], []
-    for file in sorted((ROOT / "test" / "unit").rglob("test_*.py")):
-        (alone if file.stem.startswith(ALONE) else rest).append(file)
-    halves = {"even": rest[::2], "odd": rest[1::2]}
-    runs = [(name, start_pytest(name, half)) for name, half in halves.items()]
-    results = [end_pytest(name, run) for name, run in runs]
-    for file in alone:
-        results.append(undisturbed(file.name, lambda: end_pytest(file.stem, start_pytest(file.stem, [file])), probe))
-    return sum(passed for passed, _ in results), sum(failed for _, failed in results)
+def unit_files() -> tuple[list[Path], list[Path]]:
+    """Return the files of test/unit that run 250 Hz processes (`ALONE`), and the others."""
+    files = sorted((ROOT / "test" / "unit").rglob("test_*.py"))
+    alone = [file for file in files if file.stem.startswith(ALONE)]
+    return alone, [file for file in files if file not in alone]
+
+
+def run_halves() -> list[tuple[int, int]]:
+    """Run the unit tests that need no real time in two processes beside each other; return (passed, failed) of each."""
+    _, files = unit_files()
+    runs = {name: start_pytest(name, files[offset::2]) for offset, name in enumerate(("even", "odd"))}
+    return [end_pytest(name, run) for name, run in runs.items()]
+
+
+def run_alone(probe: MachineProbe) -> list[tuple[int, int]]:
+    """Run the unit tests that start 250 Hz processes, one file after the other; return (passed, failed) of each."""
+    return [
+        undisturbed(file.name, lambda: end_pytest(file.stem, start_pytest(file.stem, [file])), probe)
+        for file in unit_files()[0]
+    ]
 
 
 def undisturbed(name: str, run: Callable[[], tuple[int, int]], probe: MachineProbe) -> tuple[int, int]:
-    """Run a test; when it fails and the machine stood still meanwhile, run it again. Return (passed, failed) of the last run."""
+    """Run a test, and again if it fails while the machine stood still; return (passed, failed) of the last run."""
     for repeats_left in range(AGAIN, -1, -1):
         before = len(FAILED)
         probe.taken()
@@ -109,7 +132,7 @@ def undisturbed(name: str, run: Callable[[], tuple[int, int]], probe: MachinePro
             break
         DISTURBED.append(name)
         print(
-            f"DISTURBED {name}: the machine ran nobody on a core for up to {machine['longest_ms']:.0f} ms "
+            f"DISTURBED {name}: the machine ran no process on a core for up to {machine['longest_ms']:.0f} ms "
             f"({HALT:.0f} ms spoil a run); {failed} failed, not counted; once more",
             flush=True,
         )
@@ -178,9 +201,14 @@ def main(selection: list[str]) -> int:
     shutil.rmtree(RESULTS, ignore_errors=True)
     RESULTS.mkdir(parents=True)
     totals = []
-    with MachineProbe(REALTIME, LOOK) as probe:
+    with MachineProbe(REALTIME, PROBE_PERIOD) as probe:
+        tools = lint.start() if not selection or "lint" in selection else {}
         if not selection or "unit" in selection:
-            totals.append(run_unit(probe))
+            totals += run_halves()
+        # before anything runs at 250 Hz
+        totals.append(count_lint(lint.end(tools)))
+        if not selection or "unit" in selection:
+            totals += run_alone(probe)
         for test in sorted((ROOT / "test" / "integration").glob("*.test")):
             if not selection or "integration" in selection or test.stem in selection:
                 totals.append(undisturbed(test.name, lambda: run_rostest(test), probe))

@@ -1,7 +1,7 @@
 """Runs every shipped scenario three times and writes the table into docs/scenarios.md: `make scenarios`.
 
-`python scripts/scenarios.py --runs 1 stall_replan estop` runs these, once each, and prints the table only. Results are in results/scenarios/run_N. The
-exit code is 0 when every run passed. An idle machine is assumed: on a busy one the figures are the machine's, not the system's.
+`python scripts/scenarios.py --runs 1 stall_replan estop` runs these two once each, and only prints the table. Results are in
+results/scenarios/run_N. The exit code is 0 if every run passed. Run it on an idle machine: other load changes the figures.
 """
 
 from __future__ import annotations

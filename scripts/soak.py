@@ -1,10 +1,10 @@
 """Runs the whole loop of one robot for an hour and says whether it drifts, grows or loses anything: `make soak`.
 
-Gateway, mock controller, bridge, broker and a commander on ROS that moves the arm all the time. Every minute a line: resident memory per
-process, late replies, lost commands and states, the distance from a command to its RSI packet beyond the playout's delay, and how often
-and for how long the machine itself ran nobody (benchmarks/machine.py), how many replies were held up, and how many of these no
-pause explains, also one of 0.25 ms.
-`python scripts/soak.py --minutes 5` is a shorter run. The exit code is 0 when the verdict is good.
+The loop is gateway, mock controller, bridge, broker, and a commander on ROS that keeps the arm moving. Every minute it prints a
+line: resident memory per process, late replies, lost commands and states, the time from a command to its RSI packet beyond the
+playout's delay, how often and for how long the machine itself ran no process (benchmarks/machine.py), how many replies were
+held up, and how many of these no pause of 0.25 ms or more explains. `python scripts/soak.py --minutes 5` is a shorter run. The
+exit code is 0 if nothing is wrong.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ CYCLES = (
 
 @dataclass(frozen=True)
 class Minute:
-    """What one interval showed: memory [MB] per process, counts, how often and longest [ms] the machine ran nobody, replies held up.
+    """One interval: memory [MB] per process, counts, number and longest [ms] of the machine's pauses, replies that were held up.
 
-    How many of these are ours is None where the probe has no priority above us: it then sees what we do.
+    How many of these are due to us is None where the probe has no priority above ours: its pauses are then also due to us.
 
     The distance [ms] is None unless the playout's delay was the same at both ends of the interval: an adaptive delay that moves is
     no drift.
@@ -162,8 +162,8 @@ class Soak:
 def verdict(minutes: list[Minute]) -> list[str]:
     """Return what is wrong, one sentence each; nothing: no drift, no growth, no lost cycle.
 
-    Growth and drift compare the medians of the first and the last third; with six minutes or more the first one, in which everything
-    warms up, does not count.
+    Growth and drift compare the medians of the first and the last third. With six minutes or more the first minute, in which every
+    process warms up, does not count.
     """
     wrong = []
     late, lost = sum(minute.late for minute in minutes), sum(minute.lost for minute in minutes)

@@ -11,7 +11,10 @@ TIMEOUT, FLAG, PRECISION = 100, 1, 6
 SPAN = {"A1": 370, "A2": 135, "A3": 275, "A4": 700, "A5": 250, "A6": 700}
 #: Placeholder for a track [mm]: longer than any.
 TRACK = 30000
-NOTICE = "construction_twin. Written from published facts, NOT TRIED ON A CONTROLLER: check every value before use (docs/controller.md)."
+NOTICE = (
+    "construction_twin. Written from published facts, NOT TRIED ON A CONTROLLER: "
+    "check every value before use (docs/controller.md)."
+)
 
 
 @dataclass(frozen=True)

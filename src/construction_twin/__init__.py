@@ -1,0 +1,6 @@
+"""The library behind the nodes: pure Python, in folders that import only from those below them.
+
+The folders, what goes in and out of each, and the order that import-linter enforces: docs/architecture.md. Only ``ros`` imports
+rospy. ``core``, ``mqtt``, ``rsi`` and ``gateway`` need the standard library and paho-mqtt only, so that they run on the cell
+PC.
+"""

@@ -111,7 +111,7 @@ class GatewayProcess:
 
 
 class Arm:
-    """A mock controller in lock step with the gateway: a packet, its reply, the next packet. Every reply must leave it where it is."""
+    """A mock controller in lock step with the gateway: a packet, its reply, the next packet. No reply may move it."""
 
     def __init__(self, gateway: tuple[str, int]):
         self.controller = MockController(MOCK, IdealServo(3), lambda angles: ((0.0,) * 3, (0.0,) * 3))

@@ -1,7 +1,7 @@
-"""Malformed and hostile MQTT messages: joint strings, property sets and control messages, changed as a faulty or hostile sender would.
+"""Malformed and hostile MQTT messages: joint strings, property sets and control messages as a faulty or hostile sender makes them.
 
-None of them is a whole valid command of the armed session: who may say that is decided by the broker's access rules. Everything else
-is fair. Same random generator, same messages.
+None of them is a complete valid command of the armed session: the broker's access rules decide who may send one. Anything else may
+occur. The same random generator makes the same messages.
 """
 
 from __future__ import annotations
@@ -12,17 +12,19 @@ from dataclasses import dataclass, field
 
 #: In place of a property's value, or a name.
 TEXTS = (
-    "", "0", "-1", "+1", "1.0", "1e3", " 1", "1 ", "9" * 19, "9" * 40, "18446744073709551616", "4294967295999999999", "nan", "null",
-    "\u0663", "\U0001d7d9", "1_000", "0x10", "\u200b", "a" * 65, "a" * 5000, "a/b", "#", "$SYS", "{}", "session", "s eq", "\u00e9" * 40,
+    "", "0", "-1", "+1", "1.0", "1e3", " 1", "1 ", "9" * 19, "9" * 40, "18446744073709551616", "4294967295999999999", "nan",
+    "null", "\u0663", "\U0001d7d9", "1_000", "0x10", "\u200b", "a" * 65, "a" * 5000, "a/b", "#", "$SYS", "{}", "session",
+    "s eq", "\u00e9" * 40,
 )  # fmt: skip
 #: In place of a value of a control message.
 VALUES = (
-    None, True, False, 0, -1, 1.5, 1e308, 10**30, "", "x" * 65, "x" * 1500, "\u0000", "\ud7ff", [], {}, [[]], {"a": {"b": 1}}, ["arm"],
+    None, True, False, 0, -1, 1.5, 1e308, 10**30, "", "x" * 65, "x" * 1500, "\u0000", "\ud7ff", [], {}, [[]],
+    {"a": {"b": 1}}, ["arm"],
 )  # fmt: skip
 #: Put into a payload.
 PARTS = (
-    b"\x00", b"\xff", b"\xef\xbb\xbf", b"\xc3\x28", b"+", b"-", b",", b".", b" ", b"\n", b"nan", b"inf", b"1e5", b"{", b"}", b"[" * 60,
-    b'"', b"\\u0000", b"\\ud800", b"NaN", b"-Infinity", b"9" * 400, b"9" * 5000, b"//", b"\xd9\xa3", b"[" * 1500,
+    b"\x00", b"\xff", b"\xef\xbb\xbf", b"\xc3\x28", b"+", b"-", b",", b".", b" ", b"\n", b"nan", b"inf", b"1e5", b"{", b"}",
+    b"[" * 60, b'"', b"\\u0000", b"\\ud800", b"NaN", b"-Infinity", b"9" * 400, b"9" * 5000, b"//", b"\xd9\xa3", b"[" * 1500,
 )  # fmt: skip
 VERBS = ("arm", "stop", "reset", "end", "speed_limit", "fly", "ARM", "")
 #: Longest payload: beyond it only the broker's limits are tested.

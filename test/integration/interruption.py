@@ -62,10 +62,10 @@ class Interruption(RobotTest):
             client.assert_within_limits(arm, missed)
             self.assert_works(arm, twin, missed)
 
-    def stop_and_recover(self):
-        """Interrupt by the bridge's `stop`; it is the gateway that brakes for it, not a silence that follows."""
+    def halt_and_recover(self):
+        """Interrupt by `halt`; it is the gateway that brakes for it, not a silence that follows."""
         stops = self.stops()
-        self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("mqtt_bridge/stop").success))
+        self.interrupt_and_recover(lambda: self.assertTrue(self.client.call("halt").success))
         self.assert_said("stopped at the gateway on request")
         self.assertEqual(self.stops(), stops + 1)
 

@@ -219,7 +219,7 @@ class ByHandTest(RobotTest):
             self.assertIn("waiting for review", self.done("plan", "--speed", 50, "--joints", *LEFT))
             plan = self.client.plans[-1]
             shown = self.done("show")
-            for part in (plan.id, plan.hash, "clearance", "largest shares", "joint_a1 30.000 deg"):
+            for part in (plan.id, plan.hash, "clearance", "largest fractions", "joint_a1 30.000 deg"):
                 self.assertIn(part, shown)
             self.assertEqual(self.twin("approve").returncode, 5, "nobody was asked, nobody said yes")
             self.assert_rests(arm)

@@ -78,7 +78,8 @@ class ExperimentTest(unittest.TestCase):
 
     def test_average_error_without_lag(self):
         table = self.summary["tables"]["lag_removed"]
-        # a reply that a busy machine makes late lets the arm stand for a cycle (HOLDON), and with it the average, though not the median
+        # on a busy machine a reply may be late; the arm then stands for a cycle (HOLDON), which shifts the average but not the
+        # median
         if self.summary["late_replies"]:
             recording = read_recording(self.folder / "experiment.bag")
             errors = align_lag_removed(recording, task_window(recording), 2 * CYCLE_NS).errors

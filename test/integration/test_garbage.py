@@ -105,7 +105,7 @@ class GarbageTest(RobotTest):
             next_burst = [0.0]
 
             def finished() -> bool:
-                # some 80 messages ten times a second: among the real ones, not a flood that takes the processors (that is `make fuzz`)
+                # about 80 messages ten times a second among the real ones; a flood that takes the processors is `make fuzz`
                 if time.monotonic() >= next_burst[0]:
                     next_burst[0] = time.monotonic() + 0.1
                     for send in (self.send_commands, self.send_controls, self.send_states, self.send_datagrams):

@@ -24,7 +24,7 @@ class KillTest(Interruption):
         self.assert_said("silence: no command for")
 
     def test_stop_at_the_gateway(self):
-        self.stop_and_recover()
+        self.halt_and_recover()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ JOGGED = (10.0, -85.0, 85.0, 5.0, 85.0, -10.0)
 
 
 class MirrorTest(unittest.TestCase):
-    """One robot: command, mirror, command, emergency stop."""
+    """One robot: command, mirror, command, halt."""
 
     @classmethod
     def setUpClass(cls):
@@ -66,7 +66,7 @@ class MirrorTest(unittest.TestCase):
         with Stream("physical/joint_states") as physical:
             plan = client.start(JOGGED, duration=4.0)
             client.wait(lambda: physical.moved(3.0), "the arm to move")
-            answer = client.call("emergency_stop")
+            answer = client.call("halt")
             self.assertTrue(answer.success, answer.message)
             client.wait(lambda: client.link.state == Link.NEEDS_RESET, "the link to need a reset")
             client.wait_for_outcome(plan.plan_id, "dropped")

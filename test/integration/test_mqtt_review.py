@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`plan` and `review` over MQTT with the real node, the site's broker and a tablet's account; planner and executor are played here."""
+"""`plan` and `review` over MQTT: the real node, the site's broker and a tablet's account; the test plays planner and executor."""
 
 import json
 import shutil
@@ -41,6 +41,8 @@ class MqttReviewTest(unittest.TestCase):
         cls.links = rospy.Publisher("link", Link, queue_size=5, latch=True)
         cls.service = rospy.Service("review_plan", ReviewPlan, cls._on_review)
         cls.programs = {}
+        # planner, executor and bridge are played by this node
+        rospy.set_param("publishers", dict.fromkeys(("plan", "review", "link"), rospy.get_name()))
         cls._start("broker", "--config", str(cls.folder / "site/broker/mosquitto.conf"))
         account = cls.folder / "site/accounts/kr120-bridge/account.json"
         for name, value in (("host", "localhost"), ("port", PORT), ("account", str(account))):

@@ -46,7 +46,7 @@ class ProtocolTest(Interruption):
         self.client.go_to(HOME)
 
     def test_a_stop_holds_until_reset(self):
-        self.stop_and_recover()
+        self.halt_and_recover()
 
 
 if __name__ == "__main__":

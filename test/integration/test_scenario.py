@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""A shipped scenario as a user runs it: `test_scenario.py NAME broker_port:=N rsi_port:=N` starts launch/scenario.launch and reads its verdict."""
+"""A shipped scenario as a user runs it: starts launch/scenario.launch and reads its verdict.
+
+`test_scenario.py NAME broker_port:=N rsi_port:=N`
+"""
 
 import json
 import os

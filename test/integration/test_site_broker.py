@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The whole system on a site's broker: TLS, an account for everyone, and a person at a tablet who approves what the arm then does."""
+"""The whole system on a site's broker: TLS, an account for each program, and a person at a tablet who approves a plan."""
 
 import json
 import os

@@ -259,7 +259,7 @@ class TwoRobotsTest(unittest.TestCase):
             f"{arm.name}: average {aligned.average}, maximum {aligned.maximum} rad; {late} late replies since the begin",
             flush=True,
         )
-        # a late reply lets the arm stand for a cycle (HOLDON), and with it the average, though not the median; as in the main experiment
+        # after a late reply the arm stands for a cycle (HOLDON), which shifts the average but not the median; see test_experiment
         typical = np.median(np.abs(aligned.errors), axis=0) if late else aligned.average
         np.testing.assert_array_less(typical, BOUND)
         np.testing.assert_array_less(aligned.average, DISTURBED)

@@ -34,8 +34,8 @@ LEFT = (30.0, -75.0, 70.0, 20.0, 70.0, -40.0)
 RIGHT = (-30.0, -80.0, 80.0, -20.0, 75.0, 30.0)
 #: A motion that ended at a pose has come this close to it on every joint [rad], [m]; rounding to 3 decimals alone is 8.73e-6.
 FINAL_ERROR = 1e-5
-#: Bound of the average error without lag at 3 decimals; and with replies that a busy machine made late, every twentieth of them a whole
-#: cycle at the task's speed [rad].
+#: Bound of the average error without lag at 3 decimals [rad]; and the bound on a busy machine, where one reply in twenty may be
+#: late by a whole cycle at the task's speed.
 BOUND, DISTURBED = 1.0e-5, 2.0e-4
 
 
@@ -94,7 +94,7 @@ def case(what: str):
 
 
 def wait(condition: Callable[[], object], what: str, timeout: float = 20.0, period: float = 0.01) -> None:
-    """Wait until `condition` holds, looking every `period` [s]; AssertionError naming `what` when it does not within `timeout` [s]."""
+    """Wait until `condition`, asked every `period` [s], holds; AssertionError naming `what` if it does not within `timeout` [s]."""
     deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline or rospy.is_shutdown():
@@ -294,10 +294,10 @@ class TwinClient:
             assert error.max() <= FINAL_ERROR, f"final error {error} rad; allowed {FINAL_ERROR} rad"
 
     def assert_no_jump(self, twin: Stream, since: int = 0) -> None:
-        """Check that every step of the twin from message `since` on is inside its velocity limits for the time between the stamps."""
+        """Check that every step of the twin from message `since` on keeps its velocity limits over the time between the stamps."""
         messages: list[JointState] = twin.messages[since:]
         stamps = np.array([message.header.stamp.to_nsec() for message in messages]) / 1e9
-        # stamps of mirrored poses are those of reception: messages come in bunches, the steps are those of the arm's cycles
+        # a mirrored pose is stamped at reception: messages come in bursts, but the steps are those of the arm's cycles
         cycles = np.maximum(np.round(np.diff(stamps) / CYCLE), 1.0)[:, None]
         steps = np.abs(np.diff([message.position for message in messages], axis=0))
         allowed = np.array(self.robot.velocity) * CYCLE + format_allowance(3) * CYCLE**2
@@ -306,9 +306,9 @@ class TwinClient:
     def assert_within_limits(self, arm: Stream, missed_before: int) -> None:
         """Check that every correction the gateway has sent since it started is inside the limits, and report what the arm did.
 
-        An arm that gets no reply in time holds still for that cycle (HOLDON 1) whatever the PC does, and on a busy machine that
-        happens. So it is the gateway's own trace that must be inside the limits without exception; the arm must be when no reply was
-        missed, and otherwise its largest acceleration is printed.
+        An arm that gets no reply in time stands still for that cycle (HOLDON 1), which happens on a busy machine. Therefore the
+        gateway's own trace must be within the limits without exception. The arm must be within them if no reply was missed;
+        otherwise its largest acceleration is printed.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Real processes for the tests of faults: mosquitto, the gateway program, the mock controller; between them proxies, and a Commander.
+"""Real processes for the tests of faults: mosquitto, gateway, mock controller, the proxies between them, and a Commander.
 
 ::
 
@@ -28,7 +28,7 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.gateway.service import bind
 from construction_twin.gateway.trace import TraceEntry, read_trace
-from construction_twin.link.supervisor import LinkState
+from construction_twin.link.states import LinkState
 from construction_twin.mqtt.messages import Topics
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files

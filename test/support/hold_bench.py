@@ -1,4 +1,4 @@
-"""An executor behind a gate that holds and opens again, as the monitor does it under the policy `resume`; for the tests of holds."""
+"""An executor behind a gate that holds and opens again, as the monitor does under the policy `resume`; for the tests of holds."""
 
 from __future__ import annotations
 

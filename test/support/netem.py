@@ -95,7 +95,8 @@ class Namespaces:
                     switching.result()
         finally:
             for space in (self.ros, self.cell):
-                # `replace` would keep what it is not told about, such as a rate; an end that has nothing to delete is as it should be
+                # `replace` would keep settings that are not named, such as a rate; an end without settings may have nothing to
+                # delete
                 subprocess.run([*self.prefix(space), *_TC, "delete", *_ROOT], capture_output=True)
 
     def _switch(self, profile: Profile, ended: threading.Event) -> None:

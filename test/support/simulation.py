@@ -16,15 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import StateCheck
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.states import LinkState
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings

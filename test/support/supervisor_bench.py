@@ -8,7 +8,8 @@ import math
 import pytest
 
 from construction_twin.core.units import NANOSECONDS, last_digit
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.states import LinkState
+from construction_twin.link.supervisor import LinkSupervisor
 
 HASH, DECIMALS, RUN = "cafe", 3, "run1"
 TOLERANCE = math.radians(0.05)
@@ -46,6 +47,9 @@ class Bench:
         return self.supervisor.state
 
     def set_gateway(self, state: str, reason: str = "", **other) -> None:
+        """Let the gateway say this from now on; as the real one does, it names a stop's cause, here the sentence's first word."""
+        if state in ("braking", "holding"):
+            self.gateway["stop"] = {"cause": reason.partition(":")[0]}
         self.gateway |= {"state": state, "reason": reason} | other
 
     def poll(self):

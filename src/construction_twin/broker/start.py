@@ -13,7 +13,7 @@ import socket
 import sys
 from pathlib import Path
 
-from construction_twin.core.ports import port_is_free
+from construction_twin.core.network import port_is_free
 from construction_twin.core.realtime import request_realtime
 
 #: Not MQTT's 1883: Debian's package starts a mosquitto service of its own there.

@@ -14,7 +14,7 @@ import numpy as np
 from construction_twin.coordination.path_sweep import PathSweep
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
-from construction_twin.scene.first_contact import copies, first_meeting, joined
+from construction_twin.scene.first_contact import copies, first_contact, joined
 from construction_twin.scene.neighbour import Neighbour, Obstacle
 
 #: Copies of our arm that are compared in one go. Always a whole block: so obstacles that came one after the other soon stand at the
@@ -41,7 +41,7 @@ class Conflict:
 
 
 @dataclass(frozen=True)
-class Look:
+class PathCheck:
     """What a look along a way has found.
 
     Attributes
@@ -101,9 +101,9 @@ class OwnPath:
         """Return the first row from `start` on that a pose belongs to; see `neighbour.row_of`."""
         return self._sweep.row_of(q, start)
 
-    def look(
+    def check(
         self, obstacles: Iterable[Obstacle], padding: float, row: int = 0, horizon: float = np.inf, budget: int = 0
-    ) -> Look:
+    ) -> PathCheck:
         """Compare the way from a row on with all that the other arm takes up: up to a horizon now, then as far as a budget goes.
 
         Parameters
@@ -136,7 +136,9 @@ class OwnPath:
         fraction = min((self._fraction(batch) for batch in self._batches), default=1.0)
         contacts = [batch.contact for batch in self._batches if batch.contact]
         self._settle()
-        return Look(self._conflict(*min(contacts, key=lambda found: found[0]), row) if contacts else None, fraction)
+        return PathCheck(
+            self._conflict(*min(contacts, key=lambda found: found[0]), row) if contacts else None, fraction
+        )
 
     def _sort(self, obstacles: frozenset[Obstacle], row: int) -> None:
         """Put new obstacles into a batch of their own, and forget what is over."""
@@ -178,7 +180,7 @@ class OwnPath:
             stop = min(batch.checked - batch.checked % _BLOCK + _BLOCK, len(swept))
             ahead = [place for place in range(batch.checked, stop) if swept[place][1] >= row]
             compared += len(ahead) * (len(batch.obstacles) + _OVERHEAD)
-            found = first_meeting(copies([swept[place][2] for place in ahead]), batch.shapes, padding)
+            found = first_contact(copies([swept[place][2] for place in ahead]), batch.shapes, padding)
             if found is None:
                 batch.checked = stop
                 continue

@@ -59,7 +59,7 @@ class Others:
 
 
 class PathJudge:
-    """Keeps what is known of each plan's way from look to look.
+    """Keeps what is known of each plan's way from look to check.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class PathJudge:
         self._bare = Neighbour(robot.name, robot, Pose(np.zeros(3), np.eye(3)), step)
         self._arm = self._bare
         self._scene = ""
-        self._ways: dict[str, OwnPath] = {}
+        self._paths: dict[str, OwnPath] = {}
         self._at = "", 0
 
     def waiting(self, plan: Plan, scene: Scene | None, others: Others) -> Judgement:
@@ -131,40 +131,40 @@ class PathJudge:
 
     def forget(self, kept: Collection[str]) -> None:
         """Forget all plans but some."""
-        self._ways = {plan_id: way for plan_id, way in self._ways.items() if plan_id in kept}
+        self._paths = {plan_id: path for plan_id, path in self._paths.items() if plan_id in kept}
 
     def _judge(
         self, plan: Plan, scene: Scene | None, others: Others, own: Claim, poses: tuple | None, horizon: float
     ) -> Judgement:
         if scene is None:
             return Judgement(True, 0.0, "our own scene, with what the arm carries, was not received")
-        way = self._way(plan, scene)
-        row = self._present_row(way, poses) if own.since and poses is not None else 0
-        look = way.look(others.obstacles, self._padding + scene.padding, row, horizon, BUDGET)
+        path = self._path(plan, scene)
+        row = self._present_row(path, poses) if own.since and poses is not None else 0
+        check = path.check(others.obstacles, self._padding + scene.padding, row, horizon, BUDGET)
         lost = bool(own.since) and not poses
-        if look.conflict is None:
-            if (look.fraction < 1.0 or not others.complete) and (poses is None or lost):
-                return Judgement(True, 0.0, self._so_far(look.fraction, others))
+        if check.conflict is None:
+            if (check.fraction < 1.0 or not others.complete) and (poses is None or lost):
+                return Judgement(True, 0.0, self._so_far(check.fraction, others))
             return Judgement(False, -1.0, "its way is free")
         # not knowing how far we have come, nobody knows how far the conflict is
-        conflict = Conflict(0.0, look.conflict.between) if lost else look.conflict
+        conflict = Conflict(0.0, check.conflict.between) if lost else check.conflict
         blocked = gives_way(conflict, own, others.claim, self._horizon)
         return Judgement(blocked, conflict.time, self._sentence(conflict, others, blocked))
 
-    def _present_row(self, way: OwnPath, poses: tuple[np.ndarray, ...]) -> int:
+    def _present_row(self, path: OwnPath, poses: tuple[np.ndarray, ...]) -> int:
         """Return how far our arm has come on a plan, measured or commanded, whichever is less; never less than before."""
-        known = self._at[1] if self._at[0] == way.plan.id else 0
-        found = [way.row_of(pose, known) for pose in poses]
-        self._at = way.plan.id, min((known if row is None else row for row in found), default=known)
+        known = self._at[1] if self._at[0] == path.plan.id else 0
+        found = [path.row_of(pose, known) for pose in poses]
+        self._at = path.plan.id, min((known if row is None else row for row in found), default=known)
         return self._at[1]
 
-    def _way(self, plan: Plan, scene: Scene) -> OwnPath:
+    def _path(self, plan: Plan, scene: Scene) -> OwnPath:
         if scene.hash != self._scene:
             self._arm = self._bare.carrying(scene.objects)
-            self._scene, self._ways = scene.hash, {}
-        if plan.id not in self._ways:
-            self._ways[plan.id] = OwnPath(plan, self._arm)
-        return self._ways[plan.id]
+            self._scene, self._paths = scene.hash, {}
+        if plan.id not in self._paths:
+            self._paths[plan.id] = OwnPath(plan, self._arm)
+        return self._paths[plan.id]
 
     def _so_far(self, fraction: float, others: Others) -> str:
         against = self._neighbour if others.complete else f"the first part of {self._neighbour}'s path"
@@ -174,9 +174,9 @@ class PathJudge:
         mine, theirs = conflict.between
         if others.unknown:
             return f"{mine} would come within the whole reach of {self._neighbour} in {conflict.time:.1f} s, and {others.unknown}"
-        meeting = f"{mine} would come too close to {theirs} in {conflict.time:.1f} s"
+        contact = f"{mine} would come too close to {theirs} in {conflict.time:.1f} s"
         if not blocked:
-            return f"{meeting}; {self._neighbour} began later and gives way"
+            return f"{contact}; {self._neighbour} began later and gives way"
         if others.claim is None:
-            return f"{meeting}, which stands there"
-        return f"{meeting}, which follows an approved plan"
+            return f"{contact}, which stands there"
+        return f"{contact}, which follows an approved plan"

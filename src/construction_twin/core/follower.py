@@ -119,14 +119,29 @@ class Follower:
             return False
         if abs(step) > self._speed[index] + self._rounding[index]:
             return False
-        # met is met only at the target's own speed as well: who arrives faster shoots past, and with few decimals for ever
+        # a target is met at its own speed as well: a faster joint would overshoot, and with few decimals oscillate for ever
         drift = goal - self._target[index]
         if max(abs(step - self._step[index]), abs(step - drift)) > self._wide_budget[index] * (1 + 1e-9):
+            return False
+        if step != drift and not self._can_stop_with(index, step, drift):
             return False
         # rounding can make a step look faster than the motion is; the wide budget takes that out in the first braking cycle
         speed = abs(step) - self._rounding[index]
         room = upper - goal if step > 0.0 else goal - lower
         return speed <= 0.0 or braking_distance(speed, self._budget[index]) <= room + RANGE_SLACK
+
+    def _can_stop_with(self, index: int, step: float, drift: float) -> bool:
+        """Return whether a joint that arrives with `step` at a target that moves by `drift` can stop where the target can.
+
+        The target may brake as hard as the joint: then a joint that is only a little faster keeps its excess until both stand, and
+        overshoots by the excess in every cycle of braking. One cycle's budget is allowed, and what rounding adds to a step.
+        """
+        if step * drift <= 0.0:
+            return True
+        budget, excess = self._budget[index], abs(step) - self._rounding[index]
+        return excess <= abs(drift) or (
+            braking_distance(excess, budget) - braking_distance(abs(drift), budget) <= budget
+        )
 
     def _chase(self, index: int, last: float, goal: float) -> float:
         budget, speed = self._budget[index], self._speed[index]

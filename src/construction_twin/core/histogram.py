@@ -68,10 +68,10 @@ class Histogram:
         return self.largest if edge is None else min(edge, self.largest)
 
     def summary(self) -> dict:
-        """Return edges, counts, the largest value and the usual percentiles."""
+        """Return edges, counts, the largest value and the usual percentiles; a copy, which no other thread's values change."""
         return {
             "bins": self.edges,
-            "counts": self.counts,
+            "counts": list(self.counts),
             "max": self.largest,
             "p50": self.percentile(0.5),
             "p99": self.percentile(0.99),

@@ -8,6 +8,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_stream import CommandStream
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.player import Player
+from construction_twin.gateway.states import Event
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties
 
@@ -17,13 +18,13 @@ class StreamBroken(Exception):
 
     Attributes
     ----------
-    cause : str
-        ``silence`` or ``speed_limit``: what the gateway brakes for.
+    event : Event
+        ``STREAM_SILENT`` or ``SPEED_IGNORED``: what the gateway brakes for.
     """
 
-    def __init__(self, cause: str, reason: str):
+    def __init__(self, event: Event, reason: str):
         super().__init__(reason)
-        self.cause = cause
+        self.event = event
 
 
 class CommandIntake:
@@ -62,10 +63,9 @@ class CommandIntake:
             raise PayloadError("properties", "command without session, seq and stamp")
         return self._stream.read(payload, properties, now)
 
-    def start(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take the first command of a stream; MotionRefused when it is out of range, or away from the held pose (``start``)."""
+    def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...]) -> None:
+        """Take the first command of a stream; MotionRefused when it is out of range, or away from the `held` pose (``start``)."""
         self._limits.check_range(q)
-        held = self._player.follower.position
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
         if off is not None:
@@ -100,11 +100,11 @@ class CommandIntake:
         hole = player.hole(stamp)
         if hole:
             # too long to guess what the motion was in between
-            raise StreamBroken("silence", f"{hole:.3f} s of the stream are missing")
+            raise StreamBroken(Event.STREAM_SILENT, f"{hole:.3f} s of the stream are missing")
         behind = player.backlog
         if behind > self._config.speed_limit_backlog:
             raise StreamBroken(
-                "speed_limit",
+                Event.SPEED_IGNORED,
                 f"the sender does not obey the speed limit of {player.fraction:g}: it is {behind:.3f} s ahead of the arm, "
                 f"at most {self._config.speed_limit_backlog:g} s are put off",
             )

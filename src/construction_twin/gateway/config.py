@@ -107,7 +107,7 @@ class GatewayConfig:
     e1_feedback_scale: float = 1.0
     e1_correction_scale: float = 1.0
     linear: tuple[str, ...] = ()
-    layout: RsiLayout | None = None
+    layout: RsiLayout = None  # type: ignore[assignment]  # `__post_init__` puts the plain layout of the axes in its place
 
     def __post_init__(self):
         count = len(self.axes)

@@ -1,7 +1,8 @@
 """The gateway as a pure object: commands, controls and telegrams in; corrections, states and status out.
 
 It knows no socket and no clock: `now` is an argument, in ns on the gateway's monotonic clock. Every telegram is answered from what
-is already here (design, law 1). Standard library only; rad and ns.
+is already here (docs/architecture.md, law 1). What may follow what is the table in `states`; here is what its guards ask and its
+actions do. Standard library only; rad and ns.
 """
 
 from __future__ import annotations
@@ -10,27 +11,26 @@ from collections import Counter
 from collections.abc import Callable
 
 from construction_twin.core.errors import MotionRefused, PayloadError
+from construction_twin.core.follower import Follower
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.gateway.arming import refusal_of_arm, refusal_of_value
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.gateway.mode import NOTES, Mode
-from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
-from construction_twin.gateway.refusals import Refusals
-from construction_twin.gateway.rsi_session import ControllerSession
+from construction_twin.gateway.refusals import Ownership, Refusals
+from construction_twin.gateway.rsi_session import ControllerSession, distance_off
 from construction_twin.gateway.speed_limit import SpeedLimit
-from construction_twin.gateway.state_report import StateReport
-from construction_twin.gateway.states import State
-from construction_twin.gateway.status import gateway_status
+from construction_twin.gateway.states import CAUSES, NOTES, Action, Event, Guard, Machine, Mode, Occasion, State
+from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties
+from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties, is_session
 from construction_twin.rsi.gateway_codec import RobotTelegram
 
-#: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. A single missed telegram is less of a
-#: blow when the motion goes on at its speed than when it starts over [ns].
+#: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. After a single missed telegram the
+#: motion goes on at its speed, because starting over would jerk more [ns].
 STANDSTILL = 2 * CYCLE_NS
+#: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
+DISPLACED = 2.0
 
 
 class Gateway:
@@ -55,8 +55,6 @@ class Gateway:
         self.counters: Counter[str] = Counter()
         #: What was refused, and why; whoever stands before the gateway refuses here too.
         self.refusals = Refusals(self.counters)
-        self.state = State.NO_CONTROLLER
-        self.reason = "no telegram yet"
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
         self.fault = False
         #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), and
@@ -72,7 +70,39 @@ class Gateway:
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
         self._answered_stamp = 0
-        self._ending, self._changed = False, True
+        self._ending = False
+        self._machine = Machine(
+            {
+                Guard.ANSWERS: lambda occasion: "ONLYSEND" if self.mode is Mode.READ_ONLY else "",
+                Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "no ONLYSEND",
+                Guard.HAS_ORIGIN: self._refusal_without_origin,
+                Guard.MAY_ARM: self._refusal_of_arm,
+                Guard.SAME_SESSION: self._refusal_of_second_session,
+                Guard.MAY_RESET: self._refusal_of_reset,
+                Guard.OWNER_MAY_RESET: self._refusal_of_owner_reset,
+            },
+            {
+                Action.BEGIN_SESSION: self._on_session_began,
+                Action.END_SESSION: self._on_session_ended,
+                Action.OWN: self._on_armed,
+                Action.START_STREAM: self._on_stream_began,
+                Action.BRAKE: self._on_brake,
+                Action.BRAKE_TO_FAULT: self._on_brake_to_fault,
+                Action.FAULT: self._on_fault,
+                Action.RESET: self._on_reset,
+                Action.LAST_RESORT: self._on_fault,
+            },
+        )
+
+    @property
+    def state(self) -> State:
+        """What the gateway is doing."""
+        return self._machine.state
+
+    @property
+    def reason(self) -> str:
+        """Why, in one sentence."""
+        return self._machine.reason
 
     @property
     def session(self) -> str:
@@ -106,40 +136,54 @@ class Gateway:
             self.counters["telegrams_repeated"] += 1
             return None
         sent = self.correction if self.mode is Mode.NORMAL else ()
-        elapsed = controller.hear(telegram, source, now, sent, self.state in (State.FOLLOWING, State.BRAKING))
+        machine = self._machine
+        moving = machine.state is State.FOLLOWING or machine.state is State.BRAKING
+        elapsed = controller.hear(telegram, source, now, sent, moving)
         if elapsed is None:
             self._begin_session(telegram)
             elapsed = CYCLE_NS
-        if self.state is State.JOINED or self.state is State.READ_ONLY:
-            return self._leave_unanswered(telegram)
+        state = machine.state
+        if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
+            self.counters["telegrams_unanswered"] += 1
+            if state is not State.JOINED and telegram.measured is not None:
+                controller.measured = telegram.measured
+            return None
         player = self._player
         if player.follower is None:
             self._find_origin(telegram)
         drifted = controller.note(telegram)
-        if player.follower is None:
-            self.counters["telegrams_unanswered" if self.state is State.JOINED else "telegrams"] += 1
-            return None if self.state is State.JOINED else (0.0,) * len(self.config.axes)
-        if drifted:
-            self._note_drift(telegram.setpoint)
+        follower = player.follower
+        if follower is None:
+            refused = machine.state is State.JOINED
+            self.counters["telegrams_unanswered" if refused else "telegrams"] += 1
+            return None if refused else (0.0,) * len(self.config.axes)
+        if drifted and telegram.setpoint is not None:
+            follower = self._note_drift(follower, telegram.setpoint)
         self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
         if elapsed > STANDSTILL:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
-            player.follower.rest()
-        position = self._move(elapsed)
+            follower.rest()
+        position = self._move(follower, elapsed)
         if self.trace is not None:
-            self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, player.stamp, position)
+            self.trace(telegram.ipoc, self.counters["rsi_sessions"], machine.state, player.stamp, position)
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
         return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
+
+    def observe(self, telegram: RobotTelegram, correction: tuple[float, ...]) -> None:
+        """Take note of a telegram that the last resort answered with `correction` [rad]: the arm's pose is still reported."""
+        if telegram.measured is not None:
+            self._controller.measured = telegram.measured
+        self._answered_stamp = 0
+        if self.trace is not None:
+            position = tuple([start + value for start, value in zip(self._controller.origin, correction)])
+            self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, 0, position)
 
     def poll(self, now: int) -> None:
         """Notice silence, of the controller or of a speed limit's source; call this at least every 0.1 s."""
         self._poll_speed_limit(now)
         if self._controller.is_silent(now):
-            self._controller.end()
-            self._player.remove()
-            self._disarm()
-            self._enter(State.NO_CONTROLLER, f"no telegram for {self.config.timeout:g} s")
+            self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s"))
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
@@ -152,66 +196,89 @@ class Gateway:
         return self._states.message(self._controller.measured, self._answered_stamp, stamp)
 
     def _begin_session(self, telegram: RobotTelegram) -> None:
-        self._controller.begin(telegram)
+        controller = self._controller
+        controller.begin(telegram)
+        why = f"RSI session began at IPOC {telegram.ipoc}: {controller.began}{NOTES[self.mode]}"
+        self._machine.on(Event.SESSION_BEGAN, Occasion(why))
+
+    def _on_session_began(self, event: Event, occasion: Occasion) -> None:
         self._player.remove()
         self._disarm()
         self._ending = False
         self.correction = ()
-        state = State.READ_ONLY if self.mode is Mode.READ_ONLY else State.READY
-        self._enter(state, f"RSI session began at IPOC {telegram.ipoc}: {self._controller.began}{NOTES[self.mode]}")
 
-    def _leave_unanswered(self, telegram: RobotTelegram) -> None:
-        self.counters["telegrams_unanswered"] += 1
-        if self.state is State.READ_ONLY and telegram.measured is not None:
-            self._controller.measured = telegram.measured
+    def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
+        self._controller.end()
+        self._player.remove()
+        self._disarm()
 
     def _find_origin(self, telegram: RobotTelegram) -> None:
         refusal = self._controller.find_origin(telegram)
         if refusal:
-            self._enter(State.JOINED, refusal)
+            self._machine.on(Event.ORIGIN_REFUSED, Occasion(refusal))
         elif self._controller.origin:
             self._player.place(self._controller.origin)
 
-    def _note_drift(self, setpoint: tuple[float, ...]) -> None:
-        if self.state is State.READY or self.state is State.ARMED:
+    def _note_drift(self, follower: Follower, setpoint: tuple[float, ...]) -> Follower:
+        state = self._machine.state
+        if state is State.READY or state is State.ARMED:
             # a program of the controller moves the arm: nobody commands it here, so what is held goes with it
-            position = self._player.follower.position
-            self._player.place(self._controller.move_origin(setpoint, position))
-        elif self.state is State.FOLLOWING:
+            return self._player.place(self._controller.move_origin(setpoint, follower.position))
+        if state is State.FOLLOWING:
             drift = self._controller.drift(setpoint)
             if drift:
-                self._brake("drift", drift)
+                self._brake(Event.DRIFTED, drift)
+        return follower
 
     # -- motion
 
-    def _move(self, elapsed: int) -> tuple[float, ...]:
-        if self.state is State.FOLLOWING:
+    def _move(self, follower: Follower, elapsed: int) -> tuple[float, ...]:
+        machine = self._machine
+        if machine.state is State.FOLLOWING:
             # in commissioning mode the arm does not do what the player does
-            position = self._player.play(elapsed, self._controller.measured if self.mode is Mode.NORMAL else ())
+            position = self._player.play(
+                follower, elapsed, self._controller.measured if self.mode is Mode.NORMAL else ()
+            )
             overdue = self._player.overdue
             if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
-                self._brake("silence", f"no command for {overdue / NANOSECONDS:.3f} s beyond the newest one")
+                why = f"no command for {overdue / NANOSECONDS:.3f} s beyond the newest one"
+                self._brake(Event.STREAM_SILENT, why)
             return position
-        follower = self._player.follower
-        if self.state is State.BRAKING:
+        if machine.state is State.BRAKING:
             position = follower.brake()
             self._stopping.advance(follower, elapsed)
             if follower.at_rest:
-                self._enter(State.HOLDING, self.reason)
+                machine.on(Event.AT_REST, Occasion(machine.reason))
             return position
         return follower.position
 
-    def _brake(self, cause: str, reason: str) -> None:
+    def _brake(self, event: Event, reason: str) -> None:
+        self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}"))
+
+    def _on_brake(self, event: Event, occasion: Occasion) -> None:
+        cause, state, follower = CAUSES[event], self._machine.state, self._player.follower
         self.counters[f"stops_{cause}"] += 1
-        self.fault = self.fault or cause != "silence"
-        if self.state is not State.BRAKING:
+        if state is not State.BRAKING and follower is not None:
             # asked again while it brakes, what was stated holds; for a stream that is missing it has braked since it ran dry
             begun = self._player.braking if cause == "silence" else None
-            follows = self.mode is Mode.NORMAL and self.state is State.FOLLOWING and cause != "drift"
-            self._stopping.begin(cause, self._player.follower, self._controller.measured if follows else (), begun)
+            follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
+            self._stopping.begin(cause, follower, self._controller.measured if follows else (), begun)
         self._disarm()
-        self._enter(State.BRAKING, f"{cause}: {reason}")
+
+    def _on_brake_to_fault(self, event: Event, occasion: Occasion) -> None:
+        self._on_fault(event, occasion)
+        self._on_brake(event, occasion)
+
+    def _on_fault(self, event: Event, occasion: Occasion) -> None:
+        self.fault = self._machine.changed = True
+
+    def fail(self, reason: str) -> None:
+        """Take note of an exception that nobody foresaw; from now on the last resort answers (`last_resort`), for good.
+
+        Touches nothing but state and fault: what else is here may be what has failed.
+        """
+        self._machine.on(Event.FAILURE, Occasion(reason))
 
     # -- the command side
 
@@ -238,10 +305,9 @@ class Gateway:
             self._take(stamp, q, now)
         except MotionRefused as refusal:
             self.refusals.message(refusal.reason, refusal)
-            if self.state is State.FOLLOWING:
-                self._brake("refused", str(refusal))
+            self._brake(Event.COMMAND_REFUSED, str(refusal))
         except StreamBroken as broken:
-            self._brake(broken.cause, str(broken))
+            self._brake(broken.event, str(broken))
 
     def _note_stranger(self, session: str | None, now: int) -> None:
         if session is not None and self.session and not self._owners.knows(session):
@@ -252,23 +318,28 @@ class Gateway:
     def _read_command(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
     ) -> tuple[int, tuple[float, ...]]:
-        if self.state is not State.FOLLOWING and self.state is not State.ARMED:
-            raise PayloadError("not_armed", f"gateway is {self.state.value}")
+        state = self._machine.state
+        if state is not State.FOLLOWING and state is not State.ARMED:
+            raise PayloadError("not_armed", f"gateway is {state.value}")
         stamp, q, lost = self._stream.read(payload, properties, now)
-        if lost and self.state is State.FOLLOWING:
+        if lost and state is State.FOLLOWING:
             self.counters["commands_lost"] += lost
         return stamp, q
 
     def _take(self, stamp: int, q: tuple[float, ...], now: int) -> None:
         waited = now - self._controller.heard_at
-        if self.state is State.ARMED:
-            self._stream.start(stamp, q)
-            self._enter(State.FOLLOWING, f"stream of session {self.session} began")
+        machine = self._machine
+        if machine.state is State.ARMED:
+            machine.on(Event.STREAM_BEGAN, Occasion(f"stream of session {self.session} began", stamp=stamp, q=q))
             self._player.learn_from_stall(self.session if self.config.properties else None, now)
         else:
             self._stream.go_on(stamp, q, waited)
         self._stream.push(stamp, q, waited)
         self.counters["commands_received"] += 1
+
+    def _on_stream_began(self, event: Event, occasion: Occasion) -> None:
+        if self._player.follower is not None:
+            self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
 
     # -- control
 
@@ -299,35 +370,77 @@ class Gateway:
     def _limit_speed(self, control: Control, now: int) -> tuple[bool, str]:
         if refusal := self.speed.refusal(control, self.session):
             return self._refuse("speed_limit", refusal)
+        fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts however old it looks: its source may count anew, and a recording of it can only slow the arm
-        if self.speed.is_repeated(control) and control.value >= self.speed.given:
+        if self.speed.is_repeated(control) and fraction >= self.speed.given:
             why = f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
             return self._refuse("repeated", why)[0], ""
-        self._changed |= self.speed.give(float(control.value), control.session, now)
+        if self.speed.give(fraction, control.session, now):
+            self._machine.changed = True
         self._poll_speed_limit(now)
-        return True, f"speed at most {control.value:g} of the limits"
+        return True, f"speed at most {fraction:g} of the limits"
 
     def _poll_speed_limit(self, now: int) -> None:
         if self.speed.poll(now):
             self.counters["speed_limit_silent"] += 1
-            self._changed = True
+            self._machine.changed = True
         if self.speed.fraction != self._player.fraction:
             self._player.limit(self.speed.fraction)
 
     def _arm(self, control: Control) -> tuple[bool, str]:
-        if self.state in (State.ARMED, State.FOLLOWING) and not refusal_of_value(control.value, self):
-            if control.session == self.session:
-                return True, "already armed for this session"
-            self._owners.refuse(control.session)
-            return False, f"armed for session {self.session}; stop and reset first"
-        refusal = refusal_of_arm(control, self, self._controller, self._player.follower)
-        if refusal:
-            return False, refusal
-        if not self._owners.begin(control.session):
-            return False, f"session {control.session} has had its turn; begin another"
-        self._stream.begin(control.session)
-        self._enter(State.ARMED, f"armed for session {control.session}{NOTES[self.mode]}")
-        return True, f"armed{NOTES[self.mode]}"
+        another = self._refusal_of_value(control.value)
+        if self.state in (State.ARMED, State.FOLLOWING) and not another:
+            refusal = self._machine.on(Event.ARM, Occasion("", control.session))
+            if refusal:
+                self._owners.refuse(control.session)
+                return False, refusal
+            return True, "already armed for this session"
+        refusal = another or self._refusal_of_session(control.session)
+        why = f"armed for session {control.session}{NOTES[self.mode]}"
+        refusal = refusal or self._machine.on(Event.ARM, Occasion(why, control.session))
+        return (False, refusal) if refusal else (True, f"armed{NOTES[self.mode]}")
+
+    def _refusal_of_value(self, value: object) -> str:
+        """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
+        named = value if isinstance(value, dict) else {"hash": value}
+        if named.get("hash") != self.config.hash:
+            return f"configuration hash {named.get('hash')!r} is not the gateway's {self.config.hash}"
+        if set(named) != {"hash", "run"}:
+            return "arm must name hash and run of the gateway's status, and nothing else"
+        if named["run"] != self.run:
+            return f"run {named['run']!r} is not the gateway's present one: it was started again, or a recording is being replayed"
+        return ""
+
+    def _refusal_of_session(self, session: str) -> str:
+        if not is_session(session):
+            return f"session {session!r} cannot be armed; expected 1 to 64 letters, digits, - and _"
+        if self.fault and self.state is not State.FAILED:
+            return "stopped since the last reset; reset first"
+        return ""
+
+    def _refusal_of_arm(self, occasion: Occasion) -> str:
+        if refusal := self._refusal_of_session(occasion.session) or self._refusal_without_origin(occasion):
+            return refusal
+        measured, follower = self._controller.measured, self._player.follower
+        distance = measured and follower and distance_off(measured, follower.position, self.config, DISPLACED)
+        if distance:
+            return (
+                f"{distance} off the pose that the gateway holds: the controller moved the arm, or it is still moving; "
+                "reset, and if that does not help start the controller's program again"
+            )
+        if self._owners.knows(occasion.session):
+            return f"session {occasion.session} has had its turn; begin another"
+        return ""
+
+    def _on_armed(self, event: Event, occasion: Occasion) -> None:
+        self._owners.begin(occasion.session)
+        self._stream.begin(occasion.session)
+
+    def _refusal_of_second_session(self, occasion: Occasion) -> str:
+        return "" if occasion.session == self.session else f"armed for session {self.session}; stop and reset first"
+
+    def _refusal_without_origin(self, occasion: Occasion) -> str:
+        return f"gateway is {self.state.value}: {self.reason}" if self._player.follower is None else ""
 
     def _stop(self, control: Control) -> tuple[bool, str]:
         self.stop(f"asked for by {control.session or 'nobody by name'}")
@@ -335,15 +448,12 @@ class Gateway:
 
     def stop(self, reason: str) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
-        if self._player.follower is None:
-            self.fault = self._changed = True
-            return
-        self._brake("stop", reason)
+        self._brake(Event.STOP, reason)
 
     def _end(self, control: Control) -> tuple[bool, str]:
         if not self.config.layout.stop:
             return False, "the Ethernet XML declares no Stop element: end the program on the pendant"
-        if self._player.follower is None:
+        if self._player.follower is None or self.state is State.FAILED:
             return False, f"gateway is {self.state.value}: {self.reason}"
         self.end(f"end asked for by {control.session or 'nobody by name'}")
         return True, "RSI_MOVECORR ends as soon as the arm is at rest"
@@ -359,21 +469,28 @@ class Gateway:
         return self._ending and self.state is State.HOLDING
 
     def _reset(self, control: Control) -> tuple[bool, str]:
-        if self._player.follower is None:
-            return False, f"gateway is {self.state.value}: {self.reason}"
-        if self.state is State.FOLLOWING and control.session != self.session:
+        refusal = self._machine.on(Event.RESET, Occasion(f"reset{NOTES[self.mode]}", control.session))
+        return (False, refusal) if refusal else (True, "reset")
+
+    def _refusal_of_reset(self, occasion: Occasion) -> str:
+        follower = self._player.follower
+        if follower is None:
+            return self._refusal_without_origin(occasion)
+        return "" if follower.at_rest else "the arm is still moving; stop it first"
+
+    def _refusal_of_owner_reset(self, occasion: Occasion) -> str:
+        if occasion.session != self.session:
             # also the owner's own next session asks too early sometimes: no intruder yet
-            return False, f"session {self.session} commands; stop it, or wait until its stream has ended"
-        if not self._player.follower.at_rest:
-            return False, "the arm is still moving; stop it first"
+            return f"session {self.session} commands; stop it, or wait until its stream has ended"
+        return self._refusal_of_reset(occasion)
+
+    def _on_reset(self, event: Event, occasion: Occasion) -> None:
         self._disarm()
         self.fault = self._ending = False
         if self.mode is Mode.COMMISSIONING or not any(self.correction):
             # the arm stands at its origin, or where a program of the controller took it: the next stream begins there
             self._controller.renew_origin()
             self._player.place(self._controller.origin)
-        self._enter(State.READY, f"reset{NOTES[self.mode]}")
-        return True, "reset"
 
     def _disarm(self) -> None:
         self._stream.begin("")
@@ -382,19 +499,34 @@ class Gateway:
 
     # -- status
 
-    def _enter(self, state: State, reason: str) -> None:
-        self.state, self.reason, self._changed = state, reason, True
-
     def add_reason(self, note: str) -> None:
         """Add to the reason of the present state; a change, too."""
-        self._enter(self.state, f"{self.reason}; {note}")
+        self._machine.add_reason(note)
 
     def take_change(self) -> bool:
         """Return whether the state changed since the last call."""
-        changed, self._changed = self._changed, False
+        changed, self._machine.changed = self._machine.changed, False
         return changed
 
     def status(self) -> dict:
         """Return the content of the `status` topic."""
-        parts = (self._controller, self._player, self.speed, self._stopping, self._owners)
-        return gateway_status(self, *parts)
+        config, owners = self.config, self._owners
+        return Status(
+            state=self.state.value,
+            reason=self.reason,
+            session=self.session,
+            fault=self.fault,
+            mode=self.mode.value,
+            correction=list(self.correction),
+            last_ipoc_jump_ms=self._controller.jump_ms,
+            run=self.run,
+            hash=config.hash,
+            decimals=config.decimals,
+            properties=config.properties,
+            playout=self._player.report(),
+            speed_limit=self.speed.report(),
+            stop=self._stopping.report(),
+            intruder={"session": owners.intruder, "count": owners.intrusions},
+            last_refusal=self.refusals.last,
+            counters=dict(self.counters),
+        ).to_dict()

@@ -1,6 +1,7 @@
 """rsi_gateway: MQTT <-> KUKA RSI on the cell PC. Runs without ROS: ``python -m construction_twin.gateway --help``.
 
-One thread, one select loop: RSI datagrams first, then MQTT. Standard library and paho-mqtt only.
+One thread, one select loop: RSI datagrams first, then MQTT. An exception that nobody foresaw ends neither the loop nor the answers:
+`GatewayService.guarded` hands the arm to the last resort, which brakes. Standard library and paho-mqtt only.
 """
 
 from __future__ import annotations
@@ -14,23 +15,28 @@ import selectors
 import signal
 import socket
 import sys
+import threading
 import time
+import traceback
+from collections.abc import Callable
+from typing import TypeVar
 
 from paho.mqtt import client as paho
 
-from construction_twin.core.addresses import is_loopback
 from construction_twin.core.errors import (
     ConfigurationError,
     ConstructionTwinError,
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
+from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
 from construction_twin.gateway.config import GatewayConfig, load_config
-from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.gateway.inbox import TelegramInbox
+from construction_twin.gateway.gateway import Gateway
+from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
+from construction_twin.gateway.last_resort import LastResort
 from construction_twin.gateway.log import LineLimiter, log_beside_the_loop
-from construction_twin.gateway.mode import NOTES, Mode
+from construction_twin.gateway.states import NOTES, Mode, State
 from construction_twin.gateway.status import StatusClock
 from construction_twin.gateway.trace import TraceWriter
 from construction_twin.mqtt.account import load_account
@@ -41,10 +47,10 @@ from construction_twin.mqtt.client import (
     unique_id,
 )
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.messages import VERBS, Topics, parse_control, read_command_properties
+from construction_twin.mqtt.messages import VERBS, CommandProperties, Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.rsi.ethernet_xml import controller_sends_to
-from construction_twin.rsi.gateway_codec import SensorEncoder
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.udp import address_of, bind, receive
 
 log = logging.getLogger("rsi_gateway")
@@ -54,6 +60,10 @@ _STATUS_PERIOD = 1.0
 _LONGEST_BRAKING = 3.0
 #: `Stop` is sent for this long: a few telegrams, in case one of them is lost [s].
 _LAST_STOP = 0.1
+#: What is quoted of an exception in `status` [characters].
+_LONGEST_FAILURE = 300
+
+_Result = TypeVar("_Result")
 
 
 class GatewayService:
@@ -86,18 +96,27 @@ class GatewayService:
     ):
         self.gateway = Gateway(config, run, commissioning)
         self.reply_time = Histogram.of_microseconds()
+        #: What failed, in one sentence; "" while nothing has.
+        self.failure = ""
         self._sock = sock
-        self._inbox = TelegramInbox(self.gateway, lambda: receive(sock), time.monotonic_ns, controller)
+        self._inbox = TelegramInbox(self.gateway, self._receive, time.monotonic_ns, controller)
         self._topics = topics
-        self._encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
+        encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
+        self._encoder = encoder
+        self._last_resort = LastResort(config.limits, encoder)
+        self._decoder = RobotDecoder(config.axes, config.units)
+        # the datagram read last, and its source
+        self._datagram: tuple[bytes, tuple] | None = None
+        self._thread_failure: BaseException | None = None
         self._selector = selectors.DefaultSelector()
         self._selector.register(sock, selectors.EVENT_READ, None)
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status)
         self._connection = ConnectionReport(broker, log.error)
-        client.on_connect = self._on_connect
-        client.on_disconnect = self._on_disconnect
-        client.on_stream(self._topics.command, self._on_command)
-        client.message_callback_add(self._topics.control, self._on_control)
+        # guarded here, because paho would handle a message again whose callback raised
+        client.on_connect = lambda *arguments: self.guarded(self._on_connect, *arguments)
+        client.on_disconnect = lambda *arguments: self.guarded(self._on_disconnect, *arguments)
+        client.on_stream(self._topics.command, lambda *arguments: self.guarded(self._on_command, *arguments))
+        client.message_callback_add(self._topics.control, lambda *arguments: self.guarded(self._on_control, *arguments))
         client.connect_async(broker.host, broker.port, broker.keepalive)
         self._mqtt = PolledClient(client, self._selector, self._connection.failed)
         self._state_properties = broker.protocol == "5"
@@ -114,27 +133,123 @@ class GatewayService:
         """
         try:
             while self._running:
-                # what TLS has decrypted already makes no socket readable
-                self._turn(self._selector.select(0.0 if self._mqtt.pending else 0.05))
-            self.gateway.end("the gateway is ending")
+                self._turn()
+            self.guarded(self.gateway.end, "the gateway is ending")
+            self._last_resort.ending = self.gateway.config.layout.stop
             deadline = time.monotonic() + _LONGEST_BRAKING
-            while self.gateway.state is State.BRAKING and time.monotonic() < deadline:
-                self._turn(self._selector.select(0.05))
+            while self._braking and time.monotonic() < deadline:
+                self._turn()
             deadline = time.monotonic() + _LAST_STOP
-            while self.gateway.ends and time.monotonic() < deadline:
-                self._turn(self._selector.select(0.05))
+            while self._ends and time.monotonic() < deadline:
+                self._turn()
         finally:
-            self._publish_status(final=True)
-            self._mqtt.close()
+            self.guarded(self._publish_status, True)
+            self.guarded(self._mqtt.close)
             self._sock.close()
 
     def stop(self) -> None:
         """Make `run` brake and return; safe in a signal handler."""
         self._running = False
 
-    def _turn(self, events) -> None:
+    @property
+    def _braking(self) -> bool:
+        return not self._last_resort.at_rest if self.failure else self.gateway.state is State.BRAKING
+
+    @property
+    def _ends(self) -> bool:
+        return self._last_resort.ends if self.failure else self.gateway.ends
+
+    # -- failure
+
+    def guarded(self, part: Callable[..., _Result], *arguments: object) -> _Result | None:
+        """Return what a part of the gateway returns; None when it raised what nobody foresaw, and the gateway has failed.
+
+        The package's only handler for every exception: without it one error in a status message would end the answers to RSI, and
+        the controller would stop the arm dead from full speed.
+        """
+        try:
+            return part(*arguments)
+        except Exception as error:
+            self._fail(error)
+            return None
+
+    def on_thread_failure(self, arguments: threading.ExceptHookArgs) -> None:
+        """Take an exception that ended another thread, as `threading.excepthook`; the loop looks after it in its next turn."""
+        if arguments.exc_value is not None:
+            self._thread_failure = arguments.exc_value
+        # to stderr as well: the thread that has ended may be the one that writes the log
+        threading.__excepthook__(arguments)
+
+    def _fail(self, error: BaseException) -> None:
+        if self.failure:
+            # said once; whatever else fails after that changes nothing any more
+            self.gateway.counters["failures"] += 1
+            return
+        self._last_resort.take_over()
+        self.failure = "failed"
+        self.gateway.counters["failures"] += 1
+        frames = traceback.extract_tb(error.__traceback__)
+        where = f" in {frames[-1].name}" if frames else ""
+        what = f"{type(error).__name__}{where}: {error}"[:_LONGEST_FAILURE]
+        self.failure = (
+            f"{what}; the gateway has failed: it brakes, holds and takes no command; see its log, start it again"
+        )
+        self.gateway.fail(self.failure)
+        log.critical("%s", self.failure, exc_info=error)
+
+    def _rescue(self) -> None:
+        """Answer RSI as the last resort, then report the arm's pose as far as that works."""
+        resort = self._last_resort
+        newest, waiting = None, self._datagram
+        self._datagram = None
+        for _ in range(DRAIN_LIMIT):
+            if waiting is not None:
+                ipoc = resort.ipoc_of(*waiting)
+                if ipoc and (newest is None or ipoc > newest[0]):
+                    newest = ipoc, *waiting
+            try:
+                data, _, source = receive(self._sock)
+            except OSError:
+                # nothing more waits, or the system reports what became of an earlier reply
+                break
+            waiting = data, source
+        if newest is None:
+            return
+        ipoc, data, source = newest
+        reply = resort.answer(ipoc)
+        if reply is not None:
+            self._answer(reply, source)
+        self.gateway.observe(self._decoder.parse(data), resort.correction)
+        self._publish_state()
+
+    # -- the loop
+
+    def _turn(self) -> None:
+        events: list | None = []
+        if not self.failure:
+            self.guarded(self._work)
+        else:
+            events = self.guarded(self._wait)
+        if self.failure:
+            self.guarded(self._rescue)
+            if events is None:
+                # a selector that fails must neither take the whole processor nor silence MQTT
+                time.sleep(0.001)
+            if self._mqtt.connected if events is None else self._is_readable(events):
+                self.guarded(self._mqtt.read)
+            self.guarded(self._mqtt.service, time.monotonic())
+            self.guarded(self._report_failure)
+
+    def _wait(self) -> list:
+        # what TLS has decrypted already makes no socket readable
+        return self._selector.select(0.0 if self._mqtt.pending else 0.05)
+
+    def _work(self) -> None:
+        events = self._wait()
+        if self._thread_failure is not None:
+            raise self._thread_failure
         answered = self._serve_controller()
-        if any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events):
+        if self._is_readable(events):
             self._mqtt.read()
         now = time.monotonic()
         self._mqtt.service(now)
@@ -143,6 +258,13 @@ class GatewayService:
             self._log_change()
             self._publish_status()
         elif self._status.is_due(now, answered):
+            self._publish_status()
+
+    def _is_readable(self, events: list) -> bool:
+        return any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events)
+
+    def _report_failure(self) -> None:
+        if self.gateway.take_change() or self._status.is_due(time.monotonic(), True):
             self._publish_status()
 
     def _log_change(self) -> None:
@@ -166,6 +288,11 @@ class GatewayService:
 
     # -- RSI
 
+    def _receive(self) -> tuple[bytes, int, tuple]:
+        data, arrived, source = datagram = receive(self._sock)
+        self._datagram = data, source
+        return datagram
+
     def _serve_controller(self) -> bool:
         """Answer the newest telegram; return whether there was one."""
         newest = self._inbox.newest()
@@ -173,9 +300,10 @@ class GatewayService:
             return False
         telegram, source, arrived = newest
         correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
-        if correction is not None:
+        if correction is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             self._answer(self._encoder.encode(correction, telegram.ipoc, stop), source)
+            self._last_resort.sent(telegram.ipoc, source, correction)
             self.reply_time.add((time.time_ns() - arrived) / 1e3)
         self._publish_state()
         return True
@@ -208,6 +336,7 @@ class GatewayService:
         if retained:
             self._refuse_retained("command")
             return
+        properties: CommandProperties | PayloadError | None
         try:
             properties = read_command_properties(pairs) if pairs else None
         except PayloadError as error:
@@ -224,7 +353,7 @@ class GatewayService:
             self._refuse_retained("control")
             return
         try:
-            control = parse_control(message.payload)
+            control = parse_control(bytes(message.payload))
         except PayloadError as error:
             self.gateway.refusals.message(error.reason, error)
             self._log(logging.WARNING, f"refused on {error.reason}", str(error))
@@ -259,11 +388,28 @@ class GatewayService:
         self._status.sent(time.monotonic())
         if not self._mqtt.connected:
             return None
-        status = self.gateway.status()
-        status["reply_us"] = self.reply_time.summary()
+        status = self.guarded(self._document) or self._document_of_failure()
         if final:
             status |= {"state": "offline", "reason": "gateway stopped"}
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
+
+    def _document(self) -> dict:
+        return self.gateway.status() | {"reply_us": self.reply_time.summary()}
+
+    def _document_of_failure(self) -> dict:
+        """Return a status of what is certain, because the one of the gateway cannot be put together."""
+        gateway, config = self.gateway, self.gateway.config
+        return {
+            "state": State.FAILED.value,
+            "reason": self.failure,
+            "session": "",
+            "fault": True,
+            "mode": gateway.mode.value,
+            "run": gateway.run,
+            "hash": config.hash,
+            "decimals": config.decimals,
+            "properties": config.properties,
+        }
 
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
@@ -342,7 +488,8 @@ def _run(arguments: argparse.Namespace) -> int:
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
-        service.gateway.trace = trace and trace.record
+        if trace is not None:
+            service.gateway.trace = trace.record
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
@@ -359,10 +506,11 @@ def _run(arguments: argparse.Namespace) -> int:
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()
+    threading.excepthook = service.on_thread_failure
     service.run()
     if trace is not None:
         trace.close()
-    return 0
+    return 1 if service.failure else 0
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -20,8 +20,8 @@ class SpeedLimit:
     """The fraction of the velocity limits at which the arm may move.
 
     Nobody has to give one. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the
-    last limit where that was lower, because a lost source must not speed the arm up. Both outlive command sessions, otherwise arming
-    anew would lift the limit.
+    last limit where that was lower, because a lost source must not speed the arm up. Both outlive command sessions, otherwise
+    arming anew would lift the limit.
 
     A lowered limit is enforced a grace after it came, a raised one at once: in force is the highest of those that were given within
     the grace. A sender that obeys has slowed down by then.
@@ -67,7 +67,7 @@ class SpeedLimit:
         """Tell whether this message, one without a `refusal`, or a later one of its session came before: a copy, or a recording."""
         number = message_number(control.id)
         session, last = self._numbered
-        if control.session == session and number <= last:
+        if number is None or (control.session == session and number <= last):
             return True
         self._numbered = control.session, number
         return False

@@ -1,12 +1,43 @@
-"""What the gateway is doing. Standard library only."""
+"""The gateway's states and modes, and its state machine: one table of state, event, guard, action and next state.
+
+The table says what may follow what. What a guard asks and what an action does is the gateway's (`gateway.Gateway`), which gives the
+machine a function for each. Standard library only.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from enum import Enum
+
+from construction_twin.gateway.config import GatewayConfig
+
+
+class Mode(Enum):
+    """What becomes of the corrections; the words are those of `status`."""
+
+    NORMAL = "normal"  # they are sent
+    COMMISSIONING = "commissioning"  # they are computed, reported, and zero on the wire
+    READ_ONLY = "read_only"  # ONLYSEND: the controller expects no answer, and gets none
+
+    @classmethod
+    def of(cls, config: GatewayConfig, commissioning: bool) -> Mode:
+        """Return the mode: what the Ethernet XML says comes first, because a controller with ONLYSEND takes nothing."""
+        if config.layout.onlysend:
+            return cls.READ_ONLY
+        return cls.COMMISSIONING if commissioning else cls.NORMAL
+
+
+#: What is added to a reason, so that nobody mistakes an arm that stands still for a fault.
+NOTES = {
+    Mode.NORMAL: "",
+    Mode.COMMISSIONING: "; commissioning: every correction is sent as zero, the arm does not move",
+    Mode.READ_ONLY: "; read-only: the Ethernet XML has ONLYSEND TRUE, so nothing is answered and no motion can be commanded",
+}
 
 
 class State(Enum):
-    """States of the gateway; the words are those of `status`."""
+    """States of the gateway; the words are those of `status`, the order is that of a trace's numbers."""
 
     NO_CONTROLLER = "no_controller"  # no telegram for the timeout: nothing to answer
     READ_ONLY = "read_only"  # ONLYSEND: poses are reported, nothing is answered or commanded
@@ -16,3 +47,212 @@ class State(Enum):
     FOLLOWING = "following"  # the stream is played
     BRAKING = "braking"  # on the way to rest
     HOLDING = "holding"  # at rest after a fault or a stop; waits for `reset`
+    FAILED = "failed"  # the program itself has failed; the last resort brakes and answers, until a person starts the gateway anew
+
+
+class Event(Enum):
+    """What can happen to the gateway."""
+
+    SESSION_BEGAN = "the first telegram of an RSI session"
+    ORIGIN_REFUSED = "telegrams do not tell the origin"
+    CONTROLLER_SILENT = "no telegram for the timeout"
+    AT_REST = "braking has ended"
+    DRIFTED = "ASPos left the origin by more than the start tolerance"
+    STREAM_BEGAN = "the first command of a stream"
+    STREAM_SILENT = "the stream is overdue, or too much of it is missing"
+    COMMAND_REFUSED = "a command breaks a limit"
+    SPEED_IGNORED = "the sender does not obey the speed limit"
+    ARM = "`arm`"
+    STOP = "`stop` or `end`, or the program is ending"
+    RESET = "`reset`"
+    FAILURE = "an exception that nobody foresaw"
+
+
+class Guard(Enum):
+    """What a row asks for before it applies."""
+
+    NONE = ""
+    ANSWERS = "the controller expects answers"
+    READS_ONLY = "ONLYSEND"
+    HAS_ORIGIN = "the origin is known"
+    MAY_ARM = "no fault; the arm is where it is held; the session has not had its turn"
+    SAME_SESSION = "from the armed session"
+    MAY_RESET = "the origin is known; the arm is at rest"
+    OWNER_MAY_RESET = "from the commanding session; the arm is at rest"
+
+
+class Action(Enum):
+    """What a row does."""
+
+    NONE = ""
+    BEGIN_SESSION = "forget origin and command session"
+    END_SESSION = "forget origin and command session; the RSI session is over"
+    OWN = "the session may command"
+    START_STREAM = "check and take the command"
+    BRAKE = "brake; drop the command session"
+    BRAKE_TO_FAULT = "brake; drop the command session; fault until `reset`"
+    FAULT = "fault until `reset`"
+    RESET = "drop the command session; clear the fault; with no correction take the origin anew"
+    LAST_RESORT = "drop the command session; fault; the last resort brakes and answers"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of the table.
+
+    Attributes
+    ----------
+    state : State
+    event : Event
+    guard : Guard
+        Rows of the same state and event are tried in order; the first one whose guard holds applies.
+    action : Action
+        Done before the next state is entered.
+    target : State or None
+        Next state; None: state and reason stay.
+    """
+
+    state: State
+    event: Event
+    guard: Guard
+    action: Action
+    target: State | None
+
+
+def _rows(
+    states: Iterable[State],
+    event: Event,
+    target: State | None,
+    action: Action = Action.NONE,
+    guard: Guard = Guard.NONE,
+) -> list[Row]:
+    return [Row(state, event, guard, action, target) for state in states]
+
+
+_LIVE = tuple(state for state in State if state is not State.FAILED)
+_MOVABLE = (State.ARMED, State.FOLLOWING, State.BRAKING, State.HOLDING)
+_WITHOUT_ORIGIN = (State.NO_CONTROLLER, State.READ_ONLY, State.JOINED)
+
+#: Every change of state. What no row names changes nothing: it is refused, or counted.
+TABLE: tuple[Row, ...] = (
+    *_rows(_LIVE, Event.SESSION_BEGAN, State.READY, Action.BEGIN_SESSION, Guard.ANSWERS),
+    *_rows(_LIVE, Event.SESSION_BEGAN, State.READ_ONLY, Action.BEGIN_SESSION, Guard.READS_ONLY),
+    *_rows((State.READY,), Event.ORIGIN_REFUSED, State.JOINED),
+    *_rows(_LIVE[1:], Event.CONTROLLER_SILENT, State.NO_CONTROLLER, Action.END_SESSION),
+    *_rows((State.READY,), Event.ARM, State.ARMED, Action.OWN, Guard.MAY_ARM),
+    *_rows((State.ARMED, State.FOLLOWING), Event.ARM, None, Action.NONE, Guard.SAME_SESSION),
+    *_rows((State.ARMED,), Event.STREAM_BEGAN, State.FOLLOWING, Action.START_STREAM),
+    *_rows((State.FOLLOWING,), Event.STREAM_SILENT, State.BRAKING, Action.BRAKE),
+    *_rows((State.FOLLOWING,), Event.COMMAND_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *_rows((State.FOLLOWING,), Event.SPEED_IGNORED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *_rows((State.FOLLOWING,), Event.DRIFTED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *_rows((State.READY,), Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT, Guard.HAS_ORIGIN),
+    *_rows((State.READY,), Event.STOP, None, Action.FAULT),
+    *_rows(_MOVABLE, Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *_rows(_WITHOUT_ORIGIN, Event.STOP, None, Action.FAULT),
+    *_rows((State.BRAKING,), Event.AT_REST, State.HOLDING),
+    *_rows((State.FOLLOWING,), Event.RESET, State.READY, Action.RESET, Guard.OWNER_MAY_RESET),
+    *_rows(
+        (State.READY, State.ARMED, State.BRAKING, State.HOLDING),
+        Event.RESET,
+        State.READY,
+        Action.RESET,
+        Guard.MAY_RESET,
+    ),
+    *_rows(_LIVE, Event.FAILURE, State.FAILED, Action.LAST_RESORT),
+)
+
+#: What the arm brakes for, as `status` and the counters ``stops_<cause>`` name it.
+CAUSES = {
+    Event.STREAM_SILENT: "silence",
+    Event.COMMAND_REFUSED: "refused",
+    Event.SPEED_IGNORED: "speed_limit",
+    Event.DRIFTED: "drift",
+    Event.STOP: "stop",
+}
+
+
+def rows() -> list[tuple[str, str, str, str, str]]:
+    """Return the table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
+    return [
+        (row.state.value, row.event.value, row.guard.value, row.action.value, row.target.value if row.target else "")
+        for row in TABLE
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Occasion:
+    """What came with an event.
+
+    Attributes
+    ----------
+    reason : str
+        One sentence for people; the reason of the state that is entered.
+    session : str
+        Session of the control message; "" where none is involved.
+    stamp : int
+        Of the command [ns].
+    q : tuple, shape (n,)
+        The command's pose [rad].
+    """
+
+    reason: str
+    session: str = ""
+    stamp: int = 0
+    q: tuple[float, ...] = ()
+
+
+class Machine:
+    """The present state, and the way it changes.
+
+    Parameters
+    ----------
+    guards : mapping of Guard to callable
+        From the occasion to a sentence that says why the row does not apply; "" when it does.
+    actions : mapping of Action to callable
+        Called with event and occasion.
+
+    Attributes
+    ----------
+    state : State
+    reason : str
+        Why it was entered.
+    changed : bool
+        True after every change of state or reason; whoever reports it resets it.
+    """
+
+    def __init__(
+        self,
+        guards: Mapping[Guard, Callable[[Occasion], str]],
+        actions: Mapping[Action, Callable[[Event, Occasion], None]],
+    ):
+        self.state = State.NO_CONTROLLER
+        self.reason = "no telegram yet"
+        self.changed = True
+        self._guards = {Guard.NONE: lambda occasion: "", **guards}
+        self._actions = {Action.NONE: lambda event, occasion: None, **actions}
+        self._table: dict[tuple[State, Event], list[Row]] = {}
+        for row in TABLE:
+            self._table.setdefault((row.state, row.event), []).append(row)
+
+    def on(self, event: Event, occasion: Occasion) -> str:
+        """Take an event.
+
+        Returns
+        -------
+        refusal : str
+            "" when a row applied; else in one sentence why none did.
+        """
+        refusal = f"gateway is {self.state.value}: {self.reason}"
+        for row in self._table.get((self.state, event), ()):
+            refusal = self._guards[row.guard](occasion)
+            if not refusal:
+                self._actions[row.action](event, occasion)
+                if row.target is not None:
+                    self.state, self.reason, self.changed = row.target, occasion.reason, True
+                return ""
+        return refusal
+
+    def add_reason(self, note: str) -> None:
+        """Add to the reason of the present state; a change, too."""
+        self.reason, self.changed = f"{self.reason}; {note}", True

@@ -1,52 +1,89 @@
-"""The content of the gateway's `status` topic, put together from its parts. Standard library only."""
+"""What the gateway tells on MQTT: the content of `status`, when it is due, and the messages of `state`.
+
+It takes values and knows nothing of the gateway. Standard library only; rad and ns.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections import Counter
+from dataclasses import dataclass
 
-from construction_twin.gateway.ownership import Ownership
-from construction_twin.gateway.player import Player
-from construction_twin.gateway.rsi_session import ControllerSession
-from construction_twin.gateway.speed_limit import SpeedLimit
-from construction_twin.gateway.stop_report import StopReport
+from construction_twin.core.errors import PayloadError
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import StateProperties
 
 #: Without a telegram for this long nobody waits for an answer [s].
 QUIET = 0.05
 
-if TYPE_CHECKING:
-    from construction_twin.gateway.gateway import Gateway
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The content of the `status` topic, key by key; each is explained in docs/interface.md."""
+
+    state: str
+    reason: str
+    session: str
+    fault: bool
+    mode: str
+    correction: list[float]
+    last_ipoc_jump_ms: int
+    run: str
+    hash: str
+    decimals: int
+    properties: bool
+    playout: dict
+    speed_limit: dict
+    stop: dict
+    intruder: dict
+    last_refusal: str
+    counters: dict[str, int]
+
+    def to_dict(self) -> dict:
+        """Return the document as it is sent."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
-def gateway_status(
-    gateway: Gateway,
-    controller: ControllerSession,
-    player: Player,
-    speed: SpeedLimit,
-    stopping: StopReport,
-    owners: Ownership,
-) -> dict:
-    """Return what the gateway and its parts tell; every key is explained in docs/interface.md."""
-    config = gateway.config
-    return {
-        "state": gateway.state.value,
-        "reason": gateway.reason,
-        "session": gateway.session,
-        "fault": gateway.fault,
-        "mode": gateway.mode.value,
-        "correction": list(gateway.correction),
-        "last_ipoc_jump_ms": controller.jump_ms,
-        "run": gateway.run,
-        "hash": config.hash,
-        "decimals": config.decimals,
-        "properties": config.properties,
-        "playout": player.report(),
-        "speed_limit": speed.report(),
-        "stop": stopping.report(),
-        "intruder": {"session": owners.intruder, "count": owners.intrusions},
-        "last_refusal": gateway.refusals.last,
-        "counters": dict(gateway.counters),
-    }
+class StateReport:
+    """Makes the messages of the `state` topic.
+
+    Parameters
+    ----------
+    codec : JointStringCodec
+    counters : Counter
+        The gateway's.
+    properties : bool
+        Whether commands carry stamps; without, no state has a command stamp.
+    """
+
+    def __init__(self, codec: JointStringCodec, counters: Counter[str], properties: bool):
+        self._codec = codec
+        self._counters = counters
+        self._properties = properties
+
+    def message(
+        self, measured: tuple[float, ...], answered_stamp: int, stamp: int
+    ) -> tuple[bytes, StateProperties] | None:
+        """Return a pose's joint string and what goes beside it; None without a pose, or when it does not fit the format.
+
+        Parameters
+        ----------
+        measured : tuple, shape (n,)
+            [rad]; () for none.
+        answered_stamp : int
+            Stamp of the target in the reply before this telegram [ns]; 0 for none.
+        stamp : int
+            The gateway's own time [ns].
+        """
+        if not measured:
+            return None
+        try:
+            payload = self._codec.encode(measured)
+        except PayloadError as error:
+            self._counters[f"state_refused_{error.reason}"] += 1
+            return None
+        self._counters["states_sent"] += 1
+        return payload, StateProperties(self._counters["states_sent"], stamp, answered_stamp if self._properties else 0)
 
 
 class StatusClock:

@@ -1,8 +1,8 @@
 """Forward kinematics and Jacobian of any URDF's serial chain, by KDL.
 
-Poses are ``base_T_tip``: the tip link's pose in the robot's base link [m]; joint values [rad], or [m] for a linear joint,
+Poses are ``base_T_tip``: the tip link's pose in the robot's base link [m]; joint values [rad], or [m] for a prismatic joint,
 in the order of ``robot.joint_names``. Knows no tool or workpiece frame beyond the chain, and checks no collisions.
-The way back, from a pose to joint values, is in `inverse`.
+The inverse, from a pose to joint values, is in `inverse`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 import PyKDL
 from urdf_parser_py.urdf import Joint
 
-from construction_twin.robot.description import RobotModel, chain_joints, parse_urdf
+from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class Chain:
     arm_length : float
         The same without strokes [m].
     shoulder : array, shape (3,)
-        The first turning joint's origin in the base, linear joints at zero [m].
+        The first revolute joint's origin in the base, with prismatic joints at zero [m].
     """
 
     def __init__(self, robot: RobotModel):
@@ -67,7 +68,7 @@ class Chain:
         self._frame = PyKDL.Frame()
         self._columns = PyKDL.Jacobian(self._count)
 
-    def forward(self, q: Sequence[float]) -> Pose:
+    def forward(self, q: JointValues) -> Pose:
         """Return the tip's pose.
 
         Parameters
@@ -86,8 +87,8 @@ class Chain:
         """
         return to_pose(self.frame(q))
 
-    def frame(self, q: Sequence[float]) -> PyKDL.Frame:
-        """Return the tip's pose as KDL's frame, for code that looks at every microsecond.
+    def frame(self, q: JointValues) -> PyKDL.Frame:
+        """Return the tip's pose as KDL's frame: without the arrays of a `Pose`, for loops in which every microsecond counts.
 
         Parameters
         ----------
@@ -108,7 +109,7 @@ class Chain:
         self._fk.JntToCart(self._q, self._frame)
         return self._frame
 
-    def jacobian(self, q: Sequence[float]) -> np.ndarray:
+    def jacobian(self, q: JointValues) -> np.ndarray:
         """Return how the tip moves with each joint.
 
         Parameters
@@ -132,7 +133,7 @@ class Chain:
         columns = self._columns
         return np.array([[columns[row, column] for column in range(self._count)] for row in range(6)])
 
-    def skeleton(self, q: Sequence[float]) -> np.ndarray:
+    def skeleton(self, q: JointValues) -> np.ndarray:
         """Return the line from the base through all link origins to the tip, for drawing the arm.
 
         Parameters
@@ -158,7 +159,7 @@ class Chain:
             points.append((frame[0, 3], frame[1, 3], frame[2, 3]))
         return np.array(points)
 
-    def _fill(self, q: Sequence[float]) -> None:
+    def _fill(self, q: JointValues) -> None:
         if len(q) != self._count:
             raise ValueError(f"{len(q)} joint values for {self._count} joints of {self.robot.name}")
         buffer = self._q
@@ -201,7 +202,7 @@ def to_frame(pose: Pose) -> PyKDL.Frame:
 
 def to_pose(frame: PyKDL.Frame) -> Pose:
     """Convert KDL's frame to a pose."""
-    # written out: each element costs a call, and so would every loop and every view of the frame's parts
+    # written out, because each access is a call into KDL, and a loop or a view of the frame's parts would add calls
     f = frame
     rotation = [f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2], f[2, 0], f[2, 1], f[2, 2]]
     return Pose(np.array([f[0, 3], f[1, 3], f[2, 3]]), np.array(rotation).reshape(3, 3))
@@ -220,14 +221,14 @@ def _strokes(robot: RobotModel) -> float:
 
 
 def _reach(joints: Sequence[Joint]) -> tuple[np.ndarray, float]:
-    """Return the first turning joint's origin and the length of everything behind it, stretched out."""
+    """Return the first revolute joint's origin and the summed length of the links behind it."""
     fixed = PyKDL.Frame()
     lengths = []
     shoulder = None
     for joint in joints:
         fixed = fixed * _origin(joint)
         if joint.joint_type == "revolute":
-            # what lies between two joints is one rigid link, however many fixed joints it is made of
+            # everything between two movable joints is one rigid link, even if fixed joints divide it
             if shoulder is None:
                 shoulder = np.array(list(fixed.p))
             else:

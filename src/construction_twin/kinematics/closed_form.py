@@ -1,7 +1,8 @@
 """Inverse kinematics in closed form, for arms of the OPW kind (`opw`): every branch, and exactly the nearest.
 
-The branches come from py_opw_kinematics; whole turns, ranges, singular poses and the verdict by KDL's forward kinematics
-are added here. What the arm cannot do is told apart exactly: too far, too close, out of a joint's range.
+The branches come from py_opw_kinematics. This module adds whole turns, ranges and singular poses, and confirms every
+solution by KDL's forward kinematics. A pose without a solution gets its exact reason: too far, too close, or a joint out of
+its range.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import product
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -33,6 +35,7 @@ from construction_twin.kinematics.solution import (
     refine,
     residual,
 )
+from construction_twin.robot.description import JointValues
 
 #: The package's branch slots: 4 * (wrist turned over) + 2 * (shoulder back) + (elbow angle negative). Facing back, a
 #: negative elbow angle is the upper elbow.
@@ -43,32 +46,50 @@ SLOTS = tuple(
 )
 #: Slots of each shoulder, front and back.
 _SIDES = ((0, 1, 4, 5), (2, 3, 6, 7))
-#: Joint 5 nearer than this to where axes 4 and 6 are in line: there only the sum of their turns counts [rad].
+#: With joint 5 closer than this to the pose in which axes 4 and 6 are in line, only the sum of joints 4 and 6 counts [rad].
 _WRIST_SINGULAR = 5e-7
-#: The package loses the branches of an exactly singular wrist; turned by this much the target has them [rad].
+#: The package finds no branches for an exactly singular wrist; it finds them for the target rotated by this angle [rad].
 _TILT = 2e-7
-#: The wrist centre nearer than this to axis 1, or beyond the edge of the reach by less, is solved for beside it [m].
+#: A wrist centre closer than this to axis 1, or less than this beyond the edge of the reach, is moved before solving [m].
 _EDGE = 1e-7
-#: Within the reach by less than this, rounding decides whether the branches exist [m].
+#: If the wrist centre is within the reach by less than this, rounding decides whether the branches exist [m].
 _ROUNDING = 1e-12
-#: How far within the edge of the reach it is solved instead: the elbow is less than 1e-6 rad from stretched there [m].
+#: Such a wrist centre is moved to this far within the edge; the elbow is then less than 1e-6 rad from stretched [m].
 _INSIDE = 1e-13
-#: How far beside axis 1: well within the tolerance of a solution, well above the rounding of the branches [m].
+#: A wrist centre on axis 1 is moved by this much: well within a solution's tolerance, well above rounding [m].
 _NUDGE = 3e-7
-#: Limits that no joint angle is within [rad].
+#: Limits that contain no joint angle [rad].
 _NO_LIMITS = [(9.0, 10.0)] * 6
-#: Directions compared where the wrist centre is on axis 1.
+#: Number of directions compared where the wrist centre is on axis 1.
 _HEADINGS = 72
-#: Candidates that miss the pose by less than this are refined, others are no solutions [m], [rad].
+#: Candidates that miss the pose by less than this are refined; the others are not solutions [m], [rad].
 _REFINABLE = 1e-3
+
+
+class Branches(NamedTuple):
+    """All branches of m targets, ranges not considered. A NamedTuple, because the 250 Hz paths unpack it.
+
+    Attributes
+    ----------
+    q : array, shape (m, 8, 6)
+        [rad], order of `SLOTS`; nan where there is no such branch.
+    wrist : array, shape (m, 8)
+        |sin| of the angle between axes 4 and 6.
+    extension : array, shape (m,)
+        Distance of the wrist centre to the edge of the reach [m]; positive inside, negative outside.
+    """
+
+    q: np.ndarray
+    wrist: np.ndarray
+    extension: np.ndarray
 
 
 class ClosedFormInverse(InverseKinematics):
     """Inverse kinematics of an arm of the OPW kind.
 
-    At a singular wrist (axes 4 and 6 in line) joints 4 and 6 share the difference to the seed equally, which is the nearest.
-    Where the wrist centre is on axis 1, which leaves joint 1 free, it stays at the seed or goes a multiple of 5 degrees from
-    it, whatever is nearest.
+    At a singular wrist (axes 4 and 6 in line) joints 4 and 6 each take half of the difference to the seed, which gives the
+    nearest solution. Where the wrist centre is on axis 1, joint 1 is free: of the seed's angle and the angles in steps of 5
+    degrees from it, the nearest solution's is used.
 
     Parameters
     ----------
@@ -76,14 +97,14 @@ class ClosedFormInverse(InverseKinematics):
     model : OpwModel
         From `opw.find_opw`.
     settings : IkSettings
-        The tolerances count.
+        Only the tolerances are used.
     """
 
     def __init__(self, chain: Chain, model: OpwModel, settings: IkSettings):
         super().__init__(chain, settings)
         self.model = model
-        # The package's public entry takes scipy transforms, which take six times as long to build as the branches take
-        # to compute; its own core takes matrices. The package is pinned.
+        # The package's public entry takes scipy transforms; building one takes six times as long as computing the branches.
+        # Its private core takes matrices. The package's version is pinned.
         self._solver = model.solver()._robot
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
         slack = settings.tolerance_rad
@@ -93,19 +114,20 @@ class ClosedFormInverse(InverseKinematics):
         self._opw_T_base = np.linalg.inv(model.base_T_opw)
         self._tip_T_flange = np.linalg.inv(model.flange_T_tip)
         self._target = np.eye(4)
+        self._elements, self._ones = self._target.reshape(16), np.ones(16)
         self._singular_wrist = SingularWrist(chain, model)
 
-    def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
+    def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""
         self.chain.robot.check_range(seed)
-        seed = [float(value) for value in seed]
-        best = self.find(pose, seed, configuration)
+        start = [float(value) for value in seed]
+        best = self.find(pose, start, configuration)
         if best is None:
-            self._explain(pose, seed, configuration)
+            self._explain(pose, start, configuration)
         return best
 
-    def find(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None) -> IkSolution | None:
-        """Return what `nearest` does, but None where it would raise an error; the seed is not checked."""
+    def find(self, pose: Pose, seed: JointValues, configuration: Configuration | None) -> IkSolution | None:
+        """Return the solution of `nearest`, or None where `nearest` would raise an error. The seed is not checked."""
         best = None
         for branches, wrist in self._solve(self.flange(pose), seed):
             found = self._nearest_of(branches, wrist, pose, seed, configuration)
@@ -113,50 +135,63 @@ class ClosedFormInverse(InverseKinematics):
                 best = found
         return best
 
-    def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
+    def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
         """See `InverseKinematics.all`."""
         self.chain.robot.check_range(seed)
-        seed = [float(value) for value in seed]
-        found = []
+        start = [float(value) for value in seed]
+        found: list[IkSolution] = []
         families = 0
-        for branches, wrist in self._solve(self.flange(pose), seed):
+        for branches, wrist in self._solve(self.flange(pose), start):
             families += 1 + int((wrist < _WRIST_SINGULAR).any())
             for slot, have in enumerate(SLOTS):
                 if configuration is None or have.matches(configuration):
                     singular = wrist[slot] < _WRIST_SINGULAR
-                    starts = self._singular_wrist.families(branches[slot], pose, seed) if singular else [branches[slot]]
-                    for start in starts:
-                        found += self._turned(start, singular, pose, seed, have)
+                    members = (
+                        self._singular_wrist.families(branches[slot], pose, start) if singular else [branches[slot]]
+                    )
+                    for member in members:
+                        found += self._turned(member, singular, pose, start, have)
         if not found:
-            self._explain(pose, seed, configuration)
+            self._explain(pose, start, configuration)
         found.sort(key=lambda solution: solution.distance)
-        # only singular poses and those solved beside themselves find a solution twice
+        # a solution is found twice only at singular poses and at poses that were also solved for a moved target
         return distinct(found) if families > 1 else found
 
-    def configuration(self, q: Sequence[float]) -> Configuration:
+    def configuration(self, q: JointValues) -> Configuration:
         """See `InverseKinematics.configuration`."""
         model = self.model
         theta = np.asarray(model.signs) * np.asarray(q) - model.offsets
-        bend = theta[2] + math.atan2(model.a2, model.c3)
-        ahead = model.a1 + model.c2 * math.sin(theta[1]) + math.hypot(model.a2, model.c3) * math.sin(theta[1] + bend)
-        front = ahead >= 0.0
+        elbow = theta[2] + math.atan2(model.a2, model.c3)
+        distance = (
+            model.a1 + model.c2 * math.sin(theta[1]) + math.hypot(model.a2, model.c3) * math.sin(theta[1] + elbow)
+        )
+        front = distance >= 0.0
         return Configuration(
             "front" if front else "back",
-            "up" if (math.sin(bend) >= 0.0) == front else "down",
+            "up" if (math.sin(elbow) >= 0.0) == front else "down",
             "positive" if math.sin(theta[4]) >= 0.0 else "negative",
         )
 
     def flange(self, pose: Pose) -> np.ndarray:
-        """Return ``opw_T_flange`` of a target, shape (4, 4)."""
+        """Return ``opw_T_flange`` of a target, shape (4, 4).
+
+        Raises
+        ------
+        KinematicsError
+            If the pose is not finite: the calculation would go on with nan.
+        """
         self._target[:3, :3] = pose.rotation
         self._target[:3, 3] = pose.position
+        # the sum of the elements, as the quickest test; if it is not finite although they are, `check_pose` passes
+        if not math.isfinite(self._elements.dot(self._ones)):
+            check_pose(pose)
         return self._opw_T_base @ self._target @ self._tip_T_flange
 
-    def _solve(self, flange: np.ndarray, seed: Sequence[float]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def _solve(self, flange: np.ndarray, seed: JointValues) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the branches, shape (8, 6), nan where there is none, and |sin| of each branch's wrist angle, shape (8,).
 
-        Once for the target; where rounding or a singularity loses branches, also for targets a hair beside it, at which
-        they exist.
+        The first pair belongs to the target itself. Where rounding or a singularity makes branches vanish, further pairs belong
+        to targets moved or rotated by less than the tolerance, for which the branches exist.
         """
         branches, wrist, _ = self.branches(flange)
         yield branches[0], wrist[0]
@@ -166,7 +201,7 @@ class ClosedFormInverse(InverseKinematics):
         if math.hypot(x, y) < _EDGE:
             others += self._headings(flange, seed)
         else:
-            # each shoulder has its own edge: the other one may reach with ease
+            # each shoulder has its own edge of the reach: the target may be well within the other one's
             for side, margin in enumerate(margins):
                 if -_EDGE < margin < _ROUNDING:
                     others += self._within(flange, side)
@@ -174,8 +209,8 @@ class ClosedFormInverse(InverseKinematics):
             branches, wrist, _ = self.branches(other)
             yield branches[0], wrist[0]
 
-    def branches(self, flanges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return all branches of targets, whatever the ranges.
+    def branches(self, flanges: np.ndarray) -> Branches:
+        """Return all branches of targets, ranges not considered.
 
         Parameters
         ----------
@@ -184,41 +219,36 @@ class ClosedFormInverse(InverseKinematics):
 
         Returns
         -------
-        q : array, shape (m, 8, 6)
-            [rad], order of `SLOTS`; nan where there is no such branch.
-        wrist : array, shape (m, 8)
-            |sin| of the angle by which axes 4 and 6 are out of line.
-        extension : array, shape (m,)
-            By how much the wrist centre is within reach [m]; negative: by how much it is not.
+        branches : Branches
         """
-        # The package also computes the conditioning of each branch within limits, which takes three times as long as the
-        # rest and is not needed; with limits that nothing is within it does not.
+        # For every branch within limits the package also computes the conditioning, which is not needed here and takes three
+        # times as long as the rest. Limits that contain no angle switch that off.
         q, _, extension, _, wrist = self._solver.reach(flanges.reshape(-1, 16), _NO_LIMITS, None, 1)
-        return q, wrist, extension
+        return Branches(q, wrist, extension)
 
     def _within(self, flange: np.ndarray, side: int) -> list[np.ndarray]:
-        """Return a target just within a shoulder's edge beside one that is at it; and with the wrist tilted, if singular."""
+        """Return a target at a shoulder's edge moved just within it; if its wrist is singular, also with the wrist tilted."""
         centre = self.model.wrist_centre(flange)
         outer, inner = self.model.margins(*centre)[side]
-        # away from the edge that is near, out of the outer or into the inner
+        # away from the nearer edge: inwards from the outer one, outwards from the inner one
         length = outer - _INSIDE if outer < inner else _INSIDE - inner
         moved = flange.copy()
         moved[:3, 3] += length * self.model.outwards(*centre)[side]
         lost = _is_lost(self.branches(moved)[1][0], [_INSIDE if other == side else 0.0 for other in (0, 1)])
         return [moved, self._tilted(moved)] if lost else [moved]
 
-    def _headings(self, flange: np.ndarray, seed: Sequence[float]) -> list[np.ndarray]:
-        """Return targets beside one with the wrist centre on axis 1, in the directions that the arm may best face.
+    def _headings(self, flange: np.ndarray, seed: JointValues) -> list[np.ndarray]:
+        """Return copies of a target with the wrist centre on axis 1, moved off the axis in the best directions.
 
-        Any angle of joint 1 will do; the wrist makes up for it. The seed's own is there, and the best of even steps for each
-        shoulder. Each once more with the wrist tilted.
+        Every angle of joint 1 reaches such a target, because the wrist compensates. The copies face in the seed's direction and,
+        for each shoulder, in the best of evenly spaced directions; each comes once more with the wrist tilted.
         """
         model = self.model
         start = model.signs[0] * seed[0] - model.offsets[0]
         angles = start + np.linspace(0.0, TURN, _HEADINGS, endpoint=False)
         directions = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(_HEADINGS)])
         branches, _, _ = self.branches(np.array([_shifted(flange, direction) for direction in directions]))
-        best: dict[str, tuple[float, int]] = {}
+        best: dict[str | None, tuple[float, int]] = {}
         for number, slots in enumerate(branches.tolist()):
             for have, branch in zip(SLOTS, slots):
                 candidate = self._nearest_turn(branch, seed)
@@ -229,7 +259,7 @@ class ClosedFormInverse(InverseKinematics):
         return moved + [self._tilted(target) for target in moved]
 
     def _tilted(self, flange: np.ndarray) -> np.ndarray:
-        """Return a target turned by a hair about its X, with the wrist centre in place, so that axes 4 and 6 part."""
+        """Return a target rotated by `_TILT` about its X axis and the wrist centre, so that axes 4 and 6 are not in line."""
         turn = np.array(
             [[1.0, 0.0, 0.0], [0.0, math.cos(_TILT), -math.sin(_TILT)], [0.0, math.sin(_TILT), math.cos(_TILT)]]
         )
@@ -243,7 +273,7 @@ class ClosedFormInverse(InverseKinematics):
         branches: np.ndarray,
         wrist: np.ndarray,
         pose: Pose,
-        seed: Sequence[float],
+        seed: JointValues,
         configuration: Configuration | None,
     ) -> IkSolution | None:
         """Return the nearest of the branches that forward kinematics confirms, or None."""
@@ -262,10 +292,10 @@ class ClosedFormInverse(InverseKinematics):
                 return solution
         return None
 
-    def _nearest_turn(self, branch: Sequence[float], seed: Sequence[float]) -> tuple[float, list[float]] | None:
-        """Return a branch turned as near to the seed as its range allows, behind its squared distance; None if it cannot be.
+    def _nearest_turn(self, branch: Sequence[float], seed: JointValues) -> tuple[float, list[float]] | None:
+        """Return squared distance and joint values of a branch with the whole turns nearest to the seed; None: out of range.
 
-        Plain floats and the narrowest range first, because most branches are out of range by their first or second joint.
+        Plain floats, and the joint with the narrowest range first, because most branches fail at the first or second joint.
         """
         square = 0.0
         q = [0.0] * len(branch)
@@ -274,7 +304,7 @@ class ClosedFormInverse(InverseKinematics):
             if value != value:  # nan: there is no such branch
                 return None
             value += TURN * round((near - value) / TURN)
-            # the seed is in range, so of the turns beyond the nearest one only the next towards the range can be in it
+            # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
             if value > upper:
                 value -= TURN
             elif value < lower:
@@ -286,32 +316,32 @@ class ClosedFormInverse(InverseKinematics):
         return square, q
 
     def _turned(
-        self, branch: np.ndarray, shared: bool, pose: Pose, seed: Sequence[float], configuration: Configuration
+        self, branch: np.ndarray, singular: bool, pose: Pose, seed: JointValues, configuration: Configuration
     ) -> list[IkSolution]:
         """Return a branch with every choice of whole turns, where forward kinematics confirms it.
 
-        `shared`: joints 4 and 6 are chosen already, turns and all.
+        `singular`: joints 4 and 6, with their whole turns, have been chosen by `SingularWrist` already.
         """
         if not np.isfinite(branch).all():
             return []
         choices = []
         for joint, (value, (lower, upper)) in enumerate(zip(branch.tolist(), self._slack)):
             turns = range(math.ceil((lower - value) / TURN), math.floor((upper - value) / TURN) + 1)
-            choices.append([value] if shared and joint in (3, 5) else [value + TURN * turn for turn in turns])
+            choices.append([value] if singular and joint in (3, 5) else [value + TURN * turn for turn in turns])
         found = (self._confirmed(q, pose, seed, configuration) for q in product(*choices))
         return [solution for solution in found if solution is not None]
 
     def _confirmed(
-        self, q: Sequence[float], pose: Pose, seed: Sequence[float], configuration: Configuration
+        self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration
     ) -> IkSolution | None:
-        """Return joint values as a solution if forward kinematics says so, after refining them where they almost are one."""
+        """Return joint values as a solution if forward kinematics confirms them; near misses are refined first."""
         robot = self.chain.robot
         q = [min(max(value, lower), upper) for value, lower, upper in zip(q, robot.lower, robot.upper)]
         error_m, error_rad = residual(self.chain, q, pose)
         if not self._is_solved(error_m, error_rad):
             if not max(error_m, error_rad) < _REFINABLE:
                 return None
-            q = refine(self.chain, q, pose).tolist()
+            q = refine(self.chain, np.array(q), pose).tolist()
             error_m, error_rad = residual(self.chain, q, pose)
             if not self._is_solved(error_m, error_rad):
                 return None
@@ -320,11 +350,11 @@ class ClosedFormInverse(InverseKinematics):
     def _is_solved(self, error_m: float, error_rad: float) -> bool:
         return error_m <= self.settings.tolerance_m and error_rad <= self.settings.tolerance_rad
 
-    def _explain(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None) -> None:
+    def _explain(self, pose: Pose, seed: JointValues, configuration: Configuration | None) -> NoReturn:
         """Raise the error that says why there is no solution."""
         check_pose(pose)
         if configuration is not None:
-            # raises the reason if there is none in any configuration
+            # raises the reason if no configuration reaches the pose
             others = {str(solution.configuration) for solution in self.all(pose, seed)}
             raise BranchError(
                 str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges"
@@ -333,16 +363,16 @@ class ClosedFormInverse(InverseKinematics):
         branches, _, extension = self.branches(flange)
         if extension[0] < 0.0:
             raise UnreachableError(-float(extension[0]), self.is_too_close(flange))
-        self.blame_range(branches[0][np.isfinite(branches[0]).all(axis=1)])
+        self.raise_range_error(branches[0][np.isfinite(branches[0]).all(axis=1)])
         raise NoSolutionError(len(SLOTS), *self._best_residual(branches[0], pose))
 
-    def blame_range(self, branches: np.ndarray) -> None:
-        """Raise the error that names the joint out of range, in the branch that is out of range by least.
+    def raise_range_error(self, branches: np.ndarray) -> None:
+        """Raise the error that names the joint out of range, taken from the branch that is out of range by the least.
 
         Parameters
         ----------
         branches : array, shape (m, 6)
-            All there are for a target [rad].
+            All branches of a target [rad].
 
         Raises
         ------
@@ -366,7 +396,7 @@ class ClosedFormInverse(InverseKinematics):
             raise kind(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])
 
     def is_too_close(self, flange: np.ndarray) -> bool:
-        """Return whether an unreachable target, shape (4, 4), is inside what the arm can fold to, not beyond its stretch."""
+        """Return whether an unreachable target, shape (4, 4), is inside the inner edge of the reach, not beyond the outer one."""
         outer, inner = max(self.model.margins(*self.model.wrist_centre(flange)), key=min)
         return inner < outer
 
@@ -376,9 +406,9 @@ class ClosedFormInverse(InverseKinematics):
 
 
 def _is_lost(wrist: np.ndarray, margins: Sequence[float]) -> bool:
-    """Return whether branches are missing of a shoulder within whose reach the wrist centre is: the wrist is singular.
+    """Return whether a shoulder that reaches the wrist centre has missing branches, which means that the wrist is singular.
 
-    `wrist`, shape (8,), as `ClosedFormInverse.branches` gives it; `margins`: how far within reach it is [m].
+    `wrist`, shape (8,), is a row of `Branches.wrist`; `margins` are the distances to the edges of the reach [m].
     """
     values = wrist.tolist()
     if not math.isnan(sum(values)):
@@ -390,7 +420,7 @@ def _is_lost(wrist: np.ndarray, margins: Sequence[float]) -> bool:
 
 
 def _shifted(flange: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return a target a hair beside another."""
+    """Return a target moved by `_NUDGE` in a direction."""
     moved = flange.copy()
     moved[:3, 3] += _NUDGE * direction
     return moved

@@ -1,15 +1,16 @@
 """Inverse kinematics of any serial chain: KDL's Levenberg-Marquardt solver from many starting points, in a time budget.
 
-The nearest solution it returns is the nearest it found: likely, not proven (`benchmarks/ik.py` measures how often it is). Arms
-with more joints than a pose has degrees of freedom, and others where they are singular, are moved along their self-motion
-towards the seed, within the ranges.
+The nearest solution it returns is the nearest it found: probably the nearest that exists, but not proven (`benchmarks/ik.py`
+measures how often it is). A solution of an arm with more joints than a pose has degrees of freedom, or of a singular arm, is
+moved along the arm's self-motion towards the seed, within the ranges.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import product
+from typing import NoReturn
 
 import numpy as np
 import PyKDL
@@ -32,21 +33,22 @@ from construction_twin.kinematics.solution import (
     pose_error,
     residual,
 )
+from construction_twin.robot.description import JointValues
 
-#: The solver ends at this error; far below the tolerance, so that what it calls solved also passes the check.
+#: The solver ends at this error: far below the tolerance, so that what the solver accepts also passes the check.
 _SOLVER_EPS = 1e-9
 #: ... or when its steps get this short [rad].
 _SOLVER_STEP = 1e-14
 #: Solutions nearer to each other than this are one [rad].
 _SAME = 1e-4
-#: Most steps along the self-motion of a redundant arm, and when they are short enough to end [rad].
+#: Most steps along the self-motion of a redundant arm, and the step below which the motion ends [rad].
 _SELF_MOTIONS = 30
 _SETTLED = 1e-7
 #: Longest step along the self-motion [rad].
 _STEP = 0.4
 #: Singular values below this fraction of the largest are directions in which the tip cannot move.
 _RANK = 1e-6
-#: Starts and steps of the search for the position alone, by which a failure is explained.
+#: Starting points and steps of the search for the position alone, which explains a failure.
 _POSITION_STARTS = 8
 _POSITION_STEPS = 60
 
@@ -75,26 +77,26 @@ class NumericInverse(InverseKinematics):
         self._start = PyKDL.JntArray(len(self._lower))
         self._end = PyKDL.JntArray(len(self._lower))
 
-    def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
+    def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`: of the solutions found, until `patience` in a row bring nothing nearer.
 
-        Likely the nearest there is, not proven: `all` with the same settings may find one that is nearer, or miss it.
+        It is not proven to be the nearest that exists: `all` with the same settings may find a nearer one, or miss this one.
         """
         return _Search(self, pose, seed, configuration).nearest()
 
-    def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
+    def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
         """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new.
 
-        Likely all there are, not proven.
+        Probably all that exist, but this is not proven.
         """
         return _Search(self, pose, seed, configuration).all()
 
-    def configuration(self, q: Sequence[float]) -> None:
+    def configuration(self, q: JointValues) -> None:
         """Return None: these arms have no named configurations."""
         return None
 
-    def solve_from(self, start: Sequence[float], target: PyKDL.Frame) -> np.ndarray:
-        """Return where the solver gets from one starting point, ranges left aside: not necessarily a solution.
+    def solve_from(self, start: JointValues, target: PyKDL.Frame) -> np.ndarray:
+        """Return where the solver ends from one starting point. Ranges are ignored, and it need not be a solution.
 
         Parameters
         ----------
@@ -124,7 +126,7 @@ class NumericInverse(InverseKinematics):
                 yield np.clip(near, self._lower, self._upper)
 
     def into_range(self, q: np.ndarray, seed: np.ndarray) -> np.ndarray:
-        """Return joint values turned as near to the seed as the ranges allow by whole turns; linear joints as they are."""
+        """Return joint values moved by whole turns as near to the seed as the ranges allow; prismatic joints unchanged."""
         turns = np.where(self._turns > 0.0, self._turns, np.inf)
         slack = self.settings.tolerance_rad
         near = q + self._turns * np.rint((seed - q) / turns)
@@ -134,12 +136,12 @@ class NumericInverse(InverseKinematics):
         return np.where(np.abs(edge - near) <= slack, edge, near)
 
     def excess(self, q: np.ndarray) -> np.ndarray:
-        """Return by how much each joint is out of range, shape (n,); 0 or less: it is not."""
+        """Return by how much each joint is out of range, shape (n,); 0 or less: it is in range."""
         return np.maximum(self._lower - q, q - self._upper)
 
     def is_singular(self, q: np.ndarray) -> bool:
-        """Return whether there are directions in which the tip cannot move: an arm of six joints then moves within itself."""
-        values = np.linalg.svd(self.chain.jacobian(q), compute_uv=False)
+        """Return whether there are directions in which the tip cannot move; an arm of six joints then has a self-motion."""
+        values = np.linalg.svd(self.chain.jacobian(q), full_matrices=False, compute_uv=False)
         return bool(values[-1] < _RANK * values[0])
 
     def towards(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
@@ -161,7 +163,7 @@ class NumericInverse(InverseKinematics):
         for _ in range(_SELF_MOTIONS):
             error = pose_error(self.chain.forward(q), pose)
             step = self._step(q, seed - q, error)
-            # a joint at the end of its range that would leave it stands still, and the others do its part
+            # joints that would leave their range stand still, and the step is computed again for the others
             stuck = ((q <= self._lower) & (step < 0.0)) | ((q >= self._upper) & (step > 0.0))
             if stuck.any():
                 step = self._step(q, seed - q, error, ~stuck)
@@ -171,19 +173,21 @@ class NumericInverse(InverseKinematics):
                 break
         return q
 
-    def _step(self, q: np.ndarray, wish: np.ndarray, error: np.ndarray, free: np.ndarray | None = None) -> np.ndarray:
-        """Return the joint step that removes an error of the tip and otherwise is as near to a wish as possible."""
+    def _step(
+        self, q: np.ndarray, desired: np.ndarray, error: np.ndarray, free: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the joint step that removes an error of the tip and is otherwise as close to a desired step as possible."""
         jacobian = self.chain.jacobian(q)
         if free is not None:
             jacobian = jacobian * free
-            wish = wish * free
-        return wish + np.linalg.pinv(jacobian, rcond=_RANK) @ (error - jacobian @ wish)
+            desired = desired * free
+        return desired + np.linalg.pinv(jacobian, rcond=_RANK) @ (error - jacobian @ desired)
 
 
 class _Search:
     """One target: what has been found so far."""
 
-    def __init__(self, inverse: NumericInverse, pose: Pose, seed: Sequence[float], configuration: Configuration | None):
+    def __init__(self, inverse: NumericInverse, pose: Pose, seed: JointValues, configuration: Configuration | None):
         inverse.chain.robot.check_range(seed)
         check_pose(pose)
         if configuration is not None and configuration != Configuration():
@@ -250,7 +254,7 @@ class _Search:
     def _try(self, start: np.ndarray) -> IkSolution | None:
         inverse = self._inverse
         q = inverse.into_range(inverse.solve_from(start, self._target), self._seed)
-        # the solver's verdict is not asked: forward kinematics says whether this is the pose
+        # forward kinematics decides whether this is the pose; the solver's own verdict is not used
         error = residual(inverse.chain, q, self._pose)
         if not self._is_solved(error):
             # on an arm of metres a radian is about a metre
@@ -267,7 +271,7 @@ class _Search:
         return IkSolution(q, *error, math.dist(q, self._seed), None)
 
     def _is_free(self, q: np.ndarray) -> bool:
-        """Return whether a singular solution leaves the arm free to move; those known not to are not looked at again."""
+        """Return whether a singular solution leaves the arm free to move; solutions known not to are not examined again."""
         if any(math.dist(q, other) < _SAME for other in self._isolated):
             return False
         if self._inverse.is_singular(q):
@@ -296,8 +300,8 @@ class _Search:
         if distance > chain.reach:
             raise UnreachableError(distance - chain.reach)
 
-    def _explain(self) -> None:
-        """Raise the error that says why there is no solution, as far as that can be known."""
+    def _explain(self) -> NoReturn:
+        """Raise the error that says why there is no solution, as far as the search can tell."""
         missing = self._missing_position()
         if not self._outside:
             if missing > self._settings.tolerance_m and missing < math.inf:
@@ -310,7 +314,7 @@ class _Search:
         raise kind(robot.joint_names[joint], float(nearest[joint]), robot.lower[joint], robot.upper[joint])
 
     def _missing_position(self) -> float:
-        """Return how near the tip gets to the target's position within the ranges, whatever its orientation [m]."""
+        """Return the smallest distance of the tip to the target's position within the ranges, orientation ignored [m]."""
         inverse = self._inverse
         best = math.inf
         starts = inverse.starts(self._seed)
@@ -332,6 +336,6 @@ class _Search:
 
 
 def _damped(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Return the damped least-squares step, which stays short where the arm is stretched."""
+    """Return the damped least-squares step. The damping keeps it short near singular poses, such as a stretched arm."""
     damping = 1e-3 * float(error @ error) + 1e-9
     return jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(len(error)), error)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import py_opw_kinematics
@@ -30,10 +31,23 @@ class NotOpw:
     Attributes
     ----------
     reason : str
-        A sentence part, with what was found.
+        Part of a sentence that states what was found.
     """
 
     reason: str
+
+
+class Margins(NamedTuple):
+    """How far a wrist centre is inside a shoulder's reach [m]; negative: outside. Unpacked for every target.
+
+    Attributes
+    ----------
+    outer, inner : float
+        Distance to the edge where the arm is stretched, and to the edge where it is folded.
+    """
+
+    outer: float
+    inner: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +73,7 @@ class OpwModel:
     c2: float
     c3: float
     c4: float
-    offsets: tuple[float, ...]
+    offsets: tuple[float, float, float, float, float, float]
     signs: tuple[int, ...]
     base_T_opw: np.ndarray
     flange_T_tip: np.ndarray
@@ -67,8 +81,8 @@ class OpwModel:
     def solver(self) -> py_opw_kinematics.Robot:
         """Return the package's solver for these parameters, in radians."""
         lengths = {name: getattr(self, name) for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4")}
-        flips = tuple(sign < 0 for sign in self.signs)
-        model = py_opw_kinematics.KinematicModel(**lengths, offsets=self.offsets, flip_axes=flips)
+        a1, a2, a3, a4, a5, a6 = (sign < 0 for sign in self.signs)
+        model = py_opw_kinematics.KinematicModel(**lengths, offsets=self.offsets, flip_axes=(a1, a2, a3, a4, a5, a6))
         return py_opw_kinematics.Robot(model, degrees=False)
 
     def wrist_centre(self, flange: np.ndarray) -> tuple[float, float, float]:
@@ -77,19 +91,19 @@ class OpwModel:
         c4 = self.c4
         return x - c4 * gx, y - c4 * gy, z - c4 * gz
 
-    def margins(self, x: float, y: float, z: float) -> list[tuple[float, float]]:
-        """Return for each shoulder, front and back, by how much a wrist centre is inside its outer and inner reach [m]."""
+    def margins(self, x: float, y: float, z: float) -> list[Margins]:
+        """Return the distances of a wrist centre to the edges of the reach, for each shoulder, front and back."""
         square = x * x + y * y - self.b**2
         if square < 0.0:
-            return [(math.inf, -math.inf)] * 2
+            return [Margins(math.inf, -math.inf)] * 2
         forearm = math.hypot(self.a2, self.c3)
         distances = (math.hypot(math.sqrt(square) - side * self.a1, z - self.c1) for side in (1, -1))
-        return [(self.c2 + forearm - distance, distance - abs(self.c2 - forearm)) for distance in distances]
+        return [Margins(self.c2 + forearm - distance, distance - abs(self.c2 - forearm)) for distance in distances]
 
     def outwards(self, x: float, y: float, z: float) -> list[np.ndarray]:
-        """Return for each shoulder, front and back, in which direction a wrist centre leaves axis 2 fastest, shape (3,).
+        """Return for each shoulder, front and back, the unit vector from axis 2 to a wrist centre, shape (3,).
 
-        Not for one nearer to axis 1 than b, or on it.
+        Undefined for a wrist centre on axis 1, or closer to it than b.
         """
         across = math.sqrt(x * x + y * y - self.b**2)
         directions = (
@@ -114,8 +128,8 @@ class _Axis:
 def find_opw(chain: Chain) -> OpwModel | NotOpw:
     """Decide whether a chain is of the OPW kind.
 
-    It is one if six joints turn, axes 2 and 3 are parallel and square to axes 1 and 4, axes 4, 5 and 6 meet in one point and
-    each is square to the next. Offsets before the first and behind the last joint may be any.
+    It is one if it has six revolute joints, axes 2 and 3 are parallel and perpendicular to axes 1 and 4, axes 4, 5 and 6 meet
+    in one point, and each of them is perpendicular to the next. The base and the tip may have any offset.
 
     Parameters
     ----------
@@ -124,17 +138,17 @@ def find_opw(chain: Chain) -> OpwModel | NotOpw:
     Returns
     -------
     model : OpwModel or NotOpw
-        A model has been compared with KDL's forward kinematics on seeded random poses.
+        A model's forward kinematics agrees with KDL's on seeded random poses.
     """
     if any(chain.robot.linear) or len(chain.robot.linear) != 6:
-        turning = chain.robot.linear.count(False)
+        revolute = chain.robot.linear.count(False)
         return NotOpw(
-            f"it has {turning} turning and {len(chain.robot.linear) - turning} linear joints, not six turning ones"
+            f"it has {revolute} revolute and {len(chain.robot.linear) - revolute} prismatic joints, not six revolute ones"
         )
     axes = _axes(chain)
-    wrist = _meeting_point(axes[3], axes[4])
-    reason = _what_differs(axes, wrist)
-    if reason:
+    wrist = _intersection(axes[3], axes[4])
+    reason = _difference(axes, wrist)
+    if reason or wrist is None:
         return NotOpw(reason)
     model = _measure(axes, wrist, chain)
     gap = _largest_gap(model, chain)
@@ -157,19 +171,19 @@ def _axes(chain: Chain) -> list[_Axis]:
     return axes
 
 
-def _meeting_point(first: _Axis, second: _Axis) -> np.ndarray | None:
+def _intersection(first: _Axis, second: _Axis) -> np.ndarray | None:
     """Return where two lines meet, or None."""
     normal = np.cross(first.direction, second.direction)
     if np.linalg.norm(normal) < TOLERANCE:
         return None
-    # along the first line until the second one is before us
+    # the point on the first line that is nearest to the second one
     along = np.cross(second.point - first.point, second.direction) @ normal / (normal @ normal)
     point = first.point + along * first.direction
     return point if np.linalg.norm(second.nearest(point) - point) < TOLERANCE else None
 
 
-def _what_differs(axes: list[_Axis], wrist: np.ndarray | None) -> str:
-    """Return what keeps an arm from being of the OPW kind, or "" if nothing does."""
+def _difference(axes: list[_Axis], wrist: np.ndarray | None) -> str:
+    """Return the first property in which an arm differs from the OPW kind, or "" if there is none."""
     d = [axis.direction for axis in axes]
     if wrist is None:
         return "its axes 4 and 5 do not meet in one point"
@@ -182,7 +196,7 @@ def _what_differs(axes: list[_Axis], wrist: np.ndarray | None) -> str:
     for first, second in ((0, 1), (2, 3), (3, 4), (4, 5)):
         off = abs(float(d[first] @ d[second]))
         if off > TOLERANCE:
-            return f"its axes {first + 1} and {second + 1} are {math.asin(min(1.0, off)):.3g} rad from square to each other"
+            return f"its axes {first + 1} and {second + 1} are {math.asin(min(1.0, off)):.3g} rad from perpendicular"
     between = axes[2].point - axes[1].nearest(axes[2].point)
     if np.linalg.norm(between) < TOLERANCE:
         return "its axes 2 and 3 are the same line"
@@ -190,7 +204,7 @@ def _what_differs(axes: list[_Axis], wrist: np.ndarray | None) -> str:
 
 
 def _measure(axes: list[_Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
-    """Read lengths, signs and offsets off the axes at zero pose. Directions x, y, z are the OPW base's."""
+    """Return the model with the lengths, signs and offsets of the axes at zero pose. x, y, z are the OPW base's directions."""
     d = [axis.direction for axis in axes]
     tip = to_pose(chain.frame([0.0] * 6))
     origin = axes[0].nearest(np.zeros(3))

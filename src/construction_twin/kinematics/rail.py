@@ -1,27 +1,30 @@
-"""Inverse kinematics of an arm of the OPW kind on a linear axis: closed form at every place along the axis.
+"""Inverse kinematics of an arm of the OPW kind on a linear axis: closed form at many positions of the carriage.
 
-The seventh joint leaves one degree of freedom: where the carriage stands. The axis is divided into places, the arm's
-branches are solved at all of them at once, and the neighbourhood of the best ones is divided again until the place is exact.
-Where the wrist comes close to singular on the way, joints 4 and 6 turn far within micrometres: there the places are as dense
-as that takes (`swings`); not so within one spacing of where the arm is stretched, too. Where the wrist is singular, and where
-the carriage stands now, the arm is solved by itself. Where all that finds nothing, the search of `numeric` has the last word.
+The seventh joint adds one degree of freedom: the position of the carriage. The axis is divided into evenly spaced positions
+("places"), the arm's branches are solved at all of them at once, and the surroundings of the best places are divided again
+until the place is exact. Three kinds of place get special treatment:
+
+- Near a singular wrist, joints 4 and 6 turn far within micrometres of travel. `rail_singularities` finds such places, and more
+  places are added around them (except within one spacing of a place where the arm is also stretched).
+- Where the wrist is exactly singular, and where the carriage stands now, the arm is solved alone.
+- If nothing was found at any place, `numeric` searches.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
+from construction_twin.kinematics.closed_form import SLOTS, Branches, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
-from construction_twin.kinematics.rail_singularities import find_swings
+from construction_twin.kinematics.rail_singularities import find_singularities
 from construction_twin.kinematics.solution import (
     TURN,
     Configuration,
@@ -31,27 +34,28 @@ from construction_twin.kinematics.solution import (
     distinct,
     residual,
 )
-from construction_twin.robot.description import chain_joints, parse_urdf
+from construction_twin.robot.description import JointValues
+from construction_twin.robot.urdf import chain_joints, parse_urdf
 
-#: Places along the axis.
+#: Number of evenly spaced places along the axis.
 _PLACES = 301
-#: Divisions of a neighbourhood, and places in each: the last are some 1e-7 of the axis apart.
+#: How often the surroundings of a place are divided, and into how many places: the last are about 1e-7 of the axis apart.
 _ZOOMS, _ZOOM_PLACES = 3, 33
-#: Angles by which a wrist near its singularity has turned joint 4 at the places looked at there [rad].
-_SWUNG = np.linspace(-1.5, 1.5, 25)
-#: Wrist nearer to singular than this at its nearest: its joints 4 and 6 share their turn [rad].
+#: Near a singular wrist, places are added where joint 4 has turned by these angles [rad].
+_WRIST_TURNS = np.linspace(-1.5, 1.5, 25)
+#: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad].
 _SINGULAR = 4e-7
-#: Solutions of single branches with a wrist this near to singular belong to the family of a singular place [rad].
+#: A solution whose wrist is this close to singular belongs to the family of solutions of a singular place [rad].
 _OF_FAMILY = 1e-3
-#: A place further than this from the best solution so far is not worth a division [rad].
+#: Places whose distance from the seed exceeds that of the best solution so far by more than this are not divided [rad].
 _PROMISING = 0.3
-#: Where a branch is out of range by less, the part of the axis on which it is in range may lie between two places [rad].
+#: If a branch is out of range by less than this, it may be in range between two places [rad].
 _NEARLY = 0.1
-#: Cost of a branch out of range, above every squared distance within; the more it is out, the higher.
+#: Cost of a branch out of range: above every squared distance in range; the excess is added to it.
 _OUTSIDE = 1e6
 #: Out of range by less is rounding [rad].
 _ROUNDING = 3e-7
-#: Most places whose neighbourhoods are looked at for the nearest solution.
+#: Most places whose surroundings are divided for the nearest solution.
 _CANDIDATES = 6
 
 
@@ -65,17 +69,36 @@ def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
     Returns
     -------
     arm, model : Chain, OpwModel
-        The six joints behind the first one, seen from the carriage.
+        The six joints behind the first one; the carriage is their base.
     """
     robot = chain.robot
     if robot.linear != (True,) + (False,) * 6:
-        return NotOpw("it is not one linear joint with six turning ones behind it")
+        return NotOpw("it is not one prismatic joint followed by six revolute ones")
     joints = chain_joints(parse_urdf(robot.urdf), robot.base_link, robot.tip_link)
     carriage = next(joint.child for joint in joints if joint.name == robot.joint_names[0])
     lists = ("joint_names", "lower", "upper", "velocity", "acceleration", "jerk", "home", "axes", "linear")
     arm = Chain(replace(robot, base_link=carriage, **{name: getattr(robot, name)[1:] for name in lists}))
     model = find_opw(arm)
     return model if isinstance(model, NotOpw) else (arm, model)
+
+
+@dataclass(frozen=True, eq=False)
+class _AlongAxis:
+    """The arm's branches at places along the axis.
+
+    Attributes
+    ----------
+    places : array, shape (m,)
+        Ascending [m].
+    branches : array, shape (m, 8, 6)
+        [rad]
+    singular : list of float
+        Places where the wrist is exactly singular [m].
+    """
+
+    places: np.ndarray
+    branches: np.ndarray
+    singular: list[float]
 
 
 class RailInverse(InverseKinematics):
@@ -88,7 +111,7 @@ class RailInverse(InverseKinematics):
     arm : ClosedFormInverse
         The six on the carriage.
     search : NumericInverse
-        Of the whole chain.
+        For the whole chain.
     """
 
     def __init__(self, chain: Chain, arm: ClosedFormInverse, search: NumericInverse):
@@ -104,46 +127,46 @@ class RailInverse(InverseKinematics):
         self._origin = whole.position - self._rotation @ part.position
         self._axis = chain.jacobian(home)[:3, 0]
 
-    def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
-        """See `InverseKinematics.nearest`: over all places of the carriage."""
-        seed = self._checked(pose, seed)
+    def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
+        """See `InverseKinematics.nearest`: over all positions of the carriage."""
+        start = self._checked(pose, seed)
         wanted = self._wanted(configuration)
-        places, branches, singular = self._look(pose, seed)
-        found = list(self._best(pose, seed, places, branches, wanted, np.zeros(6), _CANDIDATES))
-        for place in (seed[0], *singular):
-            found += self._nearest_at(place, pose, seed, configuration)
+        along = self._solve_along(pose, start)
+        found = list(self._best(pose, start, along, wanted, np.zeros(6), _CANDIDATES))
+        for place in (float(start[0]), *along.singular):
+            found += self._nearest_at(place, pose, start, configuration)
         if found:
             return min(found, key=lambda solution: solution.distance)
-        return self._last_word(pose, seed, configuration)
+        return self._search_or_explain(pose, start, configuration)
 
-    def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
-        """See `InverseKinematics.all`: for each branch and choice of whole turns, the nearest place of the carriage."""
-        seed = self._checked(pose, seed)
+    def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
+        """See `InverseKinematics.all`: for each branch and choice of whole turns, the nearest position of the carriage."""
+        start = self._checked(pose, seed)
         wanted = self._wanted(configuration)
         robot = self.chain.robot
         turns = [(-1, 0, 1) if high - low > TURN else (0,) for low, high in zip(robot.lower[1:], robot.upper[1:])]
-        places, branches, singular = self._look(pose, seed)
+        along = self._solve_along(pose, start)
         none = (0,) * 6
-        here = self._nearest_at(seed[0], pose, seed, configuration)
+        here = self._nearest_at(float(start[0]), pose, start, configuration)
         nearest: dict[tuple, IkSolution] = {(solution.configuration, none): solution for solution in here}
         for turn in product(*turns):
-            for solution in self._best(pose, seed, places, branches, wanted, np.array(turn, dtype=float), None):
+            for solution in self._best(pose, start, along, wanted, np.array(turn, dtype=float), None):
                 family = (solution.configuration, turn)
                 if family not in nearest or solution.distance < nearest[family].distance:
                     nearest[family] = solution
         found = list(nearest.values())
-        if singular:
+        if along.singular:
             found = [solution for solution in found if self._wrist_angle(solution.q) > _OF_FAMILY]
-            found += self._families(pose, seed, configuration, singular)
+            found += self._families(pose, start, configuration, along.singular)
         if found:
             return distinct(sorted(found, key=lambda solution: solution.distance))
-        return [self._last_word(pose, seed, configuration)]
+        return [self._search_or_explain(pose, start, configuration)]
 
-    def configuration(self, q: Sequence[float]) -> Configuration:
+    def configuration(self, q: JointValues) -> Configuration:
         """See `InverseKinematics.configuration`: the arm's."""
         return self._arm.configuration(q[1:])
 
-    def _checked(self, pose: Pose, seed: Sequence[float]) -> np.ndarray:
+    def _checked(self, pose: Pose, seed: JointValues) -> np.ndarray:
         self.chain.robot.check_range(seed)
         check_pose(pose)
         return np.array(seed, dtype=float)
@@ -151,23 +174,23 @@ class RailInverse(InverseKinematics):
     def _wanted(self, configuration: Configuration | None) -> np.ndarray:
         return np.array([configuration is None or have.matches(configuration) for have in SLOTS])
 
-    def _look(self, pose: Pose, seed: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float]]:
-        """Return places along the axis, shape (m,), the arm's branches there, (m, 8, 6), and where the wrist is singular."""
+    def _solve_along(self, pose: Pose, seed: np.ndarray) -> _AlongAxis:
+        """Solve the arm at places all along the axis."""
         low, high = self._lower[0], self._upper[0]
         places = np.linspace(low, high, _PLACES)
         branches, wrist, _ = self._branches(pose, places)
         more, singular = [seed[:1]], []
-        for place, width, angle in find_swings(places, wrist[:, :4], lambda near: self._branches(pose, near)[1][:, :4]):
-            if angle > _SINGULAR:
-                more.append(place + width * np.tan(_SWUNG))
+        for found in find_singularities(places, wrist[:, :4], lambda near: self._branches(pose, near).wrist[:, :4]):
+            if found.angle > _SINGULAR:
+                more.append(found.place + found.width * np.tan(_WRIST_TURNS))
             # a place beyond the end by rounding is at the end
-            elif low - _ROUNDING <= place <= high + _ROUNDING:
-                singular.append(min(max(place, low), high))
+            elif low - _ROUNDING <= found.place <= high + _ROUNDING:
+                singular.append(float(min(max(found.place, low), high)))
         extra = np.unique(np.clip(np.concatenate(more), low, high))
         order = np.argsort(np.concatenate([places, extra]), kind="stable")
-        return (
+        return _AlongAxis(
             np.concatenate([places, extra])[order],
-            np.concatenate([branches, self._branches(pose, extra)[0]])[order],
+            np.concatenate([branches, self._branches(pose, extra).q])[order],
             singular,
         )
 
@@ -175,14 +198,14 @@ class RailInverse(InverseKinematics):
         self,
         pose: Pose,
         seed: np.ndarray,
-        places: np.ndarray,
-        branches: np.ndarray,
+        along: _AlongAxis,
         wanted: np.ndarray,
         turn: np.ndarray,
         most: int | None,
     ) -> Iterator[IkSolution]:
-        """Yield the nearest solutions of so many neighbourhoods of places; None: of all there are."""
-        _, squares, excess = self._turned(branches, seed, places, wanted, turn)
+        """Yield the nearest solutions around the `most` best places, best first; None: around every local minimum."""
+        places = along.places
+        _, squares, excess = self._turned(along.branches, seed, places, wanted, turn)
         cost = _cost(squares, excess)
         padded = np.pad(cost, ((1, 1), (0, 0)), constant_values=np.inf)
         valley = (cost <= padded[:-2]) & (cost <= padded[2:]) & (excess < _NEARLY)
@@ -192,7 +215,11 @@ class RailInverse(InverseKinematics):
             row, slot = int(rows[index]), int(slots[index])
             if most is not None and (most == 0 or math.sqrt(squares[row, slot]) > best + _PROMISING):
                 return
-            between = places[max(row - 1, 0)], places[row], places[min(row + 1, len(places) - 1)]
+            between = (
+                float(places[max(row - 1, 0)]),
+                float(places[row]),
+                float(places[min(row + 1, len(places) - 1)]),
+            )
             solution = self._zoomed(pose, seed, between, slot, turn)
             if solution is not None:
                 best = min(best, solution.distance)
@@ -202,17 +229,14 @@ class RailInverse(InverseKinematics):
     def _zoomed(
         self, pose: Pose, seed: np.ndarray, between: tuple[float, float, float], slot: int, turn: np.ndarray
     ) -> IkSolution | None:
-        """Return the nearest solution of one branch near the middle one of three places, or None.
-
-        None: forward kinematics says it is none.
-        """
+        """Return the nearest solution of one branch around the middle one of three places; None: there is none."""
         only = np.arange(len(SLOTS)) == slot
-        best, q = math.inf, None
+        best, q = math.inf, np.zeros(0)
         half = (_ZOOM_PLACES + 1) // 2
         for _ in range(_ZOOMS):
             low, place, high = between
             near = np.concatenate([np.linspace(low, place, half), np.linspace(place, high, half)[1:]])
-            branches, squares, excess = self._turned(self._branches(pose, near)[0], seed, near, only, turn)
+            branches, squares, excess = self._turned(self._branches(pose, near).q, seed, near, only, turn)
             cost = _cost(squares[:, slot], excess[:, slot])
             row = int(cost.argmin())
             if cost[row] < best:
@@ -232,40 +256,41 @@ class RailInverse(InverseKinematics):
     def _nearest_at(
         self, place: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
     ) -> list[IkSolution]:
-        """Return the nearest solution with the carriage at a place; [] if there is none."""
+        """Return the nearest solution with the carriage at a place, as a list; empty if there is none."""
         of_arm = self._arm.find(self._seen_from(pose, place), seed[1:].tolist(), configuration)
         return [] if of_arm is None else self._lifted(place, of_arm, pose, seed)
 
     def _lifted(self, place: float, of_arm: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
-        """Return the arm's solution at a place as one of the whole chain; [] if forward kinematics says it is none."""
+        """Return the arm's solution at a place as one of the whole chain; empty if forward kinematics does not confirm it."""
         solution = self._confirmed(np.concatenate([[place], of_arm.q]), pose, seed, of_arm.configuration)
         return [] if solution is None else [solution]
 
     def _families(
         self, pose: Pose, seed: np.ndarray, configuration: Configuration | None, singular: Sequence[float]
     ) -> Iterator[IkSolution]:
-        """Yield all solutions with a singular wrist."""
+        """Yield all solutions with a singular wrist, at the places where it is singular."""
         for place in singular:
             try:
                 of_arm = self._arm.all(self._seen_from(pose, place), seed[1:], configuration)
             except KinematicsError:
-                continue  # out of range there, or not in this configuration
+                continue  # out of range at this place, or not in this configuration
             for solution in of_arm:
                 for lifted in self._lifted(place, solution, pose, seed):
                     if self._wrist_angle(lifted.q) <= _OF_FAMILY:
                         yield lifted
 
     def _wrist_angle(self, q: np.ndarray) -> float:
-        """Return |sin| of the angle by which axes 4 and 6 are out of line."""
+        """Return |sin| of the angle between axes 4 and 6."""
         return abs(math.sin(q[5] - self._arm.model.signs[4] * self._arm.model.offsets[4]))
 
     def _turned(
         self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, wanted: np.ndarray, turn: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the arm's branches at places of the carriage, shape (m, 8, 6), and two figures of each, shape (m, 8).
+        """Return the arm's branches at places of the carriage, their squared distances from the seed, and their range excess.
 
-        Branches are turned as near to the seed as the ranges allow, and by `turn` further, shape (6,). The figures: squared
-        distance from the seed, and by how much the worst joint is out of range [rad], inf for what is not wanted or nowhere.
+        Branches, shape (m, 8, 6), are moved by whole turns as near to the seed as the ranges allow, and then by `turn`, shape
+        (6,). The excess, shape (m, 8), is how far the worst joint is out of range [rad]; inf for branches that do not exist or
+        are not wanted. The squared distances have shape (m, 8).
         """
         lower, upper, near = self._lower[1:], self._upper[1:], seed[1:]
         q = branches - TURN * np.rint((branches - near) / TURN)
@@ -283,17 +308,17 @@ class RailInverse(InverseKinematics):
         origin = self._origin + place * self._axis
         return Pose(self._rotation.T @ (pose.position - origin), self._rotation.T @ pose.rotation)
 
-    def _branches(self, pose: Pose, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what `ClosedFormInverse.branches` does, with the carriage at places, shape (m,)."""
+    def _branches(self, pose: Pose, places: np.ndarray) -> Branches:
+        """Return the arm's branches with the carriage at places, shape (m,); see `ClosedFormInverse.branches`."""
         flanges = np.repeat(self._arm.flange(self._seen_from(pose, 0.0))[None], len(places), axis=0)
         travel = self._arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
         flanges[:, :3, 3] -= places[:, None] * travel
         return self._arm.branches(flanges)
 
-    def _last_word(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
-        """Return what a search finds, or raise the error that says why there is no solution."""
+    def _search_or_explain(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
+        """Return the solution that the search finds, or raise the error that says why there is none."""
         if configuration is not None:
-            # raises the reason if there is none in any configuration
+            # raises the reason if no configuration reaches the pose
             others = {str(solution.configuration) for solution in self.all(pose, seed)}
             raise BranchError(
                 str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges"
@@ -302,7 +327,7 @@ class RailInverse(InverseKinematics):
             found = self._search.nearest(pose, seed)
             return replace(found, configuration=self.configuration(found.q))
         except KinematicsError:
-            # closed form knows the reason better
+            # the closed form gives a more exact reason
             self._explain(pose)
             raise
 
@@ -312,13 +337,13 @@ class RailInverse(InverseKinematics):
         branches, _, extension = self._branches(pose, places)
         best = int(extension.argmax())
         if extension[best] < 0.0:
-            carriage_T_tip = self._seen_from(pose, places[best])
+            carriage_T_tip = self._seen_from(pose, float(places[best]))
             raise UnreachableError(-float(extension[best]), self._arm.is_too_close(self._arm.flange(carriage_T_tip)))
         rows = branches.reshape(-1, 6)
-        self._arm.blame_range(rows[np.isfinite(rows).all(axis=1)])
+        self._arm.raise_range_error(rows[np.isfinite(rows).all(axis=1)])
 
 
 def _cost(squares: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Return what is to be least: first how far out of range, then the squared distance. Rounding at an end is in range."""
+    """Return the cost to minimise: the squared distance in range, a larger cost out of range; rounding counts as in range."""
     inside = excess <= _ROUNDING
     return np.where(inside, squares, _OUTSIDE + np.where(np.isfinite(excess), excess, np.inf))

@@ -1,17 +1,17 @@
-"""The singular wrist of an arm of the OPW kind: axes 4 and 6 in line, so that only the sum of their turns is given."""
+"""The singular wrist of an arm of the OPW kind: axes 4 and 6 in line, so that a pose determines only the sum of joints 4 and 6."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
 from construction_twin.kinematics.solution import TURN
+from construction_twin.robot.description import JointValues
 
-#: Out of range by less is rounding: a joint at its very end stays there [rad].
+#: A joint that is out of range by less is at the end of its range but for rounding [rad].
 _ROUNDING = 1e-7
 
 
@@ -30,13 +30,13 @@ class SingularWrist:
         self._lower, self._upper = np.array(chain.robot.lower)[[3, 5]], np.array(chain.robot.upper)[[3, 5]]
         self._tip_R_flange = model.flange_T_tip[:3, :3].T
 
-    def families(self, branch: np.ndarray, pose: Pose, seed: Sequence[float]) -> list[np.ndarray]:
+    def families(self, branch: np.ndarray, pose: Pose, seed: JointValues) -> list[np.ndarray]:
         """Return solutions with axes 4 and 6 in line, one for each choice of whole turns, the nearest to the seed first.
 
         Parameters
         ----------
         branch : array, shape (6,)
-            Its joints 1 to 3 count [rad], and whether joint 5 is nearer to axes in line or to axes opposed.
+            [rad]. Used are joints 1 to 3, and whether joint 5 is closer to parallel or to opposed axes 4 and 6.
         pose : Pose
             Target ``base_T_tip``.
         seed : sequence of float, length 6
@@ -45,14 +45,14 @@ class SingularWrist:
         Returns
         -------
         solutions : list of array, shape (6,)
-            Joints 4 and 6 within their ranges but for rounding, whole turns included; the others as they are.
+            With joints 4 and 6 within their ranges except for rounding, whole turns included; joints 1 to 3 unchanged.
         """
         signs, offsets = self._model.signs, self._model.offsets
         theta = np.asarray(signs) * branch - offsets
         opposed = math.cos(theta[4]) < 0.0
         q = branch.copy()
         q[4] = signs[4] * ((math.copysign(math.pi, theta[4]) if opposed else 0.0) + offsets[4])
-        # turning both joints by these fractions of the missing angle keeps the seed's middle
+        # the sense in which joints 4 and 6 contribute to the missing angle
         fraction = np.array([signs[3], -signs[5] if opposed else signs[5]], dtype=float)
         missing = self._missing_turn(q, pose, seed, opposed)
         start = np.array([seed[3], seed[5]])
@@ -60,7 +60,7 @@ class SingularWrist:
         turns = math.ceil(float((upper - lower).sum()) / TURN) + 1
         found = []
         for total in (missing + TURN * turn for turn in range(-turns, turns + 1)):
-            # joint 4 takes t, joint 6 the rest; both must stay in range
+            # joint 4 takes t and joint 6 takes total - t; both must stay in range
             ends = np.sort(
                 [
                     [lower[0] * fraction[0], upper[0] * fraction[0]],
@@ -75,13 +75,13 @@ class SingularWrist:
                 found.append(solution)
         return sorted(found, key=lambda solution: math.dist(solution, seed))
 
-    def _missing_turn(self, q: np.ndarray, pose: Pose, seed: Sequence[float], opposed: bool) -> float:
-        """Return by which angle the tip is turned about axis 6 from the target, with joints 4 and 6 at the seed [rad]."""
+    def _missing_turn(self, q: np.ndarray, pose: Pose, seed: JointValues, opposed: bool) -> float:
+        """Return the angle about axis 6 from the tip to the target, with joints 4 and 6 at the seed [rad]."""
         held = q.copy()
         held[[3, 5]] = seed[3], seed[5]
         reached = self._chain.forward(held).rotation @ self._tip_R_flange
         target = pose.rotation @ self._tip_R_flange
         turned = reached.T @ target
         angle = math.atan2(turned[1, 0], turned[0, 0])
-        # counted about axis 4: opposed axes turn the other way
+        # the angle counts about axis 4, and opposed axes have the opposite sense
         return -angle if opposed else angle

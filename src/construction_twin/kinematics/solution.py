@@ -11,6 +11,7 @@ import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.robot.description import JointValues
 
 #: One turn [rad].
 TURN = 2.0 * math.pi
@@ -30,9 +31,9 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Configuration:
-    """One of the up to eight ways in which an arm with a spherical wrist reaches a pose.
+    """One of the up to eight joint configurations with which an arm with a spherical wrist reaches a pose.
 
-    None leaves a choice open.
+    A field that is None leaves that choice open.
 
     Attributes
     ----------
@@ -41,7 +42,7 @@ class Configuration:
         where both axes meet); ``back``: the arm reaches over its own shoulder to the other side.
     elbow : str or None
         ``up`` or ``down``: on which side of the line from axis 2 to the wrist centre the elbow lies, seen with the wrist
-        centre before us as `shoulder` says: above the line, or below it.
+        centre in front as `shoulder` defines it: above the line, or below it.
     wrist : str or None
         ``positive`` or ``negative``: sign of joint 5, counted in its own sense from where axes 4 and 6 are in line.
     """
@@ -52,7 +53,7 @@ class Configuration:
 
     @classmethod
     def parse(cls, text: str) -> Configuration:
-        """Read a configuration from words such as ``front up positive``, in any order; what is not named stays open.
+        """Read a configuration from words such as ``front up positive``, in any order; a choice that no word names stays open.
 
         Raises
         ------
@@ -69,7 +70,7 @@ class Configuration:
         return cls(**chosen)
 
     def matches(self, asked: Configuration) -> bool:
-        """Return whether this one is among those that `asked` leaves open."""
+        """Return whether this configuration agrees with every choice that `asked` makes."""
         mine = (self.shoulder, self.elbow, self.wrist)
         return all(want in (None, have) for want, have in zip((asked.shoulder, asked.elbow, asked.wrist), mine))
 
@@ -79,7 +80,7 @@ class Configuration:
 
 @dataclass(frozen=True)
 class IkSettings:
-    """How inverse kinematics searches. All but the tolerances concern arms without a closed form.
+    """How inverse kinematics searches. All settings except the tolerances apply only to arms without a closed form.
 
     Attributes
     ----------
@@ -88,7 +89,7 @@ class IkSettings:
     iterations : int
         Most steps of the solver from one starting point.
     tolerance_m, tolerance_rad : float
-        What a solution's own forward kinematics may miss the target by.
+        Largest distance and angle between a solution's forward kinematics and the target.
     budget_s : float
         Time for one target [s]. The first starting point is always tried.
     patience : int
@@ -110,7 +111,7 @@ class IkSolution:
     Attributes
     ----------
     q : array, shape (n,)
-        [rad], or [m] for a linear joint.
+        [rad], or [m] for a prismatic joint.
     residual_m, residual_rad : float
         Distance of their forward kinematics from the target.
     distance : float
@@ -140,18 +141,19 @@ class InverseKinematics(abc.ABC):
         self.settings = settings
 
     @abc.abstractmethod
-    def nearest(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> IkSolution:
+    def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """Return the solution nearest to a seed.
 
-        In closed form it is the nearest, along a linear axis the nearest up to how finely the axis is divided. By search it is
-        the nearest found: likely the nearest there is, not proven, and `all` may find one that is nearer.
+        In closed form it is the nearest solution; with a linear axis it is the nearest up to the resolution with which the
+        axis is divided. By search it is the nearest solution found: probably the nearest that exists, but this is not proven,
+        and `all` may find a nearer one.
 
         Parameters
         ----------
         pose : Pose
             Target ``base_T_tip``.
         seed : sequence of float, length n
-            Joint values within the ranges [rad] or [m]: normally where the arm is.
+            Joint values within the ranges [rad] or [m]: normally the arm's present pose.
         configuration : Configuration, optional
             Only solutions that match it.
 
@@ -165,23 +167,23 @@ class InverseKinematics(abc.ABC):
         UnreachableError
             If the pose is too far or too close, and by how much.
         PositionRangeError, OrientationError
-            If it can be reached only with a joint out of range, which one, and its range.
+            If it can be reached only with a joint out of range; names the joint and its range.
         BranchError
             If no solution has the configuration asked for, or the arm knows no configurations.
         NoSolutionError
-            If nothing was found within the budget, for no reason that could be proven.
+            If nothing was found within the budget and no reason could be proven.
         JointRangeError
             If the seed is out of range.
         KinematicsError
-            If the pose is not finite, or its rotation is none.
+            If the pose is not finite, or its rotation matrix is not a rotation.
         """
 
     @abc.abstractmethod
-    def all(self, pose: Pose, seed: Sequence[float], configuration: Configuration | None = None) -> list[IkSolution]:
+    def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
         """Return every solution within the ranges, whole turns of each joint included.
 
-        Where a pose leaves joints free (a singular one, or an arm of more than six joints), each family of solutions is
-        there once for every choice of whole turns, with the member nearest to the seed.
+        Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
+        each continuous family for every choice of whole turns: the one nearest to the seed.
 
         Parameters
         ----------
@@ -200,7 +202,7 @@ class InverseKinematics(abc.ABC):
         """
 
     @abc.abstractmethod
-    def configuration(self, q: Sequence[float]) -> Configuration | None:
+    def configuration(self, q: JointValues) -> Configuration | None:
         """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
 
 
@@ -224,13 +226,13 @@ def check_pose(pose: Pose) -> None:
         )
 
 
-def residual(chain: Chain, q: Sequence[float], pose: Pose) -> tuple[float, float]:
+def residual(chain: Chain, q: JointValues, pose: Pose) -> tuple[float, float]:
     """Return how far KDL's forward kinematics of joint values is from a pose: [m], [rad]."""
     f = chain.frame(q)
     x, y, z = pose.position.tolist()
     (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = pose.rotation.tolist()
-    # The chord between two rotations: exact also where the angle is tiny. Plain floats, because arrays of this size would
-    # take twice as long, and every solution passes through here.
+    # The chord between two rotations is exact even for tiny angles. Plain floats take half the time of arrays of this size,
+    # and every solution passes through here.
     chord = math.sqrt(
         (f[0, 0] - xx) ** 2 + (f[0, 1] - yx) ** 2 + (f[0, 2] - zx) ** 2
         + (f[1, 0] - xy) ** 2 + (f[1, 1] - yy) ** 2 + (f[1, 2] - zy) ** 2
@@ -271,7 +273,7 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8) -> np.ndarra
         error = pose_error(chain.forward(q), pose)
         if np.abs(error).max() < 1e-12:
             break
-        # the smallest step of those that help: close to a singularity directions that hardly count are left alone
+        # rcond: near a singularity, directions in which the tip hardly moves would need huge steps, and are left out
         step = np.linalg.lstsq(chain.jacobian(q), error, rcond=1e-9)[0]
         q = np.clip(q + step, lower, upper)
     return q

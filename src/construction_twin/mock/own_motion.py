@@ -15,7 +15,7 @@ from construction_twin.mock.servo import Chase
 #: Speed of the tool in T1 [m/s] (rsi.md section 7; the standard value, there without a source).
 T1_SPEED = 0.25
 #: Fraction of the velocity and acceleration limits that a program of the controller uses unless it is given a time.
-JOG_SHARE = 0.3
+JOG_FRACTION = 0.3
 #: The servo is given this long to arrive at the end of a program [cycles].
 _SETTLING_CYCLES = 250
 #: Of the quintic rest-to-rest profile: largest velocity and acceleration of a unit way in unit time.
@@ -81,7 +81,7 @@ class Program:
     velocity, acceleration : sequence of float, length n
         Limits [rad/s], [rad/s^2].
     duration : float, optional
-        [s]; 0 (default): as long as `JOG_SHARE` of the limits takes.
+        [s]; 0 (default): as long as `JOG_FRACTION` of the limits takes.
 
     Raises
     ------
@@ -102,7 +102,7 @@ class Program:
         quickest = _shortest(way, velocity, acceleration, 1.0)
         if duration and duration < quickest:
             raise ValueError(f"a motion of {duration:g} s exceeds the limits; give at least {quickest:.3f} s")
-        self.cycles = max(1, math.ceil((duration or _shortest(way, velocity, acceleration, JOG_SHARE)) / CYCLE))
+        self.cycles = max(1, math.ceil((duration or _shortest(way, velocity, acceleration, JOG_FRACTION)) / CYCLE))
         self._cycle = 0
 
     @property
@@ -150,7 +150,7 @@ class ToolSpeedLimit:
     ):
         self._chases = [Chase(q, q, s, v, a) for q, s, v, a in zip(position, step, velocity, acceleration)]
         self._tool_position = tool_position
-        self._way = speed * CYCLE
+        self._longest_step = speed * CYCLE
         self._ending = False
 
     @property
@@ -170,9 +170,9 @@ class ToolSpeedLimit:
         here = tuple([chase.position for chase in self._chases])
         there = tuple([q + s for q, s in zip(here, steps)])
         way = math.dist(self._tool_position(here), self._tool_position(there))
-        if way <= self._way:
+        if way <= self._longest_step:
             return tuple([chase.move() for chase in self._chases])
-        fraction = self._way / way
+        fraction = self._longest_step / way
         return tuple([chase.move(chase.within_budget(fraction * step)) for chase, step in zip(self._chases, steps)])
 
 
@@ -238,7 +238,7 @@ class OwnMotion:
         goal : sequence of float, length n
             [rad]
         duration : float, optional
-            [s]; 0: `JOG_SHARE` of the limits.
+            [s]; 0: `JOG_FRACTION` of the limits.
 
         Raises
         ------

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
-from construction_twin.core.lateness import Lateness
 from construction_twin.core.limits import MotionCheck, MotionLimits
+from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
 from construction_twin.monitor.states import HELD_STATES, SyncEvent, SyncMachine, SyncState, Transition
@@ -137,7 +137,7 @@ class Gate:
         self._stamp = 0
         #: Stamp of the setpoint before the next one to pass.
         self._before = 0
-        self._lateness = Lateness()
+        self._travel = TravelTime()
         #: When a pose that could be compared was received last.
         self._heard: int | None = None
         self._obstacle = ""
@@ -311,7 +311,7 @@ class Gate:
             self.refused += 1
             return None
         self._stamp = stamp
-        late = self._lateness.of(stamp, now)
+        late = self._travel.take(stamp, now)
         if self.mirrored:
             return None
         was_open = self.state is SyncState.IN_SYNC

@@ -11,15 +11,18 @@ import secrets
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from construction_twin.core.addresses import is_loopback
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.network import is_loopback
 from construction_twin.mqtt.account import Account
-from construction_twin.mqtt.fast_client import DirectClient, FastClient
+from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
+from construction_twin.mqtt.plain_client import PlainClient
 
 _PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTTv311}
 
@@ -78,7 +81,7 @@ OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 def make_client(
     broker: Broker, client_id: str, will_topic: str, will: str = OFFLINE, direct: bool = False
-) -> FastClient:
+) -> PlainClient:
     """Return a client that is not connected yet.
 
     Parameters
@@ -95,28 +98,34 @@ def make_client(
 
     Returns
     -------
-    client : FastClient
-        Call `connect_async` and a loop on it.
+    client : PlainClient
+        A fast one where the installed paho was tested with it. Call `connect_async` and a loop on it.
 
     Raises
     ------
     ConfigurationError
         When a file of the account cannot be used.
     """
-    kind = DirectClient if direct and not broker.encrypted else FastClient
+    kind: type[PlainClient] = PlainClient
+    if is_tested():
+        kind = DirectClient if direct and not broker.encrypted else FastClient
     client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=_PROTOCOLS[broker.protocol])
     client.will_set(will_topic, will, qos=1, retain=True)
     # the same on a TLS socket: it hands the option to the TCP socket below
-    client.on_socket_open = lambda client, userdata, sock: sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    client.on_socket_open = _without_delay
     client.reconnect_delay_set(min_delay=1, max_delay=2)
     if broker.account is not None and broker.account.user:
         client.username_pw_set(broker.account.user, broker.account.password())
-    if broker.encrypted:
+    if broker.account is not None and broker.encrypted:
         client.tls_set_context(broker.account.context())
     return client
 
 
-def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[object], None]) -> None:
+def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[ReasonCode], None]) -> None:
     """Call `on_refused` with the reason code when the broker's access rules refuse one message that was just published.
 
     For one message only: a callback for every published message would cost time with each command. MQTT 3.1.1 has no such answer.
@@ -129,13 +138,13 @@ def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[object], N
     on_refused : callable
     """
 
-    def look(client, userdata, answered, reason_code, properties) -> None:
+    def on_publish(client, userdata, answered, reason_code, properties) -> None:
         if answered == mid:
             client.on_publish = None
             if reason_code.is_failure:
                 on_refused(reason_code)
 
-    client.on_publish = look
+    client.on_publish = on_publish
 
 
 def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tuple[str, int | SubscribeOptions]]:

@@ -3,19 +3,30 @@
 Standard library and paho-mqtt only. What it saves per message: paho builds a table of all MQTT 5 properties for each
 message it sends or receives (25 and 50 us), reads a packet in three pieces, keeps a record with a lock of each that it
 sends, and hands what another thread publishes to its own thread.
+
+paho has no public place for this: it uses private parts, which another version may have changed. `is_tested` says whether the
+installed one is a version with which all of this was tested; with any other `client.make_client` takes the `PlainClient`.
 """
 
 from __future__ import annotations
 
+import functools
+import logging
 import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
 
+from paho.mqtt import __version__ as paho_version
 from paho.mqtt import client as paho
 from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
 
+from construction_twin.mqtt.plain_client import PlainClient, StreamCallback
+
+log = logging.getLogger("construction_twin.mqtt")
+
+#: Versions of paho-mqtt with which the tests of this module have passed; setup/requirements.txt pins the last one.
+TESTED_VERSIONS = ("2.2.0",)
 _USER_PROPERTY = 0x26
 _LENGTH = struct.Struct("!H")
 #: How much of what has come in is looked at before it is taken; what is longer is paho's [bytes].
@@ -122,36 +133,35 @@ def whole_publish(ahead: bytes) -> tuple[int, int] | None:
     return (start, start + length) if start + length <= len(ahead) else None
 
 
-def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
-    """Return a message's user properties; empty under MQTT 3.1.1 or when it has none."""
-    return list(getattr(message.properties, "UserProperty", ()))
+@functools.cache
+def is_tested() -> bool:
+    """Return whether the installed paho is one whose private parts were tested; warns when it is not, once per process."""
+    tested = paho_version in TESTED_VERSIONS
+    if not tested:
+        log.warning(
+            "paho-mqtt %s was not tested with the fast client (tested: %s): running on paho's public interface, which costs up to "
+            "0.1 ms more per message; install a tested version",
+            paho_version,
+            ", ".join(TESTED_VERSIONS),
+        )
+    return tested
 
 
-class FastClient(paho.Client):
+class FastClient(PlainClient):
     """Reads and sends joint strings without paho's general code, whatever else goes over the connection.
 
-    paho has no public place for this; test_fast_client compares what is read and what is sent with paho's own.
+    test_fast_client compares what is read and what is sent with paho's own.
     """
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
-        self._streams: dict[bytes, Callable[[bytes, list[tuple[str, str]], bool], None]] = {}
+        self._streams: dict[bytes, StreamCallback] = {}
         self._writing = threading.RLock()
 
-    def on_stream(self, topic: str, callback: Callable[[bytes, list[tuple[str, str]], bool], None]) -> None:
-        """Call ``callback(payload, pairs, retained)`` for each message on `topic`, in the thread that serves the connection.
-
-        Parameters
-        ----------
-        topic : str
-            Without wildcards.
-        callback : callable
-            ``pairs`` are the user properties.
-        """
+    def on_stream(self, topic: str, callback: StreamCallback) -> None:
+        """Call ``callback(payload, pairs, retained)`` for each message on `topic`; see `PlainClient`."""
         self._streams[topic.encode()] = callback
-        self.message_callback_add(
-            topic, lambda _client, _data, message: callback(message.payload, received_pairs(message), message.retain)
-        )
+        super().on_stream(topic, callback)
 
     def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
         """Publish with QoS 0, from the caller's thread unless paho has one of its own for the connection.
@@ -187,9 +197,18 @@ class FastClient(paho.Client):
             self._send_rest(packet, sent)
 
     def _send_rest(self, packet: bytes, sent: int) -> None:
-        record = {"command": paho.PUBLISH, "mid": 0, "qos": 0, "packet": packet, "info": paho.MQTTMessageInfo(0)}
         # before what other threads have queued since: a packet that was begun is sent to its end first
-        self._out_packet.appendleft({**record, "pos": sent, "to_process": len(packet) - sent})
+        self._out_packet.appendleft(
+            {
+                "command": paho.PUBLISH,
+                "mid": 0,
+                "qos": 0,
+                "pos": sent,
+                "to_process": len(packet) - sent,
+                "packet": packet,
+                "info": paho.MQTTMessageInfo(0),
+            }
+        )
         # a callback must not find the connection lost while paho calls it; the loop goes on then
         if self._in_callback_mutex.acquire(False):
             self._in_callback_mutex.release()
@@ -209,18 +228,21 @@ class FastClient(paho.Client):
 
     def _packet_read(self) -> MQTTErrorCode:
         """Take the next packet in one piece where it is a joint string; otherwise nothing was taken, and paho reads it."""
-        sock = self._sock
-        # bytes of TLS can not be looked at in advance
-        in_tcp = type(sock) is socket.socket and self._protocol == MQTTProtocolVersion.MQTTv5
-        if self._in_packet["command"] or not in_tcp:
+        sock: object = self._sock
+        # only a TCP socket shows bytes without taking them; a TLS socket does not
+        if (
+            type(sock) is not socket.socket
+            or self._protocol != MQTTProtocolVersion.MQTTv5
+            or self._in_packet["command"]
+        ):
             return super()._packet_read()
         try:
             ahead = sock.recv(_AHEAD, socket.MSG_PEEK)
         except OSError:
             return super()._packet_read()
         span = whole_publish(ahead)
-        plain = read_plain(ahead[span[0] : span[1]]) if span else None
-        if plain is None:
+        plain = read_plain(ahead[span[0] : span[1]]) if span is not None else None
+        if span is None or plain is None:
             return super()._packet_read()
         try:
             sock.recv(span[1])
@@ -236,7 +258,7 @@ class FastClient(paho.Client):
         header = self._in_packet["command"]
         plain = None
         if self._protocol == MQTTProtocolVersion.MQTTv5 and not header & 0x0E:
-            plain = read_plain(self._in_packet["packet"])
+            plain = read_plain(bytes(self._in_packet["packet"]))
         if plain is None:
             return super()._handle_publish()
         self._deliver(plain, bool(header & 1))
@@ -249,7 +271,8 @@ class FastClient(paho.Client):
             callback(payload, properties.UserProperty, retained)
             return
         message = paho.MQTTMessage(topic=topic)
-        message.retain, message.properties, message.payload = retained, properties, payload
+        message.retain, message.payload = retained, payload
+        message.properties = properties  # type: ignore[assignment]  # has what paho's users read of it: UserProperty
         self._handle_on_message(message)
 
 

@@ -14,7 +14,7 @@ from construction_twin.kinematics.chain import Chain
 _LINEAR = 1e-9
 
 
-class RowKinematics:
+class BatchKinematics:
     """A chain's kinematics over rows of joint vectors.
 
     Parameters

@@ -33,13 +33,13 @@ from construction_twin.robot.trajectory import Trajectory
 DEVIATION_M = 1e-4
 DEVIATION_RAD = math.radians(0.05)
 #: Fraction of the deviation that the joint curve may use; the rest is for the quintics of the trajectory.
-CURVE_SHARE = 0.2
+CURVE_FRACTION = 0.2
 #: How often the samples of a joint curve are made denser where it deviates.
 REFINEMENTS = 10
 #: Spacings of the trajectory's waypoints [s] that are tried until the deviation holds.
 SPACINGS = (WAYPOINT_SPACING, WAYPOINT_SPACING / 2.0, CYCLE)
 #: Fraction of the tool speed that is planned with; what the quintics add to it is far less than the rest.
-SPEED_SHARE = 0.9998
+SPEED_FRACTION = 0.9998
 #: Within so many times the arm's reach a path that leaves the reach is followed as far as it can be; what is further away
 #: is refused at once (a position in millimetres, an arc that is almost a line).
 FAR = 2.0
@@ -175,14 +175,14 @@ class _Part:
     @classmethod
     def make(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, scales: tuple) -> _Part:
         """Time a piece, with waypoints dense enough to keep it on the path and a speed low enough to keep the tool's."""
-        top_speed = SPEED_SHARE * speed
+        top_speed = SPEED_FRACTION * speed
         for spacing in SPACINGS:
             for _ in range(SPEED_ROUNDS):
                 part = cls._measured(branch, piece, _time(branch, piece, curve, top_speed, scales, spacing))
                 if part.top_speed <= speed:
                     break
                 # the joint curve is a little longer or shorter than the path it follows within the deviation
-                top_speed *= SPEED_SHARE * speed / part.top_speed
+                top_speed *= SPEED_FRACTION * speed / part.top_speed
             if part.deviation_m <= DEVIATION_M and part.deviation_rad <= DEVIATION_RAD and part.top_speed <= speed:
                 return part
         found = f"{part.deviation_m * 1e3:.4f} mm, {math.degrees(part.deviation_rad):.4f} deg, {part.top_speed:.4f} m/s"
@@ -211,7 +211,7 @@ class _Part:
 
 
 def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
-    """Return the joint curve over the piece's length that keeps to it within `CURVE_SHARE` of the deviation."""
+    """Return the joint curve over the piece's length that keeps to it within `CURVE_FRACTION` of the deviation."""
     s = np.concatenate(
         [np.linspace(a, b, cells, endpoint=False) for a, b, cells in zip(piece.knots, piece.knots[1:], piece.cells)]
         + [np.array([piece.end])]
@@ -226,7 +226,7 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
         away, turned = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
         between = branch.rows.newton(guess, *targets, steps=2)
         branch.check(between, rows[:-1], s[:-1], middle)
-        deviates = (away > CURVE_SHARE * DEVIATION_M) | (turned > CURVE_SHARE * DEVIATION_RAD)
+        deviates = (away > CURVE_FRACTION * DEVIATION_M) | (turned > CURVE_FRACTION * DEVIATION_RAD)
         if not np.any(deviates):
             return JointCurve(spline)
         order = np.argsort(np.concatenate((s, middle[deviates])), kind="stable")

@@ -19,7 +19,7 @@ from construction_twin.core.motion_errors import (
 )
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
-from construction_twin.planning.batch_kinematics import RowKinematics
+from construction_twin.planning.batch_kinematics import BatchKinematics
 from construction_twin.planning.tool_path import ToolPath
 
 #: Smallest singular value of the scaled Jacobian that a path may come to. For a wrist about the sine of its middle joint
@@ -52,13 +52,13 @@ class Branch:
     ----------
     path : ToolPath
     chain : Chain
-    rows : RowKinematics
+    rows : BatchKinematics
     """
 
     def __init__(self, path: ToolPath, inverse: InverseKinematics, start: np.ndarray):
         self.path = path
         self.chain = inverse.chain
-        self.rows = RowKinematics(self.chain)
+        self.rows = BatchKinematics(self.chain)
         self._inverse = inverse
         robot = self.chain.robot
         self._lower, self._upper, self._pace = np.array(robot.lower), np.array(robot.upper), np.array(robot.velocity)

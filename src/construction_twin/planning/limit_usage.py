@@ -113,11 +113,11 @@ def _fractions(
     velocity, acceleration, jerk = np.abs(qd), np.abs(qdd), np.abs(qddd)
     # a difference belongs to the sample it ends at, or to the middle one; before and after the motion the arm rests
     step = np.diff(q, axis=0)
-    bend = np.diff(step, axis=0, prepend=0.0, append=0.0)
-    swing = np.diff(bend, axis=0, prepend=0.0, append=0.0)
+    second_difference = np.diff(step, axis=0, prepend=0.0, append=0.0)
+    third_difference = np.diff(second_difference, axis=0, prepend=0.0, append=0.0)
     np.maximum(velocity[1:], np.abs(step) / CYCLE, out=velocity[1:])
-    np.maximum(acceleration, np.abs(bend) / CYCLE**2, out=acceleration)
-    np.maximum(jerk, np.maximum(np.abs(swing[:-1]), np.abs(swing[1:])) / CYCLE**3, out=jerk)
+    np.maximum(acceleration, np.abs(second_difference) / CYCLE**2, out=acceleration)
+    np.maximum(jerk, np.maximum(np.abs(third_difference[:-1]), np.abs(third_difference[1:])) / CYCLE**3, out=jerk)
     rows = np.minimum(np.searchsorted(times, trajectory.times), len(times) - 1)
     before, after = _knot_jerks(trajectory)
     # a knot counts for the sample after it; there may be several between two samples

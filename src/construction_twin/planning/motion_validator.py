@@ -41,7 +41,7 @@ def levers(chain: Chain) -> np.ndarray:
     return largest + np.where(chain.robot.linear, 0.0, BODY)
 
 
-class EdgeCheck:
+class MotionValidator:
     """Whether the arm can go straight from one joint vector to another without touching anything.
 
     Parameters
@@ -65,18 +65,18 @@ class EdgeCheck:
         start, end : array, shape (n,)
             [rad] or [m]
         """
-        way = end - start
-        return self.world.all_free(start + _middle_first(self.count(way)) * way) is None
+        displacement = end - start
+        return self.world.all_free(start + _middle_first(self.count(displacement)) * displacement) is None
 
-    def count(self, way: np.ndarray) -> int:
-        """Return how many states a straight way needs, at least 1.
+    def count(self, displacement: np.ndarray) -> int:
+        """Return how many states a straight displacement needs, at least 1.
 
         Parameters
         ----------
-        way : array, shape (n,)
+        displacement : array, shape (n,)
             Its end minus its start.
         """
-        return max(1, int(np.ceil(np.abs(way) @ self._states_per_unit)))
+        return max(1, int(np.ceil(np.abs(displacement) @ self._states_per_unit)))
 
 
 @lru_cache(maxsize=1024)
@@ -103,13 +103,13 @@ class CornerRounding:
 
     Parameters
     ----------
-    edges : EdgeCheck
+    validator : MotionValidator
     pace : array, shape (n,)
         As for `curves.rounded`.
     """
 
-    def __init__(self, edges: EdgeCheck, pace: np.ndarray):
-        self._edges = edges
+    def __init__(self, validator: MotionValidator, pace: np.ndarray):
+        self._validator = validator
         self._pace = pace
 
     def tightened(self, path: np.ndarray) -> np.ndarray | None:
@@ -126,18 +126,18 @@ class CornerRounding:
         path : array, shape (k, n), or None
         """
         if len(path) == 2:
-            return path if self._edges.free(*path) else None
+            return path if self._validator.free(*path) else None
         for _ in range(CORNERS_TIGHTENED):
             curve = rounded(path, self._pace, 1.0)
-            count = sum(self._edges.count(way) for way in np.diff(path, axis=0))
+            count = sum(self._validator.count(displacement) for displacement in np.diff(path, axis=0))
             samples = np.linspace(0.0, curve.length, count + 1)
-            row = self._edges.world.all_free(curve(samples))
+            row = self._validator.world.all_free(curve(samples))
             if row is None:
                 return path
             spans = np.max(np.abs(np.diff(path, axis=0)) / self._pace, axis=1)
             knots = np.concatenate(([0.0], np.cumsum(spans)))
             at = [np.interp(samples[row], knots, column) for column in path.T]
-            if not self._edges.world.is_free(np.array(at)):
+            if not self._validator.world.is_free(np.array(at)):
                 return None
             corner = 1 + int(np.argmin(np.abs(knots[1:-1] - samples[row])))
             middles = 0.5 * (path[corner] + path[[corner - 1, corner + 1]])

@@ -1,6 +1,6 @@
-"""The sections of a tool path: straight line, circular arc, turn on the spot, blend between two of them.
+"""The segments of a tool path: straight line, circular arc, turn on the spot, blend between two of them.
 
-Every section is a pose over its own length in metres, from 0. `direction` is the derivative of the pose over length: a
+Every segment is a pose over its own length in metres, from 0. `direction` is the derivative of the pose over length: a
 unit vector, and the angular velocity per metre in the base's directions.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-#: A sample at least every so many metres and radians describes a section to begin with.
+#: A sample at least every so many metres and radians describes a segment to begin with.
 _CELL_M = 0.025
 _CELL_RAD = 0.1
 _FEWEST_CELLS = 4
@@ -26,8 +26,8 @@ _TURNING_BACK = 0.05
 _ON_A_LINE = 1e-6
 
 
-class Section(Protocol):
-    """What all sections have.
+class Segment(Protocol):
+    """What all segments have.
 
     Attributes
     ----------
@@ -47,11 +47,11 @@ class Section(Protocol):
     def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
         """Return unit tangent and angular velocity per metre, shape (3,) each."""
 
-    def bend(self, s: float) -> np.ndarray:
+    def curvature(self, s: float) -> np.ndarray:
         """Return the second derivative of the position over length, shape (3,) [1/m]."""
 
-    def part(self, begin: float, end: float) -> Section | None:
-        """Return the section from `begin` to `end`; None when nothing is left."""
+    def part(self, begin: float, end: float) -> Segment | None:
+        """Return the segment from `begin` to `end`; None when nothing is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,23 +72,23 @@ class StraightLine:
 
     @property
     def cells(self) -> int:
-        """See `Section`."""
+        """See `Segment`."""
         return _cells(self.length, float(np.linalg.norm(self.spin)) * self.length)
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Section`."""
+        """See `Segment`."""
         return self.origin + s[:, None] * self.tangent, Rotation.from_rotvec(s[:, None] * self.spin) * self.first
 
     def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `Section`."""
+        """See `Segment`."""
         return self.tangent, self.spin
 
-    def bend(self, s: float) -> np.ndarray:
-        """See `Section`."""
+    def curvature(self, s: float) -> np.ndarray:
+        """See `Segment`."""
         return np.zeros(3)
 
     def part(self, begin: float, end: float) -> StraightLine | None:
-        """See `Section`."""
+        """See `Segment`."""
         if end - begin <= 1e-9 * self.length:
             return None
         origin, first = self.at(np.array([begin]))
@@ -128,28 +128,28 @@ class ArcLine:
 
     @property
     def cells(self) -> int:
-        """See `Section`."""
+        """See `Segment`."""
         angle = self.length / self.radius + float(np.linalg.norm(self.spin)) * self.length
         return _cells(self.length, angle)
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Section`."""
+        """See `Segment`."""
         angle = (s / self.radius)[:, None]
         positions = self.centre + self.radius * (np.cos(angle) * self.out + np.sin(angle) * self.along)
         return positions, Rotation.from_rotvec(s[:, None] * self.spin) * self.first
 
     def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `Section`."""
+        """See `Segment`."""
         angle = s / self.radius
         return math.cos(angle) * self.along - math.sin(angle) * self.out, self.spin
 
-    def bend(self, s: float) -> np.ndarray:
-        """See `Section`."""
+    def curvature(self, s: float) -> np.ndarray:
+        """See `Segment`."""
         angle = s / self.radius
         return -(math.cos(angle) * self.out + math.sin(angle) * self.along) / self.radius
 
     def part(self, begin: float, end: float) -> ArcLine | None:
-        """See `Section`."""
+        """See `Segment`."""
         if end - begin <= 1e-9 * self.length:
             return None
         angle = begin / self.radius
@@ -169,24 +169,24 @@ class Turn:
 
     @property
     def cells(self) -> int:
-        """See `Section`."""
+        """See `Segment`."""
         return _cells(0.0, float(np.linalg.norm(self.turn)))
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Section`."""
+        """See `Segment`."""
         turns = Rotation.from_rotvec((s / self.length)[:, None] * self.turn)
         return np.tile(self.position, (len(s), 1)), turns * self.first
 
     def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `Section`."""
+        """See `Segment`."""
         return np.zeros(3), self.turn / self.length
 
-    def bend(self, s: float) -> np.ndarray:
-        """See `Section`."""
+    def curvature(self, s: float) -> np.ndarray:
+        """See `Segment`."""
         return np.zeros(3)
 
     def part(self, begin: float, end: float) -> Turn | None:
-        """See `Section`."""
+        """See `Segment`."""
         return self
 
 
@@ -201,20 +201,20 @@ class Blend:
     length: float
 
     @classmethod
-    def between(cls, before: Section, after: Section, cut: float) -> Blend | None:
-        """Blend the corner between two sections over the last and first `cut` metres of them; None where the path
+    def between(cls, before: Segment, after: Segment, cut: float) -> Blend | None:
+        """Blend the corner between two segments over the last and first `cut` metres of them; None where the path
         turns back."""
         begin = before.length - cut
         positions, _ = before.at(np.array([begin]))
         goals, _ = after.at(np.array([cut]))
         scale = 2.0 * cut  # straight on, the parameter is then the fraction of the length
         ends = []
-        for position, section, s, sign in ((positions[0], before, begin, -1.0), (goals[0], after, cut, 1.0)):
-            tangent, spin = section.direction(s)
+        for position, segment, s, sign in ((positions[0], before, begin, -1.0), (goals[0], after, cut, 1.0)):
+            tangent, spin = segment.direction(s)
             value = np.concatenate((position, sign * cut * spin))
             slope = scale * np.concatenate((tangent, spin))
-            bend = scale**2 * np.concatenate((section.bend(s), np.zeros(3)))
-            ends.append([value, slope, bend])
+            curvature = scale**2 * np.concatenate((segment.curvature(s), np.zeros(3)))
+            ends.append([value, slope, curvature])
         curve = BPoly.from_derivatives([0.0, 1.0], ends)
         u = np.linspace(0.0, 1.0, _NODES)
         speed = np.linalg.norm(curve(u, 1)[:, :3], axis=1)
@@ -226,12 +226,12 @@ class Blend:
 
     @property
     def cells(self) -> int:
-        """See `Section`."""
+        """See `Segment`."""
         turn = float(np.linalg.norm(self.curve(1.0)[3:] - self.curve(0.0)[3:]))
         return max(_BLEND_CELLS, _cells(self.length, turn))
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Section`."""
+        """See `Segment`."""
         values = self.curve(np.clip(self.parameter(s), 0.0, 1.0))
         return values[:, :3], Rotation.from_rotvec(values[:, 3:]) * self.corner
 

@@ -16,7 +16,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.inverse import InverseKinematics
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.planner import Clock, Planner, PlannerSettings, PlanRequest
-from construction_twin.planning.recheck import report
+from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import Waypoints, plan_waypoints
 from construction_twin.robot.description import RobotModel
@@ -28,7 +28,7 @@ from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 
 
-class PlanningDesk:
+class PlanningPipeline:
     """Plans motions of one robot in the latest scene.
 
     Every method that returns a plan raises, besides what it names: `NoSceneError` without a scene, `SceneError` if the
@@ -173,7 +173,7 @@ class PlanningDesk:
         began = self._clock()
         trajectory = make(world)
         planning_time = self._clock() - began
-        measured = report(trajectory, self._robot, world, self._clock)
+        measured = recheck(trajectory, self._robot, world, self._clock)
         return request.plan(planner, planning_time, trajectory, measured, world.scene.hash)
 
     def _in_scene(self, make: Callable[[CollisionWorld], Plan]) -> Plan:

@@ -16,8 +16,8 @@ import pydantic
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
-from construction_twin.planning.motion_validator import CornerRounding, EdgeCheck, levers
-from construction_twin.planning.recheck import report
+from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, levers
+from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.search import find_path, planner_kinds
 from construction_twin.planning.timing import time_path, with_midpoints
@@ -28,7 +28,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 
 #: How often a path is timed, each time with corners half as wide, before another one is looked for.
 TIMINGS_TRIED = 3
-#: The finest check of edges has their step halved this many times; a path that was found is checked with it.
+#: The finest check of validator has their step halved this many times; a path that was found is checked with it.
 FINEST_HALVING = 2
 #: A joint that can turn further than this is searched half as far to either side of the motion's ends [rad].
 TURN = 2.0 * np.pi
@@ -283,9 +283,9 @@ class Planner:
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
     ) -> tuple[str, tuple[Trajectory, PlanReport]]:
         settings = self._settings
-        edges = EdgeCheck(world, self._levers, settings.edge_step)
+        validator = MotionValidator(world, self._levers, settings.edge_step)
         for goal in goals:
-            if edges.free(start, goal):
+            if validator.free(start, goal):
                 timed = self._timed(np.array([start, goal]), request, world)
                 if timed is not None:
                     return DIRECT, timed
@@ -295,7 +295,7 @@ class Planner:
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
             try:
                 path = find_path(
-                    start, goals, edges, self._bounds(start, goals), settings.planner, left, seed + attempt
+                    start, goals, validator, self._bounds(start, goals), settings.planner, left, seed + attempt
                 )
             except NoPathError as error:
                 raise NoPathError(settings.planner, self._clock() - began) from error
@@ -304,7 +304,7 @@ class Planner:
                 return settings.planner, timed
             # the path went through something thinner than the steps it was checked in: take smaller ones
             attempt += 1
-            edges = EdgeCheck(world, self._levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
+            validator = MotionValidator(world, self._levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
         raise NoPathError(settings.planner, self._clock() - began)
 
     def _bounds(self, start: np.ndarray, goals: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -325,7 +325,7 @@ class Planner:
         if speed_scale is None:  # a duration says how fast; the default only replaces a missing answer to that question
             speed_scale = self._settings.speed_scale if request.duration is None else 1.0
         scales = speed_scale, request.acceleration_scale
-        fine = EdgeCheck(world, self._levers, self._settings.edge_step / 2**FINEST_HALVING)
+        fine = MotionValidator(world, self._levers, self._settings.edge_step / 2**FINEST_HALVING)
         rounder = CornerRounding(fine, np.array(self._robot.velocity))
         for _ in range(TIMINGS_TRIED):
             path = rounder.tightened(path)
@@ -334,7 +334,7 @@ class Planner:
             asked = request.duration, *scales, request.waypoints
             trajectory = time_path(path, self._robot, *asked, corner_fraction=1.0, bounds=self._settings.bounds)
             try:
-                return trajectory, report(trajectory, self._robot, world, self._clock)
+                return trajectory, recheck(trajectory, self._robot, world, self._clock)
             except CollisionError as error:
                 if request.waypoints is not None and len(path) > 2:
                     raise PlanningError(

@@ -41,7 +41,7 @@ class World(Protocol):
         """Return the smallest distance over all rows, and the row where it is."""
 
 
-def report(trajectory: Trajectory, robot: RobotModel, world: World, clock: Callable[[], float]) -> PlanReport:
+def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Callable[[], float]) -> PlanReport:
     """Check and measure every 4 ms sample of a trajectory.
 
     Parameters

@@ -1,4 +1,4 @@
-"""A path around obstacles: OMPL's planners on joint vectors, with edges checked as a whole.
+"""A path around obstacles: OMPL's planners on joint vectors, with validator checked as a whole.
 
 Joint vectors are in the order of `RobotModel.joint_names`, SI. A path is a polyline; timing and rounding its corners is
 not done here.
@@ -20,7 +20,7 @@ from ompl import util as ou
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import NoPathError
-from construction_twin.planning.motion_validator import EdgeCheck
+from construction_twin.planning.motion_validator import MotionValidator
 
 #: Distance of the points between which a path is pulled tight [rad]: shorter costs more checks and gains little.
 ROPE_STEP = 1.0
@@ -48,24 +48,24 @@ def planner_kind(name: str) -> type:
     return kinds[name]
 
 
-class _EdgeValidator(ob.MotionValidator):
-    """`EdgeCheck` for OMPL: one call of Python for a whole edge."""
+class _OmplValidator(ob.MotionValidator):
+    """`MotionValidator` for OMPL: one call of Python for a whole edge."""
 
-    def __init__(self, information: ob.SpaceInformation, edges: EdgeCheck, joints: range):
+    def __init__(self, information: ob.SpaceInformation, validator: MotionValidator, joints: range):
         super().__init__(information)
-        self._edges = edges
+        self._validator = validator
         self._joints = joints
 
     def checkMotion(self, first, second, *last_valid) -> bool:  # noqa: N802 (OMPL's name)
         """Return whether the straight edge between two states is free."""
         # the last valid state is not filled in: planners that ask for it then drop the edge as a whole
-        return self._edges.free(_values(first, self._joints), _values(second, self._joints))
+        return self._validator.free(_values(first, self._joints), _values(second, self._joints))
 
 
 def find_path(
     start: np.ndarray,
     goals: Sequence[np.ndarray],
-    edges: EdgeCheck,
+    validator: MotionValidator,
     bounds: tuple[np.ndarray, np.ndarray],
     planner: str,
     budget: float,
@@ -80,7 +80,7 @@ def find_path(
     goals : sequence of array, shape (n,)
         At least one; each free and within `bounds`. Planners of the PRM family are given the first only: they add
         goals from a thread of their own, which a check in Python would block for ever.
-    edges : EdgeCheck
+    validator : MotionValidator
     bounds : tuple of array, shape (n,)
         Lowest and highest joint values searched.
     planner : str
@@ -107,7 +107,7 @@ def find_path(
     # is right for what exists already, and here that is nothing
     ou.noOutputHandler()
     ou.RNG.setSeed(seed)
-    information = _space_information(edges, bounds)
+    information = _space_information(validator, bounds)
     if issubclass(kind, og.PRM):
         goals = goals[:1]
     problem = _problem(information, start, goals)
@@ -122,7 +122,7 @@ def find_path(
     joints = range(len(start))
     points = _without_repeats(np.array([_values(state, joints) for state in path.getStates()]))
     # OMPL's shortcuts may miss the best of all
-    return points[[0, -1]] if len(points) > 2 and edges.free(points[0], points[-1]) else points
+    return points[[0, -1]] if len(points) > 2 and validator.free(points[0], points[-1]) else points
 
 
 def _without_repeats(points: np.ndarray) -> np.ndarray:
@@ -132,7 +132,7 @@ def _without_repeats(points: np.ndarray) -> np.ndarray:
     return kept
 
 
-def _space_information(edges: EdgeCheck, bounds: tuple[np.ndarray, np.ndarray]) -> ob.SpaceInformation:
+def _space_information(validator: MotionValidator, bounds: tuple[np.ndarray, np.ndarray]) -> ob.SpaceInformation:
     joints = range(len(bounds[0]))
     limits = ob.RealVectorBounds(len(joints))
     for joint in joints:
@@ -141,8 +141,8 @@ def _space_information(edges: EdgeCheck, bounds: tuple[np.ndarray, np.ndarray]) 
     space = ob.RealVectorStateSpace(len(joints))
     space.setBounds(limits)
     information = ob.SpaceInformation(space)
-    information.setStateValidityChecker(lambda state: bool(edges.world.is_free(_values(state, joints))))
-    information.setMotionValidator(_EdgeValidator(information, edges, joints))
+    information.setStateValidityChecker(lambda state: bool(validator.world.is_free(_values(state, joints))))
+    information.setMotionValidator(_OmplValidator(information, validator, joints))
     information.setup()
     return information
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.planning.path_segments import ArcLine, Blend, Section, StraightLine, Turn
+from construction_twin.planning.path_segments import ArcLine, Blend, Segment, StraightLine, Turn
 
 #: What a turn on the spot counts as along the path [m/rad].
 TURN_LENGTH = 0.1
@@ -60,9 +60,9 @@ class Piece:
     turn : bool
         It only turns on the spot: the tool's speed says nothing about it.
     knots : tuple of float
-        Where the sections meet, `begin` and `end` included.
+        Where the segments meet, `begin` and `end` included.
     cells : tuple of int
-        How many samples describe each section well, to begin with.
+        How many samples describe each segment well, to begin with.
     """
 
     begin: float
@@ -98,8 +98,8 @@ class ToolPath:
         legs = _legs(start, waypoints)
         if not legs:
             raise PlanningError("the tool is already there: no waypoint differs from the start; nothing to plan")
-        self._sections, stops, self._marks = _sections(legs, waypoints)
-        self._ends = np.cumsum([section.length for section in self._sections])
+        self._segments, stops, self._marks = _segments(legs, waypoints)
+        self._ends = np.cumsum([segment.length for segment in self._segments])
         self._begins = np.concatenate(([0.0], self._ends[:-1]))
         self.length = float(self._ends[-1])
         self._waypoint_ends = [self._ends[index] for _, index in self._marks]
@@ -121,11 +121,11 @@ class ToolPath:
         """
         s = np.asarray(s, dtype=float)
         positions, rotations = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
-        numbers = np.minimum(np.searchsorted(self._ends, s), len(self._sections) - 1)
+        numbers = np.minimum(np.searchsorted(self._ends, s), len(self._segments) - 1)
         for number in np.unique(numbers):
             rows = numbers == number
-            at = np.clip(s[rows] - self._begins[number], 0.0, self._sections[number].length)
-            positions[rows], turns = self._sections[number].at(at)
+            at = np.clip(s[rows] - self._begins[number], 0.0, self._segments[number].length)
+            positions[rows], turns = self._segments[number].at(at)
             rotations[rows] = turns.as_matrix()
         return positions, rotations
 
@@ -137,12 +137,12 @@ class ToolPath:
     def arcs(self) -> list[tuple[int, np.ndarray]]:
         """Return a few points of each arc, shape (m, 3) [m], with the number of the waypoint that the tool is going to."""
         places = (
-            (begin, section) for begin, section in zip(self._begins, self._sections) if isinstance(section, ArcLine)
+            (begin, segment) for begin, segment in zip(self._begins, self._segments) if isinstance(segment, ArcLine)
         )
         along = np.linspace(0.0, 1.0, _ARC_POINTS)
         return [
-            (self.waypoint_at(begin + 0.5 * section.length), section.at(section.length * along)[0])
-            for begin, section in places
+            (self.waypoint_at(begin + 0.5 * segment.length), segment.at(segment.length * along)[0])
+            for begin, segment in places
         ]
 
     def waypoint_at(self, s: float) -> int:
@@ -157,13 +157,13 @@ class ToolPath:
         return min(int(np.searchsorted(self._waypoint_ends, s)), len(self._marks) - 1)
 
     def _piece(self, first: int, last: int) -> Piece:
-        sections = self._sections[first:last]
+        segments = self._segments[first:last]
         knots = (float(self._begins[first]), *(float(end) for end in self._ends[first:last]))
-        cells = tuple(section.cells for section in sections)
-        return Piece(knots[0], knots[-1], isinstance(sections[0], Turn), knots, cells)
+        cells = tuple(segment.cells for segment in segments)
+        return Piece(knots[0], knots[-1], isinstance(segments[0], Turn), knots, cells)
 
 
-def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[tuple[int, Section]]:
+def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[tuple[int, Segment]]:
     """Return the whole segments with the numbers of the waypoints they lead to; waypoints that are no way are left out."""
     legs = []
     at = start
@@ -177,7 +177,7 @@ def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[tuple[int, Sec
     return legs
 
 
-def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Section | None:
+def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Segment | None:
     goal = waypoint.pose
     for values in (goal.position, goal.rotation, () if waypoint.via is None else waypoint.via):
         if not np.all(np.isfinite(values)):
@@ -198,10 +198,10 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Section | None:
     return Turn(np.array(goal.position), first, turn, TURN_LENGTH * angle) if angle > SAME_PLACE else None
 
 
-def _sections(
-    legs: list[tuple[int, Section]], waypoints: Sequence[ToolWaypoint]
-) -> tuple[list[Section], list[int], list[tuple[int, int]]]:
-    """Return the sections, the numbers of those after which the tool stops, and per waypoint the section that ends
+def _segments(
+    legs: list[tuple[int, Segment]], waypoints: Sequence[ToolWaypoint]
+) -> tuple[list[Segment], list[int], list[tuple[int, int]]]:
+    """Return the segments, the numbers of those after which the tool stops, and per waypoint the segment that ends
     there (the blend, where there is one)."""
     cuts = [0.0] * (len(legs) + 1)
     for index in range(len(legs) - 1):
@@ -215,11 +215,11 @@ def _sections(
                 f"the segment to waypoint {number} is {leg.length:.4f} m long; the blends at its ends need "
                 f"{cuts[index] + cuts[index + 1]:.4f} m, choose smaller ones"
             )
-    sections, stops, marks = [], [], []
+    segments, stops, marks = [], [], []
     for index, (number, leg) in enumerate(legs):
         trimmed = leg.part(cuts[index], leg.length - cuts[index + 1])
         if trimmed is not None:
-            sections.append(trimmed)
+            segments.append(trimmed)
         last = index == len(legs) - 1
         if cuts[index + 1]:
             blend = Blend.between(leg, legs[index + 1][1], cuts[index + 1])
@@ -227,14 +227,14 @@ def _sections(
                 raise PlanningError(
                     f"waypoint {number}: the path turns back there and cannot be blended; expected blend 0"
                 )
-            sections.append(blend)
-        marks.append((number, len(sections) - 1))
+            segments.append(blend)
+        marks.append((number, len(segments) - 1))
         if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1][1])):
-            stops.append(len(sections) - 1)
-    return sections, stops, marks
+            stops.append(len(segments) - 1)
+    return segments, stops, marks
 
 
-def _goes_on(leg: Section, following: Section) -> bool:
+def _goes_on(leg: Segment, following: Segment) -> bool:
     if isinstance(leg, Turn) or isinstance(following, Turn):
         return False
     before, after = leg.direction(leg.length), following.direction(0.0)

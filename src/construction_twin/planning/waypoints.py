@@ -295,22 +295,22 @@ def _derivatives(times: np.ndarray, positions: np.ndarray, waypoints: Waypoints)
     else:
         velocities = waypoints.velocities.copy()
         given = waypoints.accelerations
-        accelerations = _bends(times, positions, velocities) if given is None else given.copy()
+        accelerations = _fitted_accelerations(times, positions, velocities) if given is None else given.copy()
     velocities[[0, -1]] = 0.0
     accelerations[[0, -1]] = 0.0
     return velocities, accelerations
 
 
-def _bends(times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+def _fitted_accelerations(times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
     """Return accelerations that fit positions and velocities: the mean of what the cubics on both sides have there."""
     h = np.diff(times)[:, None]
     step, v0, v1 = np.diff(positions, axis=0), velocities[:-1], velocities[1:]
     first = (6.0 * step / h - 4.0 * v0 - 2.0 * v1) / h
     last = (2.0 * v0 + 4.0 * v1 - 6.0 * step / h) / h
-    bends = np.zeros_like(positions)
+    accelerations = np.zeros_like(positions)
     # of two cubics the shorter says more about the place where they meet
-    bends[1:-1] = (last[:-1] * h[1:] + first[1:] * h[:-1]) / (h[:-1] + h[1:])
-    return bends
+    accelerations[1:-1] = (last[:-1] * h[1:] + first[1:] * h[:-1]) / (h[:-1] + h[1:])
+    return accelerations
 
 
 def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotModel) -> None:

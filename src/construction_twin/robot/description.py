@@ -1,34 +1,30 @@
 """One robot: joints, limits, home pose and how its joints appear on the wire and in RSI.
 
 Geometry, ranges and speeds come from the URDF; what a URDF cannot carry (acceleration and jerk limits, home pose, axis
-mapping) from one YAML file, whose keys carry their unit: deg for joints that turn, mm for linear ones. Inside,
-everything is SI: rad or m, by `RobotModel.linear`. Kinematics is in `kinematics`.
+mapping) from one YAML file, whose keys carry their unit: deg for revolute joints, mm for prismatic ones. Inside,
+everything is SI: rad, or m where `RobotModel.linear` is True. Kinematics is in `kinematics`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
-from xml.etree import ElementTree
-from xml.parsers.expat import ExpatError
+from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 import pydantic
-import xacro
 import yaml
-from urdf_parser_py.urdf import URDF, Joint
-from urdf_parser_py.xml_reflection.core import ParseError
+from urdf_parser_py.urdf import Joint
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
+from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text
 
-_LOG = logging.getLogger(__name__)
+#: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
+JointValues = Sequence[float] | np.ndarray
 
 _Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
@@ -45,7 +41,7 @@ class AxisMapping:
     sign : int
         +1 or -1.
     offset : float
-        [rad] ([m] for a linear joint).
+        [rad] ([m] for a prismatic joint).
     """
 
     rsi: str
@@ -57,7 +53,7 @@ class AxisMapping:
 class RobotModel:
     """A robot's description. All joint tuples are in the order of `joint_names`, from base to tip.
 
-    Units are those of a joint that turns; where `linear` is True, read m for rad.
+    The units given are those of a revolute joint; where `linear` is True, the joint is prismatic: read m for rad.
 
     Attributes
     ----------
@@ -96,7 +92,7 @@ class RobotModel:
     axes: tuple[AxisMapping, ...]
     linear: tuple[bool, ...]
 
-    def check_range(self, q: Sequence[float]) -> None:
+    def check_range(self, q: JointValues) -> None:
         """Check that every joint lies within its range, limits included.
 
         Parameters
@@ -118,36 +114,50 @@ class RobotModel:
                 raise JointRangeError(joint, float(value), lower, upper)
 
 
+@dataclass(frozen=True)
+class _JointSettings:
+    """What the YAML says of one joint, in SI."""
+
+    home: float
+    acceleration: float
+    jerk: float
+    offset: float
+
+
 class _JointDescription(pydantic.BaseModel):
-    """What both kinds of joint have; see the comments in config/kr120.yaml for every key's meaning."""
+    """The keys that revolute and prismatic joints have in common; see the comments in config/kr120.yaml for every key's meaning."""
 
     model_config = pydantic.ConfigDict(extra="forbid")
 
     rsi: Annotated[str, pydantic.Field(pattern=r"^[AE][1-6]$")]
     sign: Literal[1, -1]
 
+    def si(self) -> _JointSettings:
+        """Return the values in SI."""
+        raise NotImplementedError
 
-class _TurningJoint(_JointDescription):
+
+class _RevoluteJoint(_JointDescription):
     home_deg: _Finite
     acceleration_deg_s2: _Positive
     jerk_deg_s3: _Positive
     offset_deg: _Finite
 
-    def si(self) -> tuple[float, float, float, float]:
-        """Return home, acceleration, jerk and offset in rad."""
-        return radians((self.home_deg, self.acceleration_deg_s2, self.jerk_deg_s3, self.offset_deg))
+    def si(self) -> _JointSettings:
+        """Return the values in rad."""
+        return _JointSettings(*radians((self.home_deg, self.acceleration_deg_s2, self.jerk_deg_s3, self.offset_deg)))
 
 
-class _LinearJoint(_JointDescription):
+class _PrismaticJoint(_JointDescription):
     home_mm: _Finite
     acceleration_mm_s2: _Positive
     jerk_mm_s3: _Positive
     offset_mm: _Finite
 
-    def si(self) -> tuple[float, float, float, float]:
-        """Return home, acceleration, jerk and offset in m."""
+    def si(self) -> _JointSettings:
+        """Return the values in m."""
         values = (self.home_mm, self.acceleration_mm_s2, self.jerk_mm_s3, self.offset_mm)
-        return tuple(value / 1e3 for value in values)
+        return _JointSettings(*(value / 1e3 for value in values))
 
 
 class _RobotDescription(pydantic.BaseModel):
@@ -156,7 +166,7 @@ class _RobotDescription(pydantic.BaseModel):
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$")]
     base_link: str
     tip_link: str
-    joints: dict[str, dict]
+    joints: dict[str, dict[str, Any]]
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
@@ -186,7 +196,7 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
     for joint in joints:
         _check_joint(joint)
     described = _describe_joints(parsed, joints)
-    home, acceleration, jerk, offset = zip(*(joint.si() for joint in described))
+    settings = [joint.si() for joint in described]
     robot = RobotModel(
         name=parsed.name,
         urdf=urdf,
@@ -196,10 +206,10 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
         lower=tuple(float(joint.limit.lower) for joint in joints),
         upper=tuple(float(joint.limit.upper) for joint in joints),
         velocity=tuple(float(joint.limit.velocity) for joint in joints),
-        acceleration=acceleration,
-        jerk=jerk,
-        home=home,
-        axes=tuple(AxisMapping(joint.rsi, joint.sign, zero) for joint, zero in zip(described, offset)),
+        acceleration=tuple(si.acceleration for si in settings),
+        jerk=tuple(si.jerk for si in settings),
+        home=tuple(si.home for si in settings),
+        axes=tuple(AxisMapping(joint.rsi, joint.sign, si.offset) for joint, si in zip(described, settings)),
         linear=tuple(joint.joint_type == "prismatic" for joint in joints),
     )
     _check_home(robot)
@@ -225,7 +235,7 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path) -> RobotModel
     ConfigurationError
         See `load_robot`; also for a file that cannot be read or parsed.
     """
-    urdf = expand_xacro(urdf_path) if str(urdf_path).endswith(".xacro") else _read_text(urdf_path)
+    urdf = expand_xacro(urdf_path) if str(urdf_path).endswith(".xacro") else read_text(urdf_path)
     return load_robot(urdf, _read_description(yaml_path))
 
 
@@ -238,91 +248,15 @@ def home_positions(yaml_path: str | Path) -> dict[str, float]:
         If the file is not a robot YAML, as far as this can be told without the URDF.
     """
     parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
-    kinds = {name: _LinearJoint if "home_mm" in joint else _TurningJoint for name, joint in parsed.joints.items()}
+    kinds = {name: _PrismaticJoint if "home_mm" in joint else _RevoluteJoint for name, joint in parsed.joints.items()}
     return {
-        name: _validate(kinds[name], joint, f"robot/joints/{name}").si()[0] for name, joint in parsed.joints.items()
+        name: _validate(kinds[name], joint, f"robot/joints/{name}").si().home for name, joint in parsed.joints.items()
     }
-
-
-def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
-    """Expand a xacro file to URDF text.
-
-    Parameters
-    ----------
-    path : str or Path
-    arguments : Mapping of str to str, optional
-        Values for the file's ``xacro:arg`` elements.
-
-    Returns
-    -------
-    urdf : str
-        Indented XML.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file cannot be read or expanded.
-    """
-    _read_text(path)  # xacro's own message for a missing file does not say what was expected
-    try:
-        return xacro.process_file(str(path), mappings=dict(arguments or {})).toprettyxml(indent="  ")
-    except xacro.XacroException as error:
-        raise ConfigurationError(str(path), str(error), "a xacro file that expands") from error
-    except ExpatError as error:
-        raise ConfigurationError(str(path), str(error), "well-formed XML") from error
-
-
-def parse_urdf(urdf: str) -> URDF:
-    """Parse URDF text with urdfdom's Python parser; its remarks on unknown tags go to the debug log.
-
-    Raises
-    ------
-    ConfigurationError
-        If the text is not a URDF.
-    """
-    remarks = io.StringIO()
-    try:
-        # bytes, because the XML parser refuses an encoding declaration in a str
-        with contextlib.redirect_stderr(remarks):
-            model = URDF.from_xml_string(urdf.encode())
-    except (ParseError, ElementTree.ParseError, AssertionError, KeyError, ValueError) as error:
-        raise ConfigurationError("robot_description", str(error), "a URDF") from error
-    for remark in remarks.getvalue().splitlines():
-        _LOG.debug("robot_description: %s", remark)
-    return model
-
-
-def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
-    """Return the joints from `base_link` to `tip_link`, fixed ones included.
-
-    Raises
-    ------
-    ConfigurationError
-        If a link is missing or `tip_link` does not descend from `base_link`.
-    """
-    for key, link in (("robot/base_link", base_link), ("robot/tip_link", tip_link)):
-        if link not in model.link_map:
-            raise ConfigurationError(key, link, f"one of the URDF's links {sorted(model.link_map)}")
-    joints = []
-    link = tip_link
-    while link != base_link:
-        if link not in model.parent_map or len(joints) == len(model.joints):
-            raise ConfigurationError("robot/tip_link", tip_link, f"a descendant of {base_link}")
-        name, link = model.parent_map[link]
-        joints.append(model.joint_map[name])
-    return joints[::-1]
-
-
-def _read_text(path: str | Path) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), str(error), "a readable text file") from error
 
 
 def _read_description(yaml_path: str | Path) -> dict:
     try:
-        description = yaml.safe_load(_read_text(yaml_path))
+        description = yaml.safe_load(read_text(yaml_path))
     except yaml.YAMLError as error:
         raise ConfigurationError(str(yaml_path), str(error), "a YAML file") from error
     if not isinstance(description, dict):
@@ -330,7 +264,10 @@ def _read_description(yaml_path: str | Path) -> dict:
     return description
 
 
-def _validate(model: type[pydantic.BaseModel], values: Mapping, where: str):
+_Model = TypeVar("_Model", bound=pydantic.BaseModel)
+
+
+def _validate(model: type[_Model], values: Mapping, where: str) -> _Model:
     try:
         return model.model_validate(values)
     except pydantic.ValidationError as error:
@@ -359,17 +296,18 @@ def _limit_text(limit) -> str | None:
     return None if limit is None else f"lower {limit.lower}, upper {limit.upper}"
 
 
-def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list[_TurningJoint | _LinearJoint]:
+def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list[_RevoluteJoint | _PrismaticJoint]:
     """Return the YAML's entry for each joint, in their order, with the keys that fit its type."""
     names = [joint.name for joint in joints]
     if not names:
-        expected = f"a link that joints move against {parsed.base_link}"
+        expected = f"a link that at least one joint moves relative to {parsed.base_link}"
         raise ConfigurationError("robot/tip_link", parsed.tip_link, expected)
     if set(parsed.joints) != set(names):
         raise ConfigurationError("robot/joints", sorted(parsed.joints), f"one entry for each of {names}")
-    described = []
+    described: list[_RevoluteJoint | _PrismaticJoint] = []
     for joint in joints:
-        kind = _LinearJoint if joint.joint_type == "prismatic" else _TurningJoint
+        kind: type[_RevoluteJoint | _PrismaticJoint]
+        kind = _PrismaticJoint if joint.joint_type == "prismatic" else _RevoluteJoint
         described.append(_validate(kind, parsed.joints[joint.name], f"robot/joints/{joint.name}"))
     rsi_axes = [joint.rsi for joint in described]
     for number, axis in enumerate(rsi_axes):

@@ -1,7 +1,7 @@
 """Orientations: rotation matrices inside, quaternions towards ROS, KUKA's A, B, C towards RSI.
 
-KUKA's angles turn about Z, then the new Y, then the new X: ``R = Rz(A) Ry(B) Rx(C)`` (rsi.md section 10).
-Radians throughout; degrees are the codecs' business. Quaternions are in ROS order x, y, z, w.
+KUKA's angles turn about Z, then the new Y, then the new X: ``R = Rz(A) Ry(B) Rx(C)`` (docs/rsi.md, section 10).
+Radians throughout: the codecs convert to degrees. Quaternions are in ROS order x, y, z, w.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def rotation_to_abc(rotation) -> tuple[float, float, float]:
     Parameters
     ----------
     rotation : array, shape (3, 3)
-        Or whatever gives an element for a row and a column, as a PyKDL.Frame or a PyKDL.Rotation.
+        Or any object whose elements are read by ``[row, column]``, such as a PyKDL.Frame or a PyKDL.Rotation.
 
     Returns
     -------
@@ -38,7 +38,8 @@ def rotation_to_abc(rotation) -> tuple[float, float, float]:
     cos_b = math.hypot(r[0, 0], r[1, 0])
     a = math.atan2(r[1, 0], r[0, 0]) if cos_b > _GIMBAL else 0.0
     b = math.atan2(-r[2, 0], cos_b)
-    # C from the matrix with A taken out, not from its last row: so A and C fit together even where both are ill-defined
+    # C is computed from the matrix after rotating it back by A, not from the matrix' last row: A and C then match each
+    # other even near B = +-90 deg, where each alone is ill-defined
     sin_a, cos_a = math.sin(a), math.cos(a)
     c = math.atan2(sin_a * r[0, 2] - cos_a * r[1, 2], cos_a * r[1, 1] - sin_a * r[0, 1])
     return a, b, c
@@ -99,7 +100,7 @@ def quaternion_to_rotation(quaternion) -> np.ndarray:
     Raises
     ------
     KinematicsError
-        If it is no unit quaternion, e.g. the (0, 0, 0, 0) of a message nobody filled in.
+        If it is no unit quaternion, e.g. the (0, 0, 0, 0) of a message whose field was never set.
     """
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:

@@ -1,4 +1,4 @@
-"""What lies on the reviewer's desk: a trajectory, where it comes from, and what was measured on it before anybody looks.
+"""A plan for review: a trajectory, its origin, and what was measured on it before a reviewer sees it.
 
 SI; joint tuples in the order of the trajectory's `joint_names`; points in the robot's base frame.
 """
@@ -18,13 +18,13 @@ class Clearance:
     Attributes
     ----------
     distance : float
-        [m]; negative: how deep they are in each other. inf: there is nothing to touch.
+        [m]; negative: the penetration depth. inf: there is nothing to touch.
     between : tuple of str, length 2 or 0
         Names of the two: a link of the robot first, then a link or an object of the scene.
     point : tuple of float, length 3
         Nearest point on the first of them, in the robot's base frame [m].
     time : float
-        When, from the start of the trajectory [s]; 0 for a single pose.
+        Time from the start of the trajectory at which the distance occurs [s]; 0 for a single pose.
     """
 
     distance: float
@@ -54,19 +54,19 @@ class PlanReport:
     Attributes
     ----------
     clearance : Clearance
-    fractions : LimitUsage
+    usage : LimitUsage
     recheck_time : float
         Time the measurement took [s].
     """
 
     clearance: Clearance
-    fractions: LimitUsage
+    usage: LimitUsage
     recheck_time: float
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A trajectory with its origin, as a reviewer sees it. It cannot exist with a hash that is not its trajectory's.
+    """A trajectory with its origin, as a reviewer sees it. The constructor refuses a hash that is not the trajectory's.
 
     Attributes
     ----------
@@ -75,9 +75,9 @@ class Plan:
     hash : str
         The trajectory's `content_hash`.
     source : str
-        Who asked for it.
+        Name of the requester.
     planner : str
-        What found the path: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``.
+        How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``.
     scene : str
         Hash of the scene it was checked against.
     created_ns : int

@@ -17,7 +17,7 @@ from construction_twin.core.motion_errors import TrajectoryError
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Waypoints of a joint motion; between two of them the motion is the quintic that meets both.
+    """Waypoints of a joint motion; between two of them the motion is the quintic polynomial that meets the state at both.
 
     Times are held on whole nanoseconds, as in a ROS duration, so that a trajectory and its hash survive a message. The
     arrays are copied and made read-only.
@@ -55,7 +55,7 @@ class Trajectory:
             values = _frozen_array(name, getattr(self, name), 2)
             object.__setattr__(self, name, values)
             self._check_values(name, values, shape)
-        # what `sample` needs at 250 Hz: a list, because bisect on it is several times faster than on an array
+        # `sample` runs at 250 Hz and searches the knots by bisection, which is several times faster on a list than on an array
         object.__setattr__(self, "_knots", self.times.tolist())
         object.__setattr__(self, "_coefficients", _quintic_coefficients(self))
 
@@ -68,7 +68,7 @@ class Trajectory:
         """Evaluate the motion at one time.
 
         Before 0 and after `duration` the motion rests at its first or last position: velocity and acceleration are zero
-        there whatever the end waypoints say. At exactly 0 and `duration` the waypoints' own values are returned.
+        there even if the end waypoints have other values. At exactly 0 and `duration` the waypoints' own values are returned.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class Trajectory:
         times = np.asarray(times, dtype=np.float64)
         segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         x = (np.clip(times, 0.0, self.duration) - self.times[segment])[:, None]
-        derivatives = []
+        derivatives: list[np.ndarray] = []
         coefficients = [self._coefficients[segment, degree] for degree in range(6)]
         while len(derivatives) < 4:
             value = np.zeros_like(coefficients[0])
@@ -126,7 +126,8 @@ class Trajectory:
         for value in derivatives[1:]:
             value[outside] = 0.0
         derivatives[0][times >= self.duration] = self.positions[-1]
-        return tuple(derivatives)
+        q, qd, qdd, qddd = derivatives
+        return q, qd, qdd, qddd
 
     def content_hash(self) -> str:
         """Return the SHA-256 (hex) over joint names, times, positions, velocities and accelerations.

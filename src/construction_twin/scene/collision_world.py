@@ -114,9 +114,9 @@ class CollisionWorld:
         if own is None:
             own = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
         self._own = own
-        met, met_pairs = self._meetings(own, obstacles)
-        self._bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in met)
-        self._pairs = pairs = checked_pairs(own, scene.padding, self_collision) + met_pairs
+        reached, reached_pairs = self._neighbour_pairs(own, obstacles)
+        self._bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in reached)
+        self._pairs = pairs = checked_pairs(own, scene.padding, self_collision) + reached_pairs
         self._names = [(self._bodies[first].owner, self._bodies[second].owner) for first, second, _ in pairs]
         self._model = robot_bodies.model
         self._geometry = pinocchio.GeometryModel()
@@ -135,10 +135,10 @@ class CollisionWorld:
         # the usual order needs no index list, which would cost as much as a check of a few pairs
         self._order = slice(None) if (order == np.arange(len(order))).all() else order
         # whole configurations in, one call per question: boxes around the bodies first, shapes only where the boxes meet
-        manager = _WITH_NEIGHBOUR if met else _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
+        manager = _WITH_NEIGHBOUR if reached else _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
 
-    def _meetings(
+    def _neighbour_pairs(
         self, own: tuple[Body, ...], obstacles: tuple[Obstacle, ...]
     ) -> tuple[list[Obstacle], list[tuple[int, int, float]]]:
         """Return the obstacles that any moving body can reach, and the pairs that can meet, as of `checked_pairs`."""
@@ -147,13 +147,13 @@ class CollisionWorld:
         _, reaches = body_levers(self._robot_bodies, own, self._robot_bodies.strokes)
         moving = np.array([body.joint > 0 for body in own])
         paddings = self.scene.padding + np.array([body.item.padding if body.item is not None else 0.0 for body in own])
-        met, pairs = [], []
+        reached, pairs = [], []
         for item in obstacles:
             margins = paddings + item.padding
             near = np.flatnonzero(moving & (item.distance <= np.array(reaches) + margins))
-            pairs += [(int(first), len(own) + len(met), float(margins[first])) for first in near]
-            met += [item] if len(near) else []
-        return met, pairs
+            pairs += [(int(first), len(own) + len(reached), float(margins[first])) for first in near]
+            reached += [item] if len(near) else []
+        return reached, pairs
 
     def is_free(self, q: Sequence[float]) -> bool:
         """Return whether nothing touches: the fast question, it ends at the first contact.

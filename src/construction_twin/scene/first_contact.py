@@ -92,7 +92,7 @@ def joined(shapes: Sequence[Copies], more: Sequence[Copies]) -> list[Copies]:
     return [*by_geometry.values()]
 
 
-def first_meeting(own: Sequence[Copies], others: Sequence[Copies], padding: float) -> tuple[int, Obstacle] | None:
+def first_contact(own: Sequence[Copies], others: Sequence[Copies], padding: float) -> tuple[int, Obstacle] | None:
     """Return the first of our obstacles that comes too close to any of the others, and to which; None where none does.
 
     Parameters
@@ -115,11 +115,11 @@ def first_meeting(own: Sequence[Copies], others: Sequence[Copies], padding: floa
     for mine in own:
         for theirs in others:
             count = len(mine.places) if found is None else int(np.searchsorted(mine.places, found[0]))
-            found = _meeting(mine, theirs, count, padding, request) or found
+            found = _contact(mine, theirs, count, padding, request) or found
     return found
 
 
-def _meeting(
+def _contact(
     mine: Copies, theirs: Copies, count: int, padding: float, request: coal.DistanceRequest
 ) -> tuple[int, Obstacle] | None:
     """Return the first of the first `count` copies of one shape that meets a copy of another, and which."""

@@ -210,15 +210,15 @@ class Neighbour:
         if self._standing is not None:
             known_start, known_end, obstacles = self._standing
             # noise within what the padding covers: who has looked at these need not look again
-            if max(self._way(start - known_start), self._way(end - known_end)) <= ROUNDING / 2.0:
+            if max(self._displacement(start - known_start), self._displacement(end - known_end)) <= ROUNDING / 2.0:
                 return obstacles
-        count = 1 + int(np.ceil(self._way(end - start) / self.step))
+        count = 1 + int(np.ceil(self._displacement(end - start) / self.step))
         fractions = np.linspace(0.0, 1.0, count + 1)[:, None]
         obstacles = tuple(item.padded(ROUNDING) for item in self.along(start + fractions * (end - start)).rest())
         self._standing = start, end, obstacles
         return obstacles
 
-    def _way(self, change: np.ndarray) -> float:
+    def _displacement(self, change: np.ndarray) -> float:
         """Return how far any point of any body moves, at most, when the joints change by so much [m]."""
         ordered = np.zeros(len(change))
         ordered[self._robot_bodies.order] = np.abs(change)

@@ -1,7 +1,4 @@
-"""The words of the command line `twin`: its commands, options and exit codes. Angles in deg and lengths in mm, as people say them.
-
-Standard library only, so that the shell's completion costs nothing.
-"""
+"""The command line `twin`: its commands, options, exit codes and the shell's completion. Angles in deg, lengths in mm."""
 
 from __future__ import annotations
 
@@ -9,8 +6,31 @@ import argparse
 import enum
 import math
 
-from construction_twin.views.completion import bash_completion
+import shtab
 
+#: Added to the completion that shtab makes of the parser: the short name `twin`, and for bash `rosrun construction_twin twin`. Any
+#: other `rosrun` is left to ROS's own completion.
+_PREAMBLE = {
+    "bash": """\
+# Load it in a shell: source <(rosrun construction_twin twin --completion bash)
+twin() { rosrun construction_twin twin "$@"; }
+_twin_rosrun() {
+  COMPREPLY=()
+  if [[ ${COMP_WORDS[1]-} == construction_twin && ${COMP_WORDS[2]-} == twin && $COMP_CWORD -gt 2 ]]; then
+    local words=("${COMP_WORDS[@]:2}") word=$((COMP_CWORD - 2))
+    local COMP_WORDS=("${words[@]}") COMP_CWORD=$word
+    _shtab_twin
+  elif declare -F _roscomplete_exe > /dev/null; then
+    _roscomplete_exe "$@"
+  fi
+}
+complete -F _twin_rosrun rosrun
+""",
+    "zsh": """\
+# Load it in a shell: source <(rosrun construction_twin twin --completion zsh)
+twin() { rosrun construction_twin twin "$@"; }
+""",
+}
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
 
@@ -46,7 +66,12 @@ def parser(robot: str) -> argparse.ArgumentParser:
         description="Plan, review and watch the motions of one robot and its twin. Angles in deg, lengths in mm.",
         epilog="exit codes: 0 done, 1 refused, 2 usage, 3 no system answers, 4 motion not finished, 5 not confirmed",
     )
-    root.add_argument("--completion", choices=["bash"], action=_Completion, help="print the shell's completion and end")
+    root.add_argument(
+        "--completion",
+        choices=list(_PREAMBLE),
+        action=shtab.completion_action(root, _PREAMBLE),
+        help="print the shell's completion and end",
+    )
     common = argparse.ArgumentParser(add_help=False)
     # given before or after the command; only the first of the two has a default
     for target, default, seconds in ((root, robot, TIMEOUT), (common, argparse.SUPPRESS, argparse.SUPPRESS)):
@@ -93,7 +118,8 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "Z", "A", "B", "C"),
         help="pose of tool0: position [mm] and KUKA's angles [deg]",
     )
-    goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
+    csv = goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
+    csv.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it from the action
     plan.add_argument("--line", action="store_true", help="with --pose: move the tool on a straight line")
     plan.add_argument(
         "--frame", default="", metavar="FRAME", help="with --pose: tf frame of the pose [the robot's base]"
@@ -145,14 +171,6 @@ def check(options: argparse.Namespace) -> str:
     if options.duration and (options.line or options.csv):
         return f"--duration does not go with {'--line' if options.line else '--csv'}"
     return ""
-
-
-class _Completion(argparse.Action):
-    """Prints the completion of the parser it belongs to, and ends."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        print(bash_completion(parser), end="")
-        parser.exit(Exit.DONE)
 
 
 def _finite(text: str) -> float:

@@ -56,8 +56,8 @@ def _states(snapshot: Snapshot) -> Table:
         else:
             table.add_row(name, _state(facts.text, facts.reason))
     execution = snapshot.execution
-    progress = execution.progress(snapshot.now) if execution is not None else None
-    if progress is not None:
+    progress = None if execution is None else execution.progress(snapshot.now)
+    if execution is not None and progress is not None:
         cells = round(progress * BAR)
         line = f"{'█' * cells}{'░' * (BAR - cells)} {progress:.0%} of {execution.duration:.1f} s"
         table.add_row("progress", Text(line))

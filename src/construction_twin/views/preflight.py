@@ -1,6 +1,6 @@
-"""Looks at the arguments of a launch before anything starts: what cannot work is one sentence, not a heap of dying nodes.
+"""Checks the arguments of a launch before anything starts: what cannot work, or must not be left to a default, is one sentence.
 
-Standard library only. Called by bringup.launch as ``preflight name:=value ...``; ports are looked at by who opens them.
+Standard library only. Called by bringup.launch as ``preflight name:=value ...``; whether a port is free finds out who opens it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from construction_twin.core.addresses import is_loopback
+from construction_twin.core.network import is_loopback
 
 _BOOLEAN = "true or false"
 #: Arguments with a few allowed values.
@@ -19,7 +19,18 @@ CHOICES = {
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
 }
-SWITCHES = ("auto_approve", "broker", "gateway", "commissioning", "tool_marker", "track", "gui", "separation")
+SWITCHES = (
+    "auto_approve",
+    "auto_approve_is_meant",
+    "anonymous_broker_is_meant",
+    "broker",
+    "gateway",
+    "commissioning",
+    "tool_marker",
+    "track",
+    "gui",
+    "separation",
+)
 #: Whole numbers with their bounds.
 NUMBERS = {
     "decimals": (1, 6),
@@ -33,27 +44,61 @@ FILES = ("robot_xacro", "robot_config", "self_collision", "ethernet_xml")
 OPTIONAL_FILES = ("scene", "bridge_account", "gateway_account")
 
 
-def problem(given: Mapping[str, str], is_file: Callable[[str], bool]) -> str:
-    """Return a sentence about the first argument that cannot work; empty when all can.
+def problem(
+    given: Mapping[str, str],
+    is_file: Callable[[str], bool],
+    is_anonymous: Callable[[str], bool] = lambda path: False,
+) -> str:
+    """Return a sentence about the first argument that cannot work, or must be meant; empty when there is none.
 
     Parameters
     ----------
     given : Mapping of str to str
-        Launch arguments; those that are missing are not looked at.
+        Launch arguments; those that are missing are not checked.
     is_file : callable
         Returns whether a path is a file that can be read.
+    is_anonymous : callable, optional
+        Returns whether the mosquitto configuration at a path lets in everybody.
     """
     for name, value in given.items():
         expected = _expected(name, value, is_file)
         if expected:
             return f"{name}:={value or chr(39) * 2}: expected {expected}"
-    if given.get("broker") == "true" and "broker_config" in given and not is_file(given["broker_config"]):
+    if _is_true(given, "broker") and "broker_config" in given and not is_file(given["broker_config"]):
         return f"broker_config:={given['broker_config']}: expected the path of a file; or use another broker with broker:=false"
     listen = given.get("rsi_listen", "127.0.0.1")
-    served_here = given.get("arm") != "none" and given.get("gateway", "true").lower() in ("true", "1")
+    served_here = given.get("arm") != "none" and _is_true(given, "gateway", "true")
     if served_here and not given.get("rsi_controller") and not is_loopback(listen):
         return f"rsi_controller:='': expected the controller's address, because rsi_listen:={listen} is reached from a network"
+    return _unsafe(given, is_anonymous) if given.get("arm") == "real" else ""
+
+
+def _unsafe(given: Mapping[str, str], is_anonymous: Callable[[str], bool]) -> str:
+    """Return why a real arm must not be started like this; empty when it may."""
+    if _is_true(given, "auto_approve") and not _is_true(given, "auto_approve_is_meant"):
+        return (
+            "auto_approve:=true with arm:=real: the arm would move without a person who has approved the plan; leave it out, or "
+            "give auto_approve_is_meant:=true as well"
+        )
+    if _is_true(given, "anonymous_broker_is_meant"):
+        return ""
+    anonymous = ""
+    if not given.get("bridge_account"):
+        anonymous = "bridge_account:=''"
+    elif _is_true(given, "gateway", "true") and not given.get("gateway_account"):
+        anonymous = "gateway_account:=''"
+    elif _is_true(given, "broker") and is_anonymous(given.get("broker_config", "")):
+        anonymous = f"broker_config:={given['broker_config']}"
+    if anonymous:
+        return (
+            f"{anonymous} with arm:=real: the broker lets in everybody, and who is on it can command the arm; make a site with "
+            "make_site and give its accounts and its broker_config, or give anonymous_broker_is_meant:=true"
+        )
     return ""
+
+
+def _is_true(given: Mapping[str, str], name: str, default: str = "false") -> bool:
+    return given.get(name, default).lower() in ("true", "1")
 
 
 def _expected(name: str, value: str, is_file: Callable[[str], bool]) -> str:
@@ -78,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Check ``name:=value`` arguments; print "ok", or a sentence on standard error and return 1."""
     words = sys.argv[1:] if arguments is None else arguments
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
-    sentence = problem(given, _readable)
+    sentence = problem(given, _readable, _lets_in_everybody)
     if sentence:
         print(f"preflight: {sentence}", file=sys.stderr)
         return 1
@@ -94,3 +139,14 @@ def _readable(path: str) -> bool:
             return True
     except OSError:
         return False
+
+
+def _lets_in_everybody(path: str) -> bool:
+    """Return whether a mosquitto configuration permits clients without an account; one that cannot be read is taken to."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return True
+    # of several the last one counts, and without one mosquitto 2 with a listener lets in nobody
+    permitted = [line.split()[1:] for line in lines if line.split()[:1] == ["allow_anonymous"]]
+    return bool(permitted) and permitted[-1] == ["true"]

@@ -1,7 +1,6 @@
 """What a reviewer sees of a plan before approving it: a ghost that plays it, its tool path, and what was measured on it.
 
-Pure; joint values in rad (m for a linear joint), times in s on any clock that never runs back, points in the robot's base
-frame [m].
+Pure; joint values in rad (m for a linear joint), times in s on any monotonic clock, points in the robot's base frame [m].
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from construction_twin.core.errors import ReviewError
 from construction_twin.robot.plan import Plan
 
-#: How long a ghost that plays again and again rests at the goal [s].
+#: How long a ghost rests at the goal before it plays again [s].
 LOOP_REST = 0.5
 #: Spacing of the points of the drawn tool path [s], and the most of them.
 PATH_SPACING = 0.02
@@ -24,10 +23,39 @@ PATH_POINTS = 1000
 TEXT_HEIGHT = 1.25
 
 
+@dataclass(frozen=True)
+class Playing:
+    """A ghost that plays a plan.
+
+    Attributes
+    ----------
+    plan : Plan
+    began : float
+        [s]
+    speed : float
+        1: as fast as the plan.
+    loop : bool
+        Play again and again.
+    """
+
+    plan: Plan
+    began: float
+    speed: float
+    loop: bool
+
+    def pose(self, now: float) -> tuple[float, ...]:
+        """Return where the ghost is at `now` [s]: joint values [rad], [m] for linear joints."""
+        trajectory, elapsed = self.plan.trajectory, now - self.began
+        if self.loop:
+            elapsed %= trajectory.duration / self.speed + LOOP_REST
+        return tuple(trajectory.sample(min(max(elapsed * self.speed, 0.0), trajectory.duration))[0].tolist())
+
+
 class Preview:
     """Which plan is shown, and where the ghost is.
 
-    A ghost that is not asked to play hides inside the twin. One that has reached the goal stays there until the plan is decided.
+    While the ghost does not play, it has the twin's pose and is hidden by it. A ghost that has reached the goal stays there
+    until the plan is approved or rejected.
 
     Attributes
     ----------
@@ -38,7 +66,7 @@ class Preview:
     def __init__(self):
         self.plan: Plan | None = None
         self._twin: tuple[float, ...] | None = None
-        self._playing: tuple[float, float, bool] | None = None
+        self._playing: Playing | None = None
         self._approved: set[str] = set()
         self._over: set[str] = set()
 
@@ -48,12 +76,12 @@ class Preview:
         return None if self.plan is None or self.plan.id in self._approved else self.plan
 
     def on_plan(self, plan: Plan) -> None:
-        """Show a plan in place of the one before, unless it was decided already."""
+        """Show a plan in place of the previous one, unless it was rejected or has ended already."""
         if plan.id not in self._over and (self.plan is None or self.plan.id != plan.id):
             self.plan, self._playing = plan, None
 
     def on_verdict(self, plan_id: str, approved: bool) -> None:
-        """Take a verdict: an approved plan stays drawn until its execution ends, any other disappears."""
+        """Take a verdict: an approved plan stays drawn until its execution ends, a rejected one disappears."""
         if not approved:
             self.on_ending(plan_id)
             return
@@ -86,7 +114,7 @@ class Preview:
         Raises
         ------
         ReviewError
-            When the speed makes no sense or no plan is under review.
+            If the speed is negative or not finite, or no plan is under review.
         """
         if not 0.0 <= speed < math.inf:
             raise ReviewError(f"a preview at speed {speed} was asked for; expected a positive number, or 0 to end it")
@@ -96,19 +124,15 @@ class Preview:
         plan = self.under_review
         if plan is None:
             raise ReviewError("no plan is under review; plan first, then preview it")
-        self._playing = now, speed, loop
+        self._playing = Playing(plan, now, speed, loop)
         again = ", again and again" if loop else ""
         return f"the ghost plays plan {plan.id} in {plan.trajectory.duration / speed:.3f} s{again}; nothing moves"
 
     def pose(self, now: float) -> tuple[float, ...] | None:
-        """Return where the ghost is at `now` [s]; None while not even the twin's pose is known."""
+        """Return where the ghost is at `now` [s]; None while the twin's pose is unknown and nothing is played."""
         if self._playing is None:
             return self._twin
-        began, speed, loop = self._playing
-        trajectory, elapsed = self.plan.trajectory, now - began
-        if loop:
-            elapsed %= trajectory.duration / speed + LOOP_REST
-        return tuple(trajectory.sample(min(max(elapsed * speed, 0.0), trajectory.duration))[0].tolist())
+        return self._playing.pose(now)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +181,7 @@ def picture(plan: Plan, tool_position: Callable[[np.ndarray], np.ndarray]) -> Pl
 
 def describe(plan: Plan) -> str:
     """Return the plan's duration, closest clearance and largest fractions of the limits, some lines of text."""
-    clearance, fractions = plan.report.clearance, plan.report.fractions
+    clearance, fractions = plan.report.clearance, plan.report.usage
     lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
     if math.isfinite(clearance.distance):
         where = ", ".join(f"{value:.2f}" for value in clearance.point)

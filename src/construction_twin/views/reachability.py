@@ -1,7 +1,7 @@
-"""Can the arm bring its tool to a pose, without touching anything? The quick answer for somebody who drags a marker.
+"""Can the arm bring its tool to a pose without touching anything? A quick answer for an operator who drags the marker.
 
-What it finds is what `planning.planner.Planner.plan_to_pose` starts from: the same solutions, the same contacts. A way there is
-another question, which only planning answers. SI; poses ``base_T_tool``; sentences in deg and mm.
+The solutions and contacts are those that `planning.planner.Planner.plan_to_pose` starts from. Whether a path leads there only
+planning can tell. SI; poses are ``base_T_tool``; sentences are in deg and mm.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from construction_twin.views.texts import range_sentence
 
 
 class Reach(enum.Enum):
-    """What a pose is for the arm."""
+    """Whether the arm can be at a pose."""
 
     #: At least one joint solution touches nothing.
     FREE = "free"
@@ -41,9 +41,9 @@ class PoseVerdict:
     sentence : str
         Why, for people.
     q : array, shape (n,), or None
-        The joint solution nearest to the seed that it is about [rad], [m] for linear joints.
+        The joint solution that was judged [rad], [m] for linear joints.
     between : tuple of str, length 0 or 2
-        Which two touch.
+        The two bodies that touch.
     """
 
     reach: Reach
@@ -59,7 +59,7 @@ def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, wor
     ----------
     pose : Pose
     seed : sequence of float, length n
-        Where the arm is, within its ranges.
+        The arm's present joint values [rad], [m] for linear joints, within their ranges.
     solver : InverseKinematics
     world : CollisionWorld
 
@@ -72,16 +72,18 @@ def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, wor
         solutions = [solution.q for solution in solver.all(pose, seed)]
     except KinematicsError as error:
         return PoseVerdict(Reach.OUT, why_out(error, solver.chain.robot))
+    touching: list[PoseVerdict] = []
     for q in solutions:
-        if world.is_free(q):
+        contact = world.contact(q.tolist())
+        if contact is None:
             return PoseVerdict(Reach.FREE, "can be reached, nothing is touched there", q)
-    contact = world.contact(solutions[0])
-    first, second = contact.between
-    return PoseVerdict(Reach.CONTACT, f"{first} would touch {second}", solutions[0], contact.between)
+        first, second = contact.between
+        touching.append(PoseVerdict(Reach.CONTACT, f"{first} would touch {second}", q, contact.between))
+    return touching[0]
 
 
 def why_out(error: KinematicsError, robot: RobotModel) -> str:
-    """Return why there is no joint solution, for people: by how much out of reach, or which joint is in the way."""
+    """Return why there is no joint solution, for people: by how much the pose is out of reach, or which joint's range ends."""
     if isinstance(error, UnreachableError):
         where, to_do = ("too close", "further away") if error.too_close else ("out of reach", "closer")
         return f"{where} by {error.missing * 1e3:.0f} mm; move it {to_do}"

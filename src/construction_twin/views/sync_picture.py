@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from urdf_parser_py.urdf import Box, Cylinder, Mesh, Sphere
 
 from construction_twin.monitor.states import SyncState
-from construction_twin.robot.description import parse_urdf
+from construction_twin.robot.urdf import parse_urdf
 
-#: Red, green, blue, alpha of the physical arm by state. Fainter while it agrees: then the twin is what one looks at.
+#: Red, green, blue, alpha of the physical arm by state. It is faint while the poses agree, so that the twin is easy to see.
 COLOURS = {
     SyncState.WAITING: (0.45, 0.5, 0.6, 0.35),
     SyncState.IN_SYNC: (0.1, 0.75, 0.25, 0.2),
@@ -70,22 +70,21 @@ def visual_shapes(urdf: str) -> tuple[Shape, ...]:
 
 def _shape(link: str, visual) -> Shape:
     geometry, origin = visual.geometry, visual.origin
-    position = (0.0, 0.0, 0.0) if origin is None else tuple(map(float, origin.xyz))
-    quaternion = (
-        (0.0, 0.0, 0.0, 1.0) if origin is None else tuple(Rotation.from_euler("xyz", origin.rpy).as_quat().tolist())
-    )
-    kind, mesh, scale = _geometry(geometry)
-    return Shape(link, kind, mesh, scale, position, quaternion)
-
-
-def _geometry(geometry: Mesh | Box | Cylinder | Sphere) -> tuple[str, str, tuple[float, float, float]]:
+    x, y, z = (0.0, 0.0, 0.0) if origin is None else map(float, origin.xyz)
+    qx, qy, qz, qw = Rotation.from_euler("xyz", (0.0, 0.0, 0.0) if origin is None else origin.rpy).as_quat().tolist()
+    kind, mesh, scale = type(geometry).__name__.lower(), "", _extent(geometry)
     if isinstance(geometry, Mesh):
-        return "mesh", geometry.filename, tuple(map(float, geometry.scale or (1.0, 1.0, 1.0)))
-    if isinstance(geometry, Box):
-        return "box", "", tuple(map(float, geometry.size))
-    if isinstance(geometry, Cylinder):
-        return "cylinder", "", (2 * geometry.radius, 2 * geometry.radius, float(geometry.length))
-    return "sphere", "", (2 * geometry.radius,) * 3
+        mesh = geometry.filename
+    return Shape(link, kind, mesh, scale, (x, y, z), (qx, qy, qz, qw))
+
+
+def _extent(geometry: Mesh | Box | Cylinder | Sphere) -> tuple[float, float, float]:
+    """Return a mesh's scale, or another shape's extent along its axes [m]."""
+    if isinstance(geometry, (Mesh, Box)):
+        x, y, z = (geometry.scale or (1.0, 1.0, 1.0)) if isinstance(geometry, Mesh) else geometry.size
+        return float(x), float(y), float(z)
+    across = 2.0 * geometry.radius
+    return across, across, float(geometry.length) if isinstance(geometry, Cylinder) else across
 
 
 def headline(state: SyncState, reason: str, worst: str) -> str:

@@ -45,7 +45,7 @@ def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
 
 
 def _fractions(plan: Plan) -> str:
-    fractions, names = plan.report.fractions, plan.trajectory.joint_names
+    fractions, names = plan.report.usage, plan.trajectory.joint_names
     parts = []
     for quantity in ("velocity", "acceleration", "jerk"):
         values = getattr(fractions, quantity)
@@ -74,6 +74,13 @@ def under_review(plan: Plan | None) -> str:
     if plan is None:
         return "no plan waits"
     return f"plan {plan.id} of {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
+
+
+def waiting_plan(plan: Plan) -> str:
+    """Return the short line about the plan under review that stands beside the marker."""
+    clearance = plan.report.clearance.distance
+    closest = f", closest {clearance * 1e3:.0f} mm" if math.isfinite(clearance) else ""
+    return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s{closest}"
 
 
 def because(reason: str) -> str:

@@ -20,7 +20,7 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.execution.conflict_verdicts import AHEAD, VERDICT_TIMEOUT, NeighbourWatch
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.kinematics.chain import Pose
-from construction_twin.scene.first_contact import copies, first_meeting
+from construction_twin.scene.first_contact import copies, first_contact
 from construction_twin.scene.neighbour import Neighbour
 
 OWN_STEP, PADDING = 0.1, 0.03
@@ -45,7 +45,7 @@ def row(made: OwnPath, fraction: float) -> int:
 
 
 def conflict(made: OwnPath, obstacles, at: int = 0) -> Conflict | None:
-    return made.look(obstacles, PADDING, at).conflict
+    return made.check(obstacles, PADDING, at).conflict
 
 
 @pytest.fixture(autouse=True)
@@ -60,9 +60,9 @@ def compared(monkeypatch) -> list[int]:
 
     def counting(own, others, padding):
         counts.append(sum(len(item.places) for item in own))
-        return first_meeting(own, others, padding)
+        return first_contact(own, others, padding)
 
-    monkeypatch.setattr(conflict_module, "first_meeting", counting)
+    monkeypatch.setattr(conflict_module, "first_contact", counting)
     return counts
 
 
@@ -120,29 +120,29 @@ def test_a_look_takes_what_is_near_and_no_more_than_its_budget_beyond(compared):
     copies = len(whole.copies)
     near = whole.copies_before(126)
     assert 0 < near < copies - 200
-    look = made.look(obstacles, PADDING, 0, 0.5)
-    assert look.conflict is None and sum(compared) == -(-near // 16) * 16 and 0.1 < look.fraction < 0.3
+    check = made.check(obstacles, PADDING, 0, 0.5)
+    assert check.conflict is None and sum(compared) == -(-near // 16) * 16 and 0.1 < check.fraction < 0.3
     fractions = []
-    while look.fraction < 1.0:
+    while check.fraction < 1.0:
         compared.clear()
-        look = made.look(obstacles, PADDING, 0, 0.5, 1)
-        assert look.conflict is None and 0 < sum(compared) <= 16
-        fractions.append(look.fraction)
+        check = made.check(obstacles, PADDING, 0, 0.5, 1)
+        assert check.conflict is None and 0 < sum(compared) <= 16
+        fractions.append(check.fraction)
     assert len(fractions) >= (copies - near) // 16 and fractions == sorted(set(fractions))
     compared.clear()
-    assert made.look(obstacles, PADDING, 0, 0.5, 1).fraction == 1.0 and not compared
+    assert made.check(obstacles, PADDING, 0, 0.5, 1).fraction == 1.0 and not compared
 
 
 def test_many_looks_find_the_same_conflict_as_one_and_keep_it_without_looking_again(compared):
     obstacles = other().between(TOWARDS, TOWARDS)
     whole, made = conflict(way(), obstacles), way()
-    look = made.look(obstacles, PADDING, 0, 0.1, 1)
-    while look.conflict is None:
-        assert look.fraction < 1.0
-        look = made.look(obstacles, PADDING, 0, 0.1, 1)
-    assert look.conflict == whole
+    check = made.check(obstacles, PADDING, 0, 0.1, 1)
+    while check.conflict is None:
+        assert check.fraction < 1.0
+        check = made.check(obstacles, PADDING, 0, 0.1, 1)
+    assert check.conflict == whole
     compared.clear()
-    assert made.look(obstacles, PADDING, 0, 0.1, 1).conflict == whole and not compared
+    assert made.check(obstacles, PADDING, 0, 0.1, 1).conflict == whole and not compared
 
 
 def test_a_conflict_with_what_the_other_arm_has_left_behind_is_over():
@@ -154,13 +154,13 @@ def test_a_conflict_with_what_the_other_arm_has_left_behind_is_over():
 
 def test_new_obstacles_need_no_new_look_at_the_old_ones(compared):
     made, old = way(CLEAR, HOME + np.radians([60, 0, 0, 0, 0, 0])), other().along(line(AWAY, AWAY + 0.3)).rest()
-    assert made.look(old, PADDING, 0, 0.1, 1).fraction < 1.0
+    assert made.check(old, PADDING, 0, 0.1, 1).fraction < 1.0
     for shift in range(1, 20):
         beside = other().along(np.array([AWAY + 0.01 * shift])).rest()
-        look = made.look((*old, *beside), PADDING, 0, 0.1, 30_000)
-    assert look.conflict is None and look.fraction < 1.0
+        check = made.check((*old, *beside), PADDING, 0, 0.1, 30_000)
+    assert check.conflict is None and check.fraction < 1.0
     compared.clear()
-    assert made.look(old, PADDING, 0, 0.1, 1).fraction == 1.0 and not compared
+    assert made.check(old, PADDING, 0, 0.1, 1).fraction == 1.0 and not compared
 
 
 @settings(max_examples=40, deadline=None)
@@ -170,7 +170,7 @@ def test_the_first_meeting_is_that_of_every_pair_measured_one_by_one(seed, paddi
     turns = rng.uniform(-0.9, 0.9, (4, 6))
     own = [item for _, _, item in own_arm().along(line(*(NEAR + turns[:2]), 60), False).copies]
     theirs = other().along(line(*(STRETCHED + turns[2:]), 60)).rest()
-    found = first_meeting(copies(own), copies(theirs), padding)
+    found = first_contact(copies(own), copies(theirs), padding)
     expected = next((place for place, item in enumerate(own) if any(meets(item, it, padding) for it in theirs)), None)
     assert (found and found[0]) == expected
     if found is not None:

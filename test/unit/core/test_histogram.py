@@ -62,3 +62,12 @@ def test_bins_reach_from_some_10_us_to_100_ms_in_steps_of_a_tenth():
     assert edges[0] < 20
     assert 9e4 < edges[-1] < 1.2e5
     assert all(1.0 < high / low < 1.15 for low, high in zip(edges, edges[1:]))
+
+
+def test_a_summary_stays_as_it_was_while_another_thread_counts_on():
+    histogram = Histogram.of_microseconds()
+    histogram.add(100.0)
+    summary = histogram.summary()
+    for value in range(1000):
+        histogram.add(float(value))
+    assert sum(summary["counts"]) == 1

@@ -158,6 +158,43 @@ def test_inconsistent_messages_say_so(tmp_path):
             read_recording(tmp_path / "x.bag")
 
 
+def write_foreign(bag, topic, datatype="sensor_msgs/JointState"):
+    """Write a message whose definition, brought along by the bag, is not the one installed here."""
+    header = {"topic": topic, "type": datatype, "md5sum": "0" * 32, "message_definition": "string evil"}
+    bag.write(topic, (datatype, b"\0\0\0\0", "0" * 32, JointState), at(BASE), raw=True, connection_header=header)
+
+
+@pytest.fixture
+def no_code(monkeypatch):
+    """rosbag makes Python code of a bag's definitions with this function."""
+    monkeypatch.setattr(genpy.dynamic, "generate_dynamic", lambda *_: pytest.fail("ran code that a bag brought along"))
+
+
+def test_a_bag_s_own_definitions_are_never_run(recording, tmp_path, no_code):
+    path = tmp_path / "foreign.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        write_robot(bag, recording)
+        write_foreign(bag, "/kr120/link", "construction_twin/Link")
+    with pytest.raises(EvaluationError, match="/kr120/link in the bag was recorded with another definition"):
+        read_recording(path)
+
+
+def test_a_foreign_topic_that_is_not_needed_is_no_obstacle(recording, tmp_path, no_code):
+    path = tmp_path / "chatter.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        write_robot(bag, recording)
+        write_foreign(bag, "/chatter")
+    assert read_recording(path).robot == "/kr120"
+
+
+def test_after_reading_rosbag_is_as_before(full_bag):
+    before = rosbag.bag._get_message_type
+    read_recording(full_bag)
+    with pytest.raises(EvaluationError):
+        read_recording(full_bag, "/nobody")
+    assert rosbag.bag._get_message_type is before
+
+
 def test_bag_that_was_not_closed_names_the_remedy(full_bag, tmp_path):
     cut = tmp_path / "cut.bag.active"
     bag = rosbag.Bag(str(cut), "w")

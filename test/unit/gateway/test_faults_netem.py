@@ -1,7 +1,7 @@
 """The profiles through the kernel's netem, between two network namespaces; skipped, with the reason, where there is no netem.
 
-The cell's namespace holds gateway and mock controller, the other one broker and commander: a motion meets the profiles on its MQTT side.
-Loss, reordering and duplication of datagrams between controller and gateway are the impairment proxy's (test_faults_rsi).
+The cell's namespace holds gateway and mock controller, the other one broker and commander: the profiles act on MQTT. Loss,
+reordering and duplication of datagrams between controller and gateway are made by the impairment proxy (test_faults_rsi).
 """
 
 from __future__ import annotations

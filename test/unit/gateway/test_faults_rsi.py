@@ -10,7 +10,7 @@ import pytest
 from fault_cell import GOAL, FaultCell, judge_arm
 from impairment_profiles import UDP_PROFILES, Profile
 
-from construction_twin.link.supervisor import LinkState
+from construction_twin.link.states import LinkState
 
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 

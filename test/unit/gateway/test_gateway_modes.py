@@ -16,7 +16,8 @@ from construction_twin.core.errors import TelegramError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.states import LinkState
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mock.controller import MockConfig, MockController
 from construction_twin.mock.servo import IdealServo
 from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, SensorEncoder

@@ -269,6 +269,82 @@ def test_the_gateway_needs_nothing_but_the_standard_library_and_paho(config_file
     assert "cannot listen for RSI" in result.stderr
 
 
+#: Folders whose modules run on the cell PC.
+_CELL_FOLDERS = ("core", "mqtt", "rsi", "gateway")
+
+
+def test_every_module_of_the_cell_folders_needs_nothing_but_the_standard_library_and_paho():
+    package = ROOT / "src/construction_twin"
+    paths = [path for folder in _CELL_FOLDERS for path in (package / folder).glob("*.py") if path.stem != "__main__"]
+    names = sorted(
+        ".".join(("construction_twin", path.parent.name, path.stem)).removesuffix(".__init__") for path in paths
+    )
+    assert len(names) > 40
+    start = _CELL_PC[: _CELL_PC.index("module, sys.argv")]
+    start += "import importlib; [importlib.import_module(name) for name in sys.argv[3:]]; print(len(sys.argv) - 3)"
+    site = str(Path(paho.__file__).parents[2])
+    command = [sys.executable, "-S", "-E", "-c", start, str(ROOT / "src"), site, *names]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd="/")
+    assert result.returncode == 0, result.stderr
+    assert int(result.stdout) == len(names)
+
+
+def test_the_name_of_before_still_starts_the_gateway():
+    result = on_the_cell_pc("construction_twin.rsi.gateway", "--help")
+    assert result.returncode == 0 and "--config" in result.stdout, result.stderr
+
+
+def test_with_a_paho_that_was_not_tested_it_runs_on_the_public_interface_and_says_so_once(broker, topics, config_file):
+    code = (
+        "import sys; from construction_twin.mqtt import fast_client; fast_client.TESTED_VERSIONS = ('1.2.3',); "
+        "from construction_twin.gateway.service import main; sys.exit(main(sys.argv[1:]))"
+    )
+    with client_of(broker, topics) as client, bind("127.0.0.1", 0) as sock:
+        address = sock.getsockname()
+        sock.close()
+        Path(config_file).write_text(PATIENT.to_json())
+        command = [sys.executable, "-c", code, "--config", config_file, "--prefix", topics.prefix]
+        command += ["--listen", f"{address[0]}:{address[1]}", "--broker", f"127.0.0.1:{broker}"]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+            with controller_of(address) as controller:
+                controller.start()
+                client.wait_for_status(state="ready")
+                assert client.arm(PATIENT, run=client.status()["run"])["ok"]
+                stream(client, controller, (motion(k) for k in range(150)))
+                client.wait_for_status(state="following")
+                assert client.control("stop")["ok"]
+                client.wait_for_status(state="holding")
+            process.send_signal(signal.SIGTERM)
+            _, log = process.communicate(timeout=10.0)
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    assert log.count("was not tested with the fast client (tested: 1.2.3)") == 1
+    assert len(client.on(topics.state)) > 100
+
+
+def test_a_program_that_has_failed_says_so_in_its_exit_code(broker, topics, config_file):
+    code = (
+        "import sys; from construction_twin.gateway import service\n"
+        "def broken(self, now): raise ZeroDivisionError('injected')\n"
+        "service.Gateway.poll = broken\n"
+        "sys.exit(service.main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, "--config", config_file, "--prefix", topics.prefix]
+    command += ["--broker", f"127.0.0.1:{broker}", "--listen", "127.0.0.1:0"]
+    with client_of(broker, topics) as client:
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+            client.wait_for_status(state="failed", fault=True)
+            process.send_signal(signal.SIGTERM)
+            _, log = process.communicate(timeout=10.0)
+        finally:
+            process.kill()
+    assert process.returncode == 1
+    assert log.count("Traceback") == 1 and "ZeroDivisionError: injected" in log
+
+
 @pytest.mark.parametrize("module", ["numpy", "yaml", "rospy", "construction_twin.robot.description"])
 def test_the_cell_pc_of_this_test_really_lacks_the_rest(module):
     result = on_the_cell_pc(module)

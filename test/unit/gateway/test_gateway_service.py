@@ -25,8 +25,9 @@ from service_cell import (
     stream,
 )
 
-from construction_twin.mqtt.fast_client import UserProperties, received_pairs
+from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
+from construction_twin.mqtt.plain_client import received_pairs
 
 
 def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics):

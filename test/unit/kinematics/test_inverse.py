@@ -304,7 +304,7 @@ def test_seed_out_of_range_is_refused(ask):
         ask(CHAIN.forward(KR120.home), (0.0, 0.0, *KR120.home[2:]))
 
 
-@pytest.mark.filterwarnings("ignore:invalid value")  # numpy's, on the way to the sentence
+@pytest.mark.filterwarnings("error")  # refused before numpy computes with it
 @pytest.mark.parametrize("ask", [INVERSE.nearest, INVERSE.all])
 @pytest.mark.parametrize(
     "position, rotation, what",

@@ -48,13 +48,13 @@ def test_parameters_of_the_kr120_are_the_facts_sheets():
     "robot, reason",
     [
         (UR_LIKE, r"axis 6 passes 0\.12 m beside .* not spherical"),
-        (TRACK, "6 turning and 1 linear"),
+        (TRACK, "6 revolute and 1 prismatic"),
         (changed("joint_a3", rpy="0.1 0 0"), "axes 2 and 3 are 0.1 rad from parallel"),
         (changed("joint_a5", xyz="0.05 0.02 0"), "axis 6 passes 0.02 m beside"),
         (changed("joint_a5", axis="1 0 0"), "axes 4 and 5 do not meet"),
-        (changed("joint_a6", rpy="0 0 0.2"), "axes 5 and 6 are 0.2 rad from square"),
-        (changed("joint_a4", rpy="0 0 0.3"), "axes 3 and 4 are 0.3 rad from square"),
-        (changed("joint_a2", rpy="0.2 0 0"), "axes 1 and 2 are 0.2 rad from square"),
+        (changed("joint_a6", rpy="0 0 0.2"), "axes 5 and 6 are 0.2 rad from perpendicular"),
+        (changed("joint_a4", rpy="0 0 0.3"), "axes 3 and 4 are 0.3 rad from perpendicular"),
+        (changed("joint_a2", rpy="0.2 0 0"), "axes 1 and 2 are 0.2 rad from perpendicular"),
         (changed("joint_a3", xyz="0 0.3 0"), "axes 2 and 3 are the same line"),
     ],
 )

@@ -25,7 +25,7 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS
 from construction_twin.kinematics.inverse import Configuration, IkSettings
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.rail_singularities import find_swings
+from construction_twin.kinematics.rail_singularities import find_singularities
 from construction_twin.robot.frames import abc_to_rotation
 
 UR = make_inverse(UR_LIKE)
@@ -140,22 +140,22 @@ def test_singular_wrist_on_the_track_is_found_from_beside_it(a5, place):
     for one in solutions:
         assert_solves(RAIL.chain, one, pose, seed)
     if a5 == 0.0:
-        # joints 4 and 6 share what is missing: 0.2 in all instead of 0.25
+        # joints 4 and 6 each take half of the missing angle: 0.2 in all instead of 0.25
         assert solution.q[[4, 6]] == pytest.approx([0.525, -0.325], abs=1e-6)
         totals = [round(one.q[4] + one.q[6], 3) for one in solutions if abs(one.q[5]) < 1e-3]
         assert {0.2, round(0.2 + 2.0 * math.pi, 3)} <= set(totals)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-3])
-def test_swings_are_where_the_wrist_passes_its_singularity(angle):
+def test_singularities_are_where_the_wrist_passes_its_own(angle):
     def wrist(places):
         slow = 0.5 + 0.1 * places  # never near
         return np.column_stack([np.hypot(angle, np.sin(2.0 * (places - 0.1234567))), slow])
 
-    ((place, width, found),) = find_swings(np.linspace(-1.0, 1.0, 301), wrist(np.linspace(-1.0, 1.0, 301)), wrist)
-    assert place == pytest.approx(0.1234567, abs=1e-7)
-    assert found == pytest.approx(angle, rel=1e-2, abs=1e-8)
-    assert width == pytest.approx(angle / 2.0, rel=1e-2, abs=1e-8)
+    (found,) = find_singularities(np.linspace(-1.0, 1.0, 301), wrist(np.linspace(-1.0, 1.0, 301)), wrist)
+    assert found.place == pytest.approx(0.1234567, abs=1e-7)
+    assert found.angle == pytest.approx(angle, rel=1e-2, abs=1e-8)
+    assert found.width == pytest.approx(angle / 2.0, rel=1e-2, abs=1e-8)
 
 
 def test_search_slides_along_a_singular_pose_towards_the_seed():

@@ -9,7 +9,8 @@ from supervisor_bench import DECIMALS, FAULT, POLL, POSE, SILENCE, STOP, TOLERAN
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.supervisor import FRESH, REST, LinkState
+from construction_twin.link.inputs import FRESH, REST
+from construction_twin.link.states import LinkState
 
 #: Fixtures of the bench.
 __all__ = ["armed", "bench"]
@@ -42,6 +43,29 @@ class TestReturn:
     def test_after_anything_but_silence_it_needs_a_reset_even_within_tolerance(self, armed, reason):
         armed.set_gateway("holding", reason)
         armed.run(5.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+
+    @pytest.mark.parametrize(
+        "stop, state",
+        [
+            ({"cause": "silence"}, LinkState.ARMED),
+            ({"cause": "stop"}, LinkState.NEEDS_RESET),
+            ({}, LinkState.NEEDS_RESET),
+            ("silence", LinkState.NEEDS_RESET),
+            (None, LinkState.NEEDS_RESET),
+        ],
+    )
+    def test_the_cause_in_the_status_counts_and_not_the_sentence(self, armed, stop, state):
+        sentence = "kein Sollwert seit 0,104 s" if state is LinkState.ARMED else SILENCE
+        armed.set_gateway("holding", sentence, stop=stop)
+        armed.run(2.0)
+        assert armed.state is state
+
+    def test_a_cause_of_a_stop_before_does_not_count_while_the_gateway_does_something_else(self, armed):
+        armed.set_gateway("joined_running", SILENCE, stop={"cause": "silence"}, session="")
+        armed.run(0.5)
+        armed.set_gateway("braking", SILENCE, stop={"cause": "silence"})
+        armed.run(0.5)
         assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
 
     def test_a_bridge_started_while_the_gateway_holds_after_silence_goes_on_within_tolerance(self, bench):
@@ -122,7 +146,7 @@ class TestReturn:
 
 class TestStop:
     def test_stays_stopped_until_a_reset(self, armed):
-        armed.supervisor.drop("stopped on request")
+        armed.supervisor.halt("stopped on request")
         assert armed.state is LinkState.NEEDS_RESET and not armed.supervisor.on_command(POSE, armed.now)
         for state, reason in (("following", ""), ("braking", STOP), ("holding", STOP)):
             armed.set_gateway(state, reason)
@@ -134,7 +158,7 @@ class TestStop:
 
     @pytest.mark.parametrize("state, reason", [("holding", SILENCE), ("ready", "RSI session began"), ("armed", "")])
     def test_stays_stopped_whatever_the_gateway_says_afterwards(self, armed, state, reason):
-        armed.supervisor.drop("stopped on request")
+        armed.supervisor.halt("stopped on request")
         armed.set_gateway("offline")
         armed.run(0.5)
         armed.set_gateway(state, reason)
@@ -148,7 +172,7 @@ class TestStop:
     def test_a_stop_before_the_first_arming_counts_too(self, bench):
         bench.command = None
         bench.run(0.1)
-        bench.supervisor.drop("stopped on request")
+        bench.supervisor.halt("stopped on request")
         bench.command = POSE
         bench.run(2.0)
         assert bench.state is LinkState.NEEDS_RESET and bench.sent == []
@@ -158,14 +182,14 @@ class TestStop:
         armed.set_gateway("holding", STOP, fault=True)
         armed.run(0.5)
         getattr(armed.supervisor, request_name)(armed.now)
-        armed.supervisor.drop("stopped on request")
+        armed.supervisor.halt("stopped on request")
         armed.run(2.0)
         assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
 
     def test_a_stop_overtakes_an_arming_under_way(self, bench):
         bench.answering = False
         bench.run(0.3)
-        bench.supervisor.drop("stopped on request")
+        bench.supervisor.halt("stopped on request")
         bench.answer(bench.sent[0])
         bench.poll()
         assert bench.state is LinkState.NEEDS_RESET and not bench.forwarded

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from gate_bench import CODEC, SETTINGS, START, Bench, moved, states
 
-from construction_twin.core.lateness import Lateness
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
@@ -16,16 +15,6 @@ def bench(**settings) -> Bench:
     opened = Bench(GateSettings(**settings)).opened()
     opened.gate.take_transitions()
     return opened
-
-
-def test_lateness_is_told_from_the_quickest_and_slow_drift_makes_nothing_late():
-    lateness = Lateness()
-    assert lateness.of(1000, 7000) == 0 and lateness.of(1000, 7500) == 500
-    assert lateness.of(3000, 8000) == 0 and lateness.of(3000, 8001) == 1
-    slow = Lateness()
-    for second in range(10_000):
-        # the sender's clock is slow by 50 ppm: half a second in all
-        assert slow.of(round(second * 0.99995 * NANOSECONDS), second * NANOSECONDS) == 0
 
 
 class TestLateSetpoints:

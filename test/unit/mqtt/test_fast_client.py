@@ -19,7 +19,8 @@ from paho.mqtt.properties import Properties
 from processes import wait_until
 
 from construction_twin.mqtt.client import Broker, make_client
-from construction_twin.mqtt.fast_client import DirectClient, FastClient, UserProperties, read_plain, received_pairs
+from construction_twin.mqtt.fast_client import DirectClient, FastClient, UserProperties, read_plain
+from construction_twin.mqtt.plain_client import received_pairs
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\ufeff"), max_size=40)
 PAIRS = st.lists(st.tuples(TEXT, TEXT), max_size=5)

@@ -15,7 +15,7 @@ from construction_twin.core.motion_errors import CartesianPathError, CollisionEr
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.kinematics.solution import IkSettings
-from construction_twin.planning.batch_kinematics import RowKinematics
+from construction_twin.planning.batch_kinematics import BatchKinematics
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.ik_branch import SINGULAR
 from construction_twin.planning.tool_path import ToolWaypoint
@@ -106,7 +106,7 @@ def test_the_second_waypoint_is_named():
 class Wall:
     """A world with a wall at y = 0.3 m from the start."""
 
-    rows = RowKinematics(CHAIN)
+    rows = BatchKinematics(CHAIN)
 
     def all_free(self, qs):
         touching = np.flatnonzero(self.rows.poses(qs)[0][:, 1] >= 0.3)
@@ -132,7 +132,7 @@ def test_a_start_out_of_range_is_refused():
 def test_rows_agree_with_kdl():
     rng = np.random.default_rng(2)
     q = rng.uniform(CHAIN.robot.lower, CHAIN.robot.upper, (50, 6))
-    rows = RowKinematics(CHAIN)
+    rows = BatchKinematics(CHAIN)
     positions, rotations = rows.poses(q)
     for row, jacobian in enumerate(rows.jacobians(q)):
         pose = CHAIN.forward(q[row])

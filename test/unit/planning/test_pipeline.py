@@ -1,4 +1,4 @@
-"""The planning desk: scenes that come, change and cannot be used; tool paths and waypoints in the scene; what asks for them."""
+"""The planning pipeline: scenes that come, change and cannot be used; tool paths and waypoints in the scene; what asks for them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from construction_twin.core.motion_errors import (
     WaypointsError,
 )
 from construction_twin.kinematics.chain import Pose
-from construction_twin.planning.pipeline import PlanningDesk
+from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import from_points
@@ -40,10 +40,10 @@ from construction_twin.scene.objects import Scene, SceneObject
 EMPTY, WALLED = Scene(padding=0.01), Scene((WALL,), 0.01)
 
 
-def desk(scene: Scene | None = EMPTY, clock=None, **changes) -> PlanningDesk:
+def pipeline(scene: Scene | None = EMPTY, clock=None, **changes) -> PlanningPipeline:
     rng = np.random.default_rng(0)
     settings = PlannerSettings(**(QUICK | changes))
-    made = PlanningDesk(ROBOT, solver(), settings, SELF_COLLISION, clock or Clock(), rng, "/kr120/scene")
+    made = PlanningPipeline(ROBOT, solver(), settings, SELF_COLLISION, clock or Clock(), rng, "/kr120/scene")
     if scene is not None:
         made.set_scene(scene)
     return made
@@ -51,13 +51,13 @@ def desk(scene: Scene | None = EMPTY, clock=None, **changes) -> PlanningDesk:
 
 def test_without_a_scene_nothing_is_planned():
     with pytest.raises(NoSceneError, match="/kr120/scene; the scene node is not running"):
-        desk(None).to_joints(HOME, LEFT, REQUEST)
+        pipeline(None).to_joints(HOME, LEFT, REQUEST)
     with pytest.raises(NoSceneError):
-        desk(None).wait_for_scene(0.0)
+        pipeline(None).wait_for_scene(0.0)
 
 
 def test_a_scene_that_comes_later_is_waited_for():
-    made = desk(None)
+    made = pipeline(None)
     timer = threading.Timer(0.02, made.set_scene, [EMPTY])
     timer.start()
     made.wait_for_scene(10.0)
@@ -66,7 +66,7 @@ def test_a_scene_that_comes_later_is_waited_for():
 
 
 def test_every_plan_is_made_in_the_latest_scene():
-    made = desk()
+    made = pipeline()
     assert made.to_joints(RIGHT, LEFT, REQUEST).planner == "direct"
     made.set_scene(WALLED)
     around = made.to_joints(RIGHT, LEFT, REQUEST)
@@ -93,7 +93,7 @@ class EditingClock(Clock):
 @pytest.mark.parametrize("look", [1, 2, 3, 4])
 def test_a_scene_that_changes_while_planning_drops_the_plan(look):
     clock = EditingClock(look)
-    made = desk(EMPTY, clock)
+    made = pipeline(EMPTY, clock)
     clock.edit = lambda: made.set_scene(WALLED)
     with pytest.raises(SceneChangedError, match="the scene changed while planning.*ask again") as caught:
         made.to_joints(RIGHT, LEFT, REQUEST)
@@ -103,13 +103,13 @@ def test_a_scene_that_changes_while_planning_drops_the_plan(look):
 
 def test_the_same_scene_sent_again_drops_nothing():
     clock = EditingClock(2)
-    made = desk(EMPTY, clock)
+    made = pipeline(EMPTY, clock)
     clock.edit = lambda: made.set_scene(Scene(padding=0.01))
     assert made.to_joints(RIGHT, LEFT, REQUEST).scene == EMPTY.hash
 
 
 def test_after_a_scene_that_cannot_be_used_nothing_is_planned_until_the_next():
-    made = desk()
+    made = pipeline()
     made.refuse_scene(SceneError("the scene's hash", "a", "b"))
     made.wait_for_scene(0.0)
     with pytest.raises(SceneError, match="hash"):
@@ -120,7 +120,7 @@ def test_after_a_scene_that_cannot_be_used_nothing_is_planned_until_the_next():
 
 def test_a_scene_that_becomes_unusable_while_planning_drops_the_plan():
     clock = EditingClock(2)
-    made = desk(EMPTY, clock)
+    made = pipeline(EMPTY, clock)
     clock.edit = lambda: made.refuse_scene(SceneError("the scene's hash", "a", "b"))
     with pytest.raises(SceneChangedError):
         made.to_joints(HOME, LEFT, REQUEST)
@@ -129,19 +129,19 @@ def test_a_scene_that_becomes_unusable_while_planning_drops_the_plan():
 def test_an_object_on_a_link_that_does_not_exist_is_said():
     carried = SceneObject("tool", "sphere", (0.1,), link="link_9")
     with pytest.raises(SceneError, match="link_9"):
-        desk(Scene((carried,))).to_joints(HOME, LEFT, REQUEST)
+        pipeline(Scene((carried,))).to_joints(HOME, LEFT, REQUEST)
 
 
 def test_a_tool_path_is_checked_in_the_scene():
     start = CHAIN.forward(HOME)
     down = [ToolWaypoint(Pose(start.position + (0.0, 0.0, -0.2), start.rotation))]
-    plan = desk().along(HOME, down, 0.2, REQUEST)
+    plan = pipeline().along(HOME, down, 0.2, REQUEST)
     assert (plan.planner, plan.scene) == ("cartesian", EMPTY.hash)
     np.testing.assert_allclose(CHAIN.forward(plan.trajectory.positions[-1]).position, down[0].pose.position, atol=1e-4)
     assert plan.planning_time > 0.0 and len(plan.report.clearance.between) == 2
     block = SceneObject("block", "sphere", (0.1,), tuple(start.position + (0.0, 0.0, -0.25)))
     with pytest.raises(CartesianPathError, match="block") as caught:
-        desk(Scene((block,))).along(HOME, down, 0.2, REQUEST)
+        pipeline(Scene((block,))).along(HOME, down, 0.2, REQUEST)
     assert 0.0 < caught.value.fraction < 1.0
 
 
@@ -150,14 +150,14 @@ def waypoints(*rows):
 
 
 def test_waypoints_are_checked_in_the_scene():
-    plan = desk().through(waypoints(RIGHT, HOME, LEFT), RIGHT, REQUEST)
+    plan = pipeline().through(waypoints(RIGHT, HOME, LEFT), RIGHT, REQUEST)
     assert (plan.planner, plan.scene) == ("waypoints", EMPTY.hash)
     with pytest.raises(CollisionError, match="touches wall \\(at .* s\\)"):
-        desk(WALLED).through(waypoints(RIGHT, LEFT), RIGHT, REQUEST)
+        pipeline(WALLED).through(waypoints(RIGHT, LEFT), RIGHT, REQUEST)
 
 
 def test_the_speed_scale_of_the_settings_is_the_default_for_all():
-    slow, fast = desk(speed_scale=0.2), desk(speed_scale=1.0)
+    slow, fast = pipeline(speed_scale=0.2), pipeline(speed_scale=1.0)
     ways = waypoints(RIGHT, HOME, LEFT)
     assert (
         slow.through(ways, RIGHT, REQUEST).trajectory.duration

@@ -39,7 +39,7 @@ def test_a_plan_carries_what_was_asked_and_what_was_measured():
     assert (plan.id, plan.created_ns, plan.source) == ("p9", 11, "replan after hold")
     assert plan.hash == plan.trajectory.content_hash() and plan.scene == EMPTY.scene.hash
     assert len(plan.trajectory.times) == 300 and plan.trajectory.duration == 12.5
-    assert 0.0 < max(plan.report.fractions.velocity) < 1.0
+    assert 0.0 < max(plan.report.usage.velocity) < 1.0
     assert plan.report.clearance.distance > 0.0 and len(plan.report.clearance.between) == 2
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from construction_twin.core.motion_errors import CollisionError, LimitError
 from construction_twin.core.units import CYCLE
-from construction_twin.planning.recheck import check_limits, report
+from construction_twin.planning.recheck import check_limits, recheck
 from construction_twin.planning.timing import LIMIT_FRACTION, time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Clearance
@@ -52,13 +52,13 @@ def clock():
 
 def test_measures_every_sample():
     world = WallWorld(1.0)
-    result = report(MOTION, ROBOT, world, clock())
+    result = recheck(MOTION, ROBOT, world, clock())
     assert len(world.seen) == int(np.ceil(MOTION.duration / CYCLE)) + 1
     assert world.seen[0].tobytes() == HOME.tobytes() and world.seen[-1].tobytes() == GOAL.tobytes()
     assert np.max(np.abs(world.seen[1] - MOTION.sample(CYCLE)[0])) < 1e-12
     assert result.clearance == Clearance(1.0 - GOAL[0], ("link_1", "wall"), (1.0, 2.0, 3.0), MOTION.duration)
     assert result.recheck_time == 0.25
-    assert max(result.fractions.velocity) <= LIMIT_FRACTION * (1 + 1e-6) and result.fractions.velocity[2:] == (
+    assert max(result.usage.velocity) <= LIMIT_FRACTION * (1 + 1e-6) and result.usage.velocity[2:] == (
         0,
         0,
         0,
@@ -68,7 +68,7 @@ def test_measures_every_sample():
 
 def test_contact_at_one_sample_says_when():
     with pytest.raises(CollisionError) as caught:
-        report(MOTION, ROBOT, WallWorld(0.3), clock())
+        recheck(MOTION, ROBOT, WallWorld(0.3), clock())
     assert caught.value.between == ("link_1", "wall")
     time = float(caught.value.where.split()[1])
     assert MOTION.sample(time)[0][0] >= 0.3 > MOTION.sample(time - CYCLE)[0][0]
@@ -78,7 +78,7 @@ def test_contact_at_one_sample_says_when():
 def test_a_broken_limit_names_time_joint_and_values(quantity):
     slower = dataclasses.replace(ROBOT, **{quantity: tuple(0.3 * limit for limit in getattr(ROBOT, quantity))})
     with pytest.raises(LimitError) as caught:
-        report(MOTION, slower, WallWorld(1.0), clock())
+        recheck(MOTION, slower, WallWorld(1.0), clock())
     error = caught.value
     assert error.quantity == quantity and error.joint in ("joint_a1", "joint_a2") and error.value > error.limit
     assert error.limit == getattr(slower, quantity)[ROBOT.joint_names.index(error.joint)]

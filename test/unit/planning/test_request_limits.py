@@ -20,7 +20,7 @@ from construction_twin.core.motion_errors import (
     PlanSizeError,
 )
 from construction_twin.kinematics.chain import Pose
-from construction_twin.planning.pipeline import PlanningDesk
+from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.tool_path import ToolWaypoint
@@ -33,8 +33,8 @@ START = CHAIN.forward(HOME)
 EMPTY = Scene(padding=0.01)
 
 
-def desk(**changes) -> PlanningDesk:
-    made = PlanningDesk(
+def pipeline(**changes) -> PlanningPipeline:
+    made = PlanningPipeline(
         ROBOT,
         solver(),
         PlannerSettings(**(QUICK | changes)),
@@ -62,9 +62,9 @@ def test_a_motion_that_takes_too_long_is_refused_before_it_is_made(change, curve
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"), pytest.raises(PlanningError) as caught:
         if curved and "duration" not in change:
             waypoints = from_points(ROBOT, ROBOT.joint_names, [RIGHT, HOME, LEFT])
-            desk().through(waypoints, RIGHT, replace(REQUEST, **change))
+            pipeline().through(waypoints, RIGHT, replace(REQUEST, **change))
         else:
-            desk().to_joints(HOME, LEFT, replace(REQUEST, **change))
+            pipeline().to_joints(HOME, LEFT, replace(REQUEST, **change))
     if not isinstance(caught.value, PlanSizeError):
         assert "cannot be timed" in str(caught.value)
     else:
@@ -72,40 +72,42 @@ def test_a_motion_that_takes_too_long_is_refused_before_it_is_made(change, curve
 
 
 def test_a_plan_up_to_the_bounds_is_made():
-    plan = desk(max_duration=30.0, max_waypoints=1501).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
+    plan = pipeline(max_duration=30.0, max_waypoints=1501).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
     assert plan.trajectory.duration == 30.0 and len(plan.trajectory.times) == 1501
 
 
 def test_waypoints_that_nobody_counted_count():
     with pytest.raises(PlanSizeError, match="waypoints would be 1501; .* at most 1500"):
-        desk(max_waypoints=1500).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
+        pipeline(max_waypoints=1500).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
     rows = [RIGHT + (LEFT - RIGHT) * fraction for fraction in np.linspace(0.0, 1.0, 30)]
     for times in (None, list(np.linspace(0.0, 30.0, 30))):
         with pytest.raises(PlanSizeError, match="waypoints"):
-            desk(max_waypoints=29).through(from_points(ROBOT, ROBOT.joint_names, rows, times=times), RIGHT, REQUEST)
+            pipeline(max_waypoints=29).through(from_points(ROBOT, ROBOT.joint_names, rows, times=times), RIGHT, REQUEST)
     with pytest.raises(PlanSizeError, match="waypoints"):
-        desk(max_waypoints=20).along(HOME, [to(0.3, 0.0, 0.0)], 0.2, REQUEST)
+        pipeline(max_waypoints=20).along(HOME, [to(0.3, 0.0, 0.0)], 0.2, REQUEST)
     with pytest.raises(PlanSizeError, match="waypoints"):
-        desk(max_waypoints=30).along(HOME, [to(0.1 * (number % 2), 0.0, 0.0) for number in range(1, 5)], None, REQUEST)
+        pipeline(max_waypoints=30).along(
+            HOME, [to(0.1 * (number % 2), 0.0, 0.0) for number in range(1, 5)], None, REQUEST
+        )
 
 
 @pytest.mark.parametrize("end", [601.0, 1e7, 2e9])
 def test_timed_waypoints_that_take_too_long_are_refused(end):
     points = from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, end])
     with pytest.raises(PlanSizeError, match="duration"):
-        desk().through(points, HOME, REQUEST)
+        pipeline().through(points, HOME, REQUEST)
 
 
 @pytest.mark.parametrize("speed", [1e-9, 1e-300])
 def test_a_tool_that_creeps_is_refused(speed):
     with pytest.raises(PlanSizeError, match="duration"):
-        desk().along(HOME, [to(0.1, 0.0, 0.0)], speed, REQUEST)
+        pipeline().along(HOME, [to(0.1, 0.0, 0.0)], speed, REQUEST)
 
 
 def test_a_tool_path_of_kilometres_is_refused_before_it_is_followed():
     back_and_forth = [to(1.0 * (number % 2), 0.0, 0.0) for number in range(1, 200)]
     with pytest.raises(PlanSizeError, match="length of the tool's path would be 199 m; .* at most 100 m"):
-        desk().along(HOME, back_and_forth, None, REQUEST)
+        pipeline().along(HOME, back_and_forth, None, REQUEST)
 
 
 ALMOST_STRAIGHT = to(0.2, 0.0, 0.0, via=START.position + np.array([0.3, 1e-5, 0.0]))
@@ -118,20 +120,21 @@ ALMOST_STRAIGHT = to(0.2, 0.0, 0.0, via=START.position + np.array([0.3, 1e-5, 0.
         ([to(0.1, 0.0, 0.0), to(1e12, 0.0, 0.0)], "waypoint 1: its position"),
         ([to(1e300, 0.0, 0.0)], "its position"),
         ([to(0.1, 0.0, 0.0, via=START.position + np.array([1e6, 1e6, 0.0]))], "the via point of its arc is 1.41421e"),
-        ([to(0.1, 0.1, 0.0), replace(ALMOST_STRAIGHT, pose=to(0.3, 0.3, 0.0).pose, via=START.position + np.array([0.5, 0.5001, 0]))],
+        ([to(0.1, 0.1, 0.0),
+          replace(ALMOST_STRAIGHT, pose=to(0.3, 0.3, 0.0).pose, via=START.position + np.array([0.5, 0.5001, 0]))],
          "waypoint 1: the arc that leads there"),
         ([ALMOST_STRAIGHT], "waypoint 0: the arc that leads there"),
     ],
 )  # fmt: skip
 def test_a_place_far_beyond_the_arm_is_refused_at_once(path, what):
     with pytest.raises(FarWaypointError, match=what) as caught:
-        desk().along(HOME, path, 0.2, REQUEST)
+        pipeline().along(HOME, path, 0.2, REQUEST)
     assert caught.value.distance > 2.0 * caught.value.reach == 2.0 * CHAIN.reach
 
 
 def test_a_corner_that_is_too_sharp_asks_for_a_larger_blend():
     with pytest.raises(CartesianPathError, match="give the corner a larger blend"):
-        desk().along(HOME, [to(0.1, 0.0, 0.0, blend=1e-9), to(0.1, 0.1, 0.0)], 0.2, REQUEST)
+        pipeline().along(HOME, [to(0.1, 0.0, 0.0, blend=1e-9), to(0.1, 0.1, 0.0)], 0.2, REQUEST)
 
 
 def test_a_corner_at_which_every_joint_turns_or_stops_is_timed():
@@ -170,7 +173,7 @@ class Cell:
 
     def __init__(self, publishers: int = 1):
         self._busy = threading.Lock()
-        self._desk = desk()
+        self._pipeline = pipeline()
         self._settings = SimpleNamespace(scene_timeout=0.0)
         self._scene_subscriber = SimpleNamespace(get_num_connections=lambda: publishers)
         self.refused = Counter()
@@ -186,7 +189,7 @@ class Cell:
 
 
 def plan_in(cell: Cell):
-    return lambda asked: cell._desk.to_joints(HOME, LEFT, asked)
+    return lambda asked: cell._pipeline.to_joints(HOME, LEFT, asked)
 
 
 @pytest.mark.parametrize(
@@ -221,12 +224,12 @@ def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes():
     assert not success and "the scene node is not running" in sentence
     cell._scene_subscriber.get_num_connections = lambda: 1
     assert not cell._answer(plan_in(cell), REQUEST)[0]
-    cell._desk.set_scene(EMPTY)
+    cell._pipeline.set_scene(EMPTY)
     assert cell._answer(plan_in(cell), REQUEST)[0]
 
 
 def test_a_scene_that_came_meanwhile_is_not_forgotten():
-    made = desk()
+    made = pipeline()
     seen = made.scene
     made.set_scene(Scene(padding=0.01))
     made.forget_scene(seen)

@@ -15,7 +15,7 @@ from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
-from construction_twin.planning.motion_validator import CornerRounding, EdgeCheck, levers
+from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, levers
 from construction_twin.planning.planner import Planner, PlannerSettings
 from construction_twin.planning.search import find_path, planner_kind
 from construction_twin.robot.description import read_robot_files
@@ -47,7 +47,7 @@ class Recorder:
 @given(st.lists(angles, min_size=6, max_size=6), st.lists(angles, min_size=6, max_size=6), st.floats(0.02, 0.5))
 def test_no_point_of_the_arm_moves_further_than_the_step_between_two_checks(start, end, step):
     recorder = Recorder()
-    assert EdgeCheck(recorder, LEVERS, step).free(np.array(start), np.array(end))
+    assert MotionValidator(recorder, LEVERS, step).free(np.array(start), np.array(end))
     along = sorted(recorder.asked, key=lambda q: np.linalg.norm(q - start))
     states = np.array([start, *along])
     np.testing.assert_allclose(states[-1], end, atol=1e-12)
@@ -57,14 +57,14 @@ def test_no_point_of_the_arm_moves_further_than_the_step_between_two_checks(star
 
 def test_the_end_and_the_middle_are_looked_at_first():
     recorder = Recorder()
-    EdgeCheck(recorder, np.ones(6), 0.1).free(np.zeros(6), np.array([0.8, 0, 0, 0, 0, 0]))
+    MotionValidator(recorder, np.ones(6), 0.1).free(np.zeros(6), np.array([0.8, 0, 0, 0, 0, 0]))
     assert [round(q[0], 9) for q in recorder.asked][:4] == [0.8, 0.4, 0.2, 0.6]
     assert sorted(round(q[0], 9) for q in recorder.asked) == pytest.approx(np.arange(1, 9) / 10)
 
 
 def test_an_edge_of_no_length_checks_its_end():
     recorder = Recorder(most=-1.0)
-    assert not EdgeCheck(recorder, LEVERS, 0.1).free(HOME, HOME)
+    assert not MotionValidator(recorder, LEVERS, 0.1).free(HOME, HOME)
     assert len(recorder.asked) == 1
 
 
@@ -85,7 +85,7 @@ def test_a_corner_that_touches_is_tightened_and_others_are_not():
         def is_free(self, q) -> bool:
             return not (q[0] > -0.97 and 0.02 < q[1] < 0.5)
 
-    edges = EdgeCheck(Inside(), np.ones(6), 0.01)
+    edges = MotionValidator(Inside(), np.ones(6), 0.01)
     assert edges.world.all_free(rounded(path, PACE, 1.0)(np.linspace(0.0, 1.0, 50))) is not None
     tight = CornerRounding(edges, PACE).tightened(path)
     curve = rounded(tight, PACE, 1.0)
@@ -95,7 +95,7 @@ def test_a_corner_that_touches_is_tightened_and_others_are_not():
 
 
 def test_a_path_that_touches_by_itself_is_given_up():
-    edges = EdgeCheck(Recorder(most=0.5), np.ones(6), 0.05)
+    edges = MotionValidator(Recorder(most=0.5), np.ones(6), 0.05)
     path = np.array([np.zeros(6), np.eye(6)[0], np.eye(6)[0] + np.eye(6)[1]])
     rounding = CornerRounding(edges, PACE)
     assert rounding.tightened(path) is None
@@ -104,7 +104,7 @@ def test_a_path_that_touches_by_itself_is_given_up():
 
 
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
-    edges = EdgeCheck(world(WALL), LEVERS, 0.1)
+    edges = MotionValidator(world(WALL), LEVERS, 0.1)
     goals = [LEFT + np.radians([0, 0, 0, 0, 0, turn]) for turn in (0, 90, -90)]
     path = find_path(RIGHT, goals, edges, BOUNDS, "RRTConnect", 10.0, 3)
     assert path[0].tobytes() == RIGHT.tobytes()
@@ -114,7 +114,7 @@ def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
 
 
 def test_the_search_stays_within_its_bounds():
-    edges = EdgeCheck(world(WALL), LEVERS, 0.1)
+    edges = MotionValidator(world(WALL), LEVERS, 0.1)
     room = np.minimum(RIGHT, LEFT) - 1.0, np.maximum(RIGHT, LEFT) + 1.0
     bounds = np.maximum(room[0], BOUNDS[0]), np.minimum(room[1], BOUNDS[1])
     path = find_path(RIGHT, [LEFT], edges, bounds, "RRTConnect", 10.0, 3)
@@ -122,7 +122,7 @@ def test_the_search_stays_within_its_bounds():
 
 
 def test_a_goal_behind_contact_all_around_is_not_found():
-    edges = EdgeCheck(Recorder(most=0.3), LEVERS, 0.1)
+    edges = MotionValidator(Recorder(most=0.3), LEVERS, 0.1)
     with pytest.raises(NoPathError, match="RRTConnect"):
         find_path(HOME, [HOME + np.eye(6)[0]], edges, BOUNDS, "RRTConnect", 0.05, 1)
 

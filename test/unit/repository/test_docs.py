@@ -19,7 +19,7 @@ from construction_twin.broker.access import PLC, ROLES
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import State
-from construction_twin.gateway.mode import Mode
+from construction_twin.gateway.states import Mode
 from construction_twin.link.remote_review import PlanView, review_answer
 from construction_twin.link.status_values import status_values
 from construction_twin.mqtt.account import Account

@@ -70,11 +70,13 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
         ("arm:=foo", "preflight: arm:=foo: expected mock, real or none"),
         ("robot_config:=/no/such.yaml", "preflight: robot_config:=/no/such.yaml: expected the absolute path"),
         ("scene:=/no/such.yaml", "preflight: scene:=/no/such.yaml: expected the absolute path"),
+        ("arm:=real", "preflight: bridge_account:='' with arm:=real: "),
+        ("arm:=real auto_approve:=true", "preflight: auto_approve:=true with arm:=real: "),
     ],
 )
 def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins(argument, sentence):
     run = subprocess.run(
-        ["roslaunch", "--nodes", "construction_twin", "bringup.launch", argument],
+        ["roslaunch", "--nodes", "construction_twin", "bringup.launch", *argument.split()],
         capture_output=True,
         text=True,
         timeout=120,

@@ -1,4 +1,4 @@
-"""model: closed meshes of a moderate size that say the same every time, lie within the collision shapes, and weigh what is stated."""
+"""tools/model: closed meshes of a moderate size, the same every time, within the collision shapes, and of the stated mass."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from model.solids import block, bolts, rod, tube
 from urdf_shapes import contains, numbers, placed
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.robot.description import expand_xacro
+from construction_twin.robot.urdf import expand_xacro
 
 ROOT = Path(__file__).parents[3]
 MESHES = ROOT / "urdf" / "meshes"

@@ -1,9 +1,17 @@
-"""How `make test` counts results, and when it runs a test again: only after a failure beside which the machine itself stood still."""
+"""How `make test` counts results, and when it runs a test again: only if it failed while the machine itself stood still."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import lint
 import pytest
-import run_tests  # noqa: E402
+import run_tests
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 class Probe:
@@ -69,6 +77,50 @@ def test_remembers_which_tests_failed_and_why(tmp_path, monkeypatch):
     run_tests.count(tmp_path / "none.xml")
     assert run_tests.FAILED[:2] == ["a.B.bad: 0.2 is not less than 0.1", "a.B.ugly: Traceback"]
     assert "none.xml" in run_tests.FAILED[2]
+
+
+def test_every_tool_of_lint_counts_as_one_test(capsys):
+    findings = [
+        lint.Finding("ruff check", True, "All checks passed!"),
+        lint.Finding("mypy", False, "a.py:1: x\n1 error\n"),
+    ]
+    assert run_tests.count_lint(findings) == (1, 1)
+    assert run_tests.FAILED == ["earlier", "lint, mypy: 1 error"]
+    told = capsys.readouterr().out
+    assert "a.py:1: x" in told and "All checks passed!" not in told
+    assert run_tests.count_lint([]) == (0, 0)
+
+
+@pytest.mark.parametrize(("program", "passed"), [("true", True), ("false", False)])
+def test_a_tool_passes_if_its_program_says_so(program, passed, monkeypatch):
+    monkeypatch.setattr(lint, "BIN", Path("/usr/bin"))
+    monkeypatch.setattr(lint, "TOOLS", {"a tool": (program,)})
+    (finding,) = lint.end(lint.start())
+    assert (finding.name, finding.passed) == ("a tool", passed)
+
+
+def test_lint_finds_an_import_against_the_order_of_the_folders(tmp_path):
+    """The contract is read and enforced: a copy of the package in which core imports numpy and the robot is refused."""
+    shutil.copytree(ROOT / "src", tmp_path / "src")
+    shutil.copy(ROOT / ".importlinter", tmp_path)
+    with open(tmp_path / "src/construction_twin/core/units.py", "a") as file:
+        file.write("\nimport construction_twin.robot.frames\n")
+    run = subprocess.run(
+        [lint.BIN / "lint-imports", "--no-logo", "--no-cache"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "src")},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode != 0
+    assert "Each folder imports only from those below it BROKEN" in run.stdout
+    assert "The cell folders need the standard library and paho only BROKEN" in run.stdout
+
+
+def test_every_unit_test_is_run_once():
+    alone, beside = run_tests.unit_files()
+    assert sorted(alone + beside) == sorted((ROOT / "test/unit").rglob("test_*.py"))
+    assert {"test_gateway_program", "test_fuzz"} <= {file.stem for file in alone}
 
 
 def test_what_a_rostest_reports_is_shown(tmp_path):

@@ -78,7 +78,10 @@ def shown(*pieces: bytes) -> bytes:
 
 
 def test_filter_drops_what_roslaunch_says_about_itself_and_what_follows_the_end():
-    text = b"... logging to /x\n\nprocess[a-1]: started\nwaiting\n\n\n table\nREQUIRED process [/kr120/experiment-9] has died!\nbye\n"
+    text = (
+        b"... logging to /x\n\nprocess[a-1]: started\nwaiting\n\n\n table\n"
+        b"REQUIRED process [/kr120/experiment-9] has died!\nbye\n"
+    )
     assert shown(text) == b"waiting\n\n table\n"
 
 

@@ -13,12 +13,11 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.robot.description import (
     AxisMapping,
-    expand_xacro,
     home_positions,
     load_robot,
-    parse_urdf,
     read_robot_files,
 )
+from construction_twin.robot.urdf import expand_xacro, parse_urdf
 
 ROOT = Path(__file__).parents[3]
 XACRO = ROOT / "urdf" / "kr120r2500.urdf.xacro"

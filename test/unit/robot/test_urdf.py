@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from urdf_shapes import numbers
 
-from construction_twin.robot.description import expand_xacro
+from construction_twin.robot.urdf import expand_xacro
 
 ROOT = Path(__file__).parents[3]
 XACRO = ROOT / "urdf" / "kr120r2500.urdf.xacro"

@@ -1,208 +1,204 @@
-"""What the bridge makes of the gateway's status, on `link` and `/diagnostics`; without a ROS master or a broker."""
+"""The bridge without ROS master and broker: what it makes of the gateway's status, of clocks that are set, and of requests."""
 
 from __future__ import annotations
 
 import json
+import sys
 import threading
-from collections import Counter
 from types import SimpleNamespace
 
 import pytest
 import rospy
+from bridge_bench import BridgeBench, Clocks
 from gateway_cell import following
 
-from construction_twin.core.freshness import StateCheck
-from construction_twin.core.units import NANOSECONDS, last_digit
-from construction_twin.link.speed_forwarder import SpeedForwarder
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
-from construction_twin.mqtt.messages import parse_control
-from construction_twin.ros.nodes import mqtt_bridge as mqtt_bridge_node
-from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE, MqttBridgeNode
-
-
-class Refusals:
-    """In place of `NodeDiagnostics`, which wants a master."""
-
-    def __init__(self):
-        self.refused = Counter()
-
-    def refuse(self, reason, sentence):
-        self.refused[reason] += 1
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.states import LinkState
+from construction_twin.ros.nodes import mqtt_bridge
+from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE
+from construction_twin.ros.shared import diagnostics
 
 
 @pytest.fixture
-def ros_time():
+def clocks(monkeypatch):
+    monkeypatch.setattr(rospy, "set_param", lambda name, value: None)
     rospy.rostime.set_rostime_initialized(True)
-    yield
+    yield Clocks(monkeypatch, mqtt_bridge)
     rospy.rostime.set_rostime_initialized(False)
 
 
 @pytest.fixture
-def bridge(ros_time):
-    """The node without its connections: everything between a message on `status` and the reports."""
-    node = MqttBridgeNode.__new__(MqttBridgeNode)
-    node._lock = threading.Lock()
-    node._supervisor = LinkSupervisor("hash", 3, (1e-3,) * 6, (last_digit(3),) * 6, lambda: "s1")
-    node._connection = SimpleNamespace(sentence="")
-    node._diagnostics = Refusals()
-    node._state_check = StateCheck(0.1)
-    node._sequence = node._states = 0
-    node._properties = True
-    node._gateway_values = {}
-    node._reported, node._reported_at = (), 0.0
-    node.links = []
-    node._link = SimpleNamespace(publish=node.links.append)
-    node._client = SimpleNamespace(publish=lambda *_, **__: None)
-    node._topics = SimpleNamespace(bridge_status="")
-    return node
+def bench(clocks):
+    return BridgeBench(clocks)
 
 
-def take(node, status) -> dict[str, str]:
-    """Give the node a status; return what `link` says of the gateway then."""
-    node._on_status(None, None, SimpleNamespace(payload=json.dumps(status).encode()))
-    node._reported_at = float("-inf")
-    node._publish_link()
-    return {pair.key: pair.value for pair in node.links[-1].gateway_counters}
+def limit(value, source="/separation"):
+    """A message on `speed_limit`."""
+    return SimpleNamespace(limit=value, _connection_header={"callerid": source})
 
 
-def test_playout_mode_and_intruder_reach_link_and_diagnostics(bridge):
+# -- the gateway's status ----------------------------------------------------------------------------------------------
+
+
+def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
     cell = following()
     cell.arm("other")
-    shown = take(bridge, cell.gateway.status())
+    shown = bench.shown(cell.gateway.status())
     assert (shown["playout_delay_ms"], shown["playout_jitter_ms"], shown["mode"]) == ("20", "0", "normal")
     assert (shown["intruder_session"], shown["intruder_count"]) == ("other", "1")
     assert shown["last_refusal"].startswith("arm: ")
     # and beside them what was there before
     assert (shown["refused_arm"], shown["decimals"]) == ("1", "3")
-    _, _, values = bridge._report()
+    _, _, values = bench.bridge.report()
     assert {f"gateway {name}" for name in shown} - set(values) == {
         "gateway decimals", "gateway reply_us_max", "gateway states_lost",
     }  # fmt: skip
     assert values["gateway playout_delay_ms"] == "20"
 
 
-def test_a_change_of_the_playout_is_shown(bridge):
+def test_a_change_of_the_playout_is_shown(bench):
     status = following().gateway.status()
-    take(bridge, status)
+    bench.shown(status)
     status["playout"]["delay_ms"] = 36.0
-    assert take(bridge, status)["playout_delay_ms"] == "36"
+    assert bench.shown(status)["playout_delay_ms"] == "36"
 
 
-def test_a_status_whose_playout_cannot_be_read_changes_nothing_and_is_counted(bridge):
+def test_a_status_whose_playout_cannot_be_read_changes_nothing_and_is_counted(bench):
     status = following().gateway.status()
-    before = take(bridge, status)
+    before = bench.shown(status)
     spoilt = status | {"state": "offline", "playout": {"delay_ms": [1]}}
-    assert take(bridge, spoilt) == before
-    assert bridge._supervisor.status["state"] == "following"
-    assert bridge._diagnostics.refused == {"status": 1}
+    assert bench.shown(spoilt) == before
+    assert bench.links[-1][0].gateway_state == "following"
+    assert bench.refused == {"status": 1}
 
 
-# -- clocks ----------------------------------------------------------------------------------------------------------
+# -- counters and threads ----------------------------------------------------------------------------------------------
 
 
-class Clocks:
-    """The wall clock, which somebody sets, and the monotonic one."""
+def test_counters_may_grow_in_other_threads_while_they_are_reported(clocks, monkeypatch):
+    """What is refused for a new reason in the MQTT thread must not end the report, and with it the node, in motion."""
+    monkeypatch.setattr(diagnostics.diagnostic_updater, "Updater", lambda: SimpleNamespace(
+        setHardwareID=lambda name: None, add=lambda name, task: None, update=lambda: None))  # fmt: skip
+    monkeypatch.setattr(diagnostics, "Publisher", lambda *_, **__: None)
+    monkeypatch.setattr(diagnostics.rospy, "Timer", lambda *_: None)
+    monkeypatch.setattr(diagnostics.rospy, "logwarn_throttle", lambda *_: None)
+    bench = BridgeBench(clocks, diagnostics=lambda report: diagnostics.NodeDiagnostics("arm", report))
+    bench.connect()
+    status = json.dumps(following().gateway.status()).encode()
+    interval, ended = sys.getswitchinterval(), threading.Event()
 
-    def __init__(self, monkeypatch):
-        self.wall, self.steady = 1_764_000_000 * NANOSECONDS, 1000 * NANOSECONDS
-        monkeypatch.setattr(mqtt_bridge_node, "now_ns", lambda: self.wall)
-        steady = SimpleNamespace(monotonic_ns=lambda: self.steady, monotonic=lambda: self.steady / NANOSECONDS)
-        monkeypatch.setattr(mqtt_bridge_node, "time", steady)
+    def refuse():
+        number = 0
+        while not ended.is_set():
+            number += 1
+            bench.bridge.refuse(f"state_{number % 4000}", "no")
+            bench.bridge.on_status(status)
 
-    def run(self, seconds: float) -> None:
-        self.wall += round(seconds * NANOSECONDS)
-        self.steady += round(seconds * NANOSECONDS)
+    threads = [threading.Thread(target=refuse) for _ in range(2)]
+    sys.setswitchinterval(1e-6)
+    try:
+        for thread in threads:
+            thread.start()
+        for _ in range(300):
+            clocks.run(1.1)
+            bench.bridge.poll()
+            bench.bridge.report()
+    finally:
+        ended.set()
+        sys.setswitchinterval(interval)
+        for thread in threads:
+            thread.join()
+    assert len(bench.links) == 300 and bench.links[-1][0].states_refused > 0
 
 
-@pytest.fixture
-def clocks(monkeypatch):
-    return Clocks(monkeypatch)
+# -- clocks ------------------------------------------------------------------------------------------------------------
 
 
-def poll(node):
-    """One turn of `run`."""
-    with node._lock:
-        return node._supervisor.poll(mqtt_bridge_node.time.monotonic_ns())
-
-
-def test_a_wall_clock_that_is_set_back_keeps_no_silent_gateway_alive(bridge, clocks):
-    bridge._supervisor.on_connection(True)
-    status = following().gateway.status() | {"hash": "hash"}
-    take(bridge, status)
-    poll(bridge)
-    assert bridge._supervisor.state is not LinkState.GATEWAY_OFFLINE
+def test_a_wall_clock_that_is_set_back_keeps_no_silent_gateway_alive(bench, clocks):
+    bench.connect()
+    bench.shown(following().gateway.status())
+    assert bench.bridge.link is not LinkState.GATEWAY_OFFLINE
     clocks.run(1.0)
     clocks.wall -= 60 * NANOSECONDS
     clocks.run(2.5)
-    poll(bridge)
-    assert bridge._supervisor.state is LinkState.GATEWAY_OFFLINE
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
 
 
-def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(bridge, clocks):
-    bridge._supervisor.on_connection(True)
-    bridge._codec = cell_codec = following().codec
-    stamps = []
-    bridge._physical = SimpleNamespace(publish=lambda stamp, q: stamps.append(stamp))
-    bridge._feedback = SimpleNamespace(publish=lambda *content: None)
-    bridge._properties = False
-    payload = cell_codec.encode((0.1, -1.0))
+def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(clocks):
+    bench = BridgeBench(clocks, properties=False)
+    bench.connect()
+    bench.bridge.on_status(json.dumps(following(properties=False).gateway.status()).encode())
+    bench.bridge.poll()
     for k in range(100):
         clocks.run(0.004)
         if k == 20:
             clocks.wall += 60 * NANOSECONDS
         if k == 30:
-            assert not bridge._supervisor._at_rest(clocks.steady)
-        bridge._on_state(payload, [], False)
-    assert bridge._supervisor._at_rest(clocks.steady)
+            assert "still changing" in bench.bridge.on_mirror(SimpleNamespace(data=True)).message
+        bench.bridge.on_state(b"+005.730,-057.296", [], False)
+    assert bench.at_rest()
     # what goes out on ROS carries ROS time
-    assert stamps[-1] == clocks.wall
+    assert bench.physical[-1][0] == clocks.wall
 
 
-# -- speed limit and mirror mode -------------------------------------------------------------------------------------
+# -- speed limit, mirror mode, halt ------------------------------------------------------------------------------------
 
 
-def test_a_second_source_of_speed_limit_is_refused_as_by_the_executor(bridge, clocks):
-    bridge._speed = SpeedForwarder(0.5)
-    for source, limit in (("/separation", 0.2), ("/other", 1.0), ("/separation", 2.0)):
-        bridge._on_speed_limit(SimpleNamespace(limit=limit, _connection_header={"callerid": source}))
-    assert bridge._diagnostics.refused == {"speed_limit_source": 1, "speed_limit": 1}
-    assert bridge._speed.poll("s1", clocks.steady) == 0.2
+def test_a_second_source_of_speed_limit_is_refused_as_by_the_executor(bench):
+    bench.arm()
+    for source, value in (("/separation", 0.2), ("/other", 1.0), ("/separation", 2.0)):
+        bench.bridge.on_speed_limit(limit(value, source))
+    assert bench.refused == {"speed_limit_source": 1, "speed_limit": 1}
+    bench.bridge.poll()
+    assert [control.value for control in bench.client.controls if control.verb == "speed_limit"] == [0.2]
 
 
-def test_speed_limits_go_to_the_gateway_numbered_upwards(bridge, clocks, monkeypatch):
-    bridge._speed = SpeedForwarder(0.5)
-    bridge._topics.control = "control"
-    bridge._supervisor = SimpleNamespace(
-        poll=lambda now: None, state=LinkState.ARMED, reason="", session="s1", status={}
-    )
-    sent, turns = [], iter(range(50))
-
-    def publish(topic, payload, *_, **__):
-        if topic == "control":
-            sent.append(parse_control(payload))
-
-    def sleep(seconds):
-        clocks.run(seconds)
-        bridge._speed.on_limit(0.5, "/separation", clocks.steady)
-
-    bridge._client = SimpleNamespace(publish=publish, disconnect=lambda: None, loop_stop=lambda: None)
-    monkeypatch.setattr(mqtt_bridge_node.time, "sleep", sleep, raising=False)
-    monkeypatch.setattr(rospy, "is_shutdown", lambda: next(turns, None) is None)
-    bridge.run()
-    assert [(control.verb, control.session, control.value) for control in sent] == [("speed_limit", "s1", 0.5)] * len(
-        sent
-    )
+def test_speed_limits_go_to_the_gateway_numbered_upwards(bench):
+    bench.arm()
+    session = bench.links[-1][0].session
+    for _ in range(50):
+        bench.bridge.on_speed_limit(limit(0.5))
+        bench.step()
+    sent = [control for control in bench.client.controls if control.verb == "speed_limit"]
+    assert [(control.session, control.value) for control in sent] == [(session, 0.5)] * len(sent)
     assert [control.id for control in sent] == [str(k) for k in range(1, len(sent) + 1)] and len(sent) >= 4
 
 
-def test_mirror_mode_is_kept_where_the_next_process_finds_it(bridge, clocks, monkeypatch):
+def test_mirror_mode_is_kept_where_the_next_process_finds_it(bench, monkeypatch):
     kept = {}
     monkeypatch.setattr(rospy, "set_param", kept.__setitem__)
-    node = bridge
-    node._publish_control = lambda control: None
-    node._client.is_connected = lambda: True
-    node._supervisor.begin_mirror = lambda now: "the arm leads"
-    assert node._on_mirror(SimpleNamespace(data=True)).success and kept == {MIRROR_MODE: True}
-    node._supervisor._mirror = True
-    assert node._on_stop(None).success and kept == {MIRROR_MODE: False}
-    assert not node._on_mirror(SimpleNamespace(data=False)).success and kept == {MIRROR_MODE: False}
+    bench.arm()
+    assert bench.bridge.on_mirror(SimpleNamespace(data=True)).success and kept == {MIRROR_MODE: True}
+    bench.step()
+    assert bench.bridge.link is LinkState.MIRROR
+    assert bench.bridge.on_halt(None).success and kept == {MIRROR_MODE: False}
+    assert not bench.bridge.on_mirror(SimpleNamespace(data=False)).success and kept == {MIRROR_MODE: False}
+
+
+def test_a_bridge_that_is_told_so_begins_in_mirror_mode(clocks):
+    bench = BridgeBench(clocks, mirrors=True)
+    bench.connect()
+    for _ in range(20):
+        bench.step()
+    assert bench.bridge.link is LinkState.MIRROR and bench.client.controls == []
+
+
+def test_halt_is_published_before_it_is_logged_or_anything_else_is_done(bench, monkeypatch):
+    bench.arm()
+    happened = []
+    monkeypatch.setattr(rospy, "loginfo", lambda *_: happened.append("log"))
+    publish = bench.client.publish
+    monkeypatch.setattr(
+        bench.client, "publish", lambda topic, *rest, **more: happened.append(topic) or publish(topic, *rest, **more)
+    )
+    assert bench.bridge.on_halt(None).success
+    assert happened == ["twin/arm/control", "log"] and bench.client.controls[-1].verb == "stop"
+    assert bench.bridge.link is LinkState.NEEDS_RESET
+
+
+def test_halt_without_a_broker_says_that_the_gateway_brakes_by_itself(bench):
+    bench.arm()
+    bench.client.connected = False
+    answer = bench.bridge.on_halt(None)
+    assert not answer.success and "brakes by itself" in answer.message and bench.bridge.link is LinkState.NEEDS_RESET

@@ -1,4 +1,4 @@
-"""The marker's node without ROS around it: what its menu decides about, and what it shows."""
+"""The menu of the marker at the tool: what it decides about, whom it obeys; and how the marker looks."""
 
 from __future__ import annotations
 
@@ -9,41 +9,60 @@ from executor_bench import ROBOT, make_plan
 from geometry_msgs.msg import Pose
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
-from construction_twin.core.errors import RequestRefused
 from construction_twin.kinematics.chain import Chain
-from construction_twin.ros.nodes import tool_marker as module
-from construction_twin.ros.nodes.tool_marker import SHOWN, ToolMarkerNode
+from construction_twin.ros.shared import tool_marker_menu as module
+from construction_twin.ros.shared.tool_marker_menu import SHOWN, ToolMarkerMenu
 from construction_twin.ros.shared.tool_marker_shapes import tool_marker, verdict_markers
+from construction_twin.views.marker_goal import MarkerGoal
 from construction_twin.views.reachability import Reach
 
 
-class World:
-    """A node that shows what the listener tells, and a clock."""
+class Client:
+    """An OperatorClient that notes what it is asked for."""
 
-    def __init__(self, monkeypatch):
-        self.now = 100.0
-        self.plan = None
+    def __init__(self):
         self.reviews: list[tuple] = []
-        self.stops: list[str] = []
-        monkeypatch.setattr(module.time, "monotonic", lambda: self.now)
-        node = self.node = ToolMarkerNode.__new__(ToolMarkerNode)
-        node._frame, node._place, node._drawn, node._shown = "base", Chain(ROBOT).forward(ROBOT.home), None, ("", 0.0)
-        node._verdict, node._problem, node._said = None, "nothing is known", ""
-        node._settings = SimpleNamespace(scale=0.6, reviewer="Ada")
-        node._listener = SimpleNamespace(under_review=lambda: self.plan)
-        node._verdicts = SimpleNamespace(publish=lambda _: None)
-        node._client = SimpleNamespace(review=self.review, trigger=self.stops.append)
-        node._start = lambda title, action: action()
-        node._stop_entry = 6
+        self.calls: list[str] = []
 
     def review(self, plan_id, plan_hash, approve, reviewer, reason) -> str:
         self.reviews.append((plan_id, plan_hash, approve, reviewer))
         return "done"
 
+    def trigger(self, service: str) -> str:
+        self.calls.append(service)
+        return "stopped"
+
+    def plan_to_pose(self, pose) -> str:
+        self.calls.append("plan_to_pose")
+        return "planned"
+
+    def preview(self) -> str:
+        return "shown"
+
+
+class World:
+    """A menu, its operator and a clock."""
+
+    def __init__(self, monkeypatch):
+        self.now = 100.0
+        self.plan = None
+        self.said: list[str] = []
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: self.now))
+        self.client, self.goal = Client(), MarkerGoal()
+        self.menu = ToolMarkerMenu(
+            self.client,
+            lambda: self.plan,
+            self.goal,
+            ROBOT.home,
+            "Ada",
+            self.said.append,
+            run=lambda _, action: action(),
+        )
+
     def show(self, plan) -> None:
         """Let a plan wait for a verdict, and the marker say so."""
         self.plan = plan
-        self.node._draw()
+        self.menu.show(plan.id)
 
 
 @pytest.fixture
@@ -51,52 +70,73 @@ def world(monkeypatch):
     return World(monkeypatch)
 
 
-@pytest.mark.parametrize("approve", [True, False])
-def test_a_plan_that_was_looked_at_is_decided_about(world, approve):
+@pytest.mark.parametrize(("entry", "approve"), [("Approve", True), ("Reject", False)])
+def test_a_plan_that_was_looked_at_is_decided_about(world, entry, approve):
     plan = make_plan("p1")
     world.show(plan)
     world.now += SHOWN
-    world.node._draw()
-    assert world.node._review(approve) == "done"
-    assert world.reviews == [("p1", plan.hash, approve, "Ada")]
+    world.show(plan)
+    world.menu.choose(entry)
+    assert world.client.reviews == [("p1", plan.hash, approve, "Ada")] and world.said[-1] == f"{entry}: done"
 
 
 def test_a_plan_that_came_with_the_click_is_not(world):
     world.show(make_plan("p1"))
     world.now += 10.0
     world.plan = make_plan("p2")  # not drawn yet
-    with pytest.raises(RequestRefused, match="only just come"):
-        world.node._review(True)
-    world.node._draw()
+    world.menu.choose("Approve")
+    assert "only just come" in world.said[-1]
+    world.show(world.plan)
     world.now += 0.9 * SHOWN
-    with pytest.raises(RequestRefused, match="only just come"):
-        world.node._review(True)
+    world.menu.choose("Approve")
+    assert "only just come" in world.said[-1] and world.client.reviews == []
     world.now += 0.2 * SHOWN
-    world.node._review(True)
-    assert [plan_id for plan_id, *_ in world.reviews] == ["p2"]
+    world.menu.choose("Approve")
+    assert [plan_id for plan_id, *_ in world.client.reviews] == ["p2"]
 
 
 def test_without_a_plan_there_is_nothing_to_decide(world):
-    with pytest.raises(RequestRefused, match="no plan waits"):
-        world.node._review(True)
+    world.menu.choose("Approve")
+    assert "no plan waits" in world.said[-1] and world.client.reviews == []
 
 
 def test_stop_is_heard_from_every_client(world):
-    feedback = InteractiveMarkerFeedback(event_type=InteractiveMarkerFeedback.MENU_SELECT, menu_entry_id=6)
+    stop = next(handle for handle, title in titles(world.menu).items() if title == "Stop")
+    feedback = InteractiveMarkerFeedback(event_type=InteractiveMarkerFeedback.MENU_SELECT, menu_entry_id=stop)
     for feedback.client_id in ("one rviz", "another"):
-        world.node._on_any_feedback(feedback)
-    feedback.menu_entry_id = 5
-    world.node._on_any_feedback(feedback)
-    assert world.stops == ["stop", "stop"]
+        world.menu.on_feedback(feedback)
+    feedback.menu_entry_id = stop - 1
+    world.menu.on_feedback(feedback)
+    assert world.client.calls == ["stop", "stop"]
 
 
-def test_a_goal_that_a_plan_led_to_is_told_from_another(world):
-    node, plan = world.node, make_plan("p1")
-    node._chain = Chain(ROBOT)
-    node._listener.plan = lambda plan_id: plan if plan_id == "p1" else None
-    reached, other = (node._chain.forward(plan.trajectory.positions[end]) for end in (-1, 0))
-    assert node._led_to("p1", reached)
-    assert not node._led_to("p1", other) and not node._led_to("p0", reached)
+def titles(menu: ToolMarkerMenu) -> dict[int, str]:
+    """Return the entries of a menu as rviz is told of them."""
+    marker = SimpleNamespace(menu_entries=[])
+    server = SimpleNamespace(get=lambda _: marker, insert=lambda *_: None, setCallback=lambda *_: None)
+    menu.attach(server)
+    return {entry.id: entry.title for entry in marker.menu_entries}
+
+
+def test_a_plan_needs_a_goal(world):
+    world.menu.choose("Plan")
+    assert "drag it to a goal first" in world.said[-1] and world.client.calls == []
+    world.goal.drag(Chain(ROBOT).forward(ROBOT.home))
+    world.menu.choose("Plan")
+    assert world.client.calls == ["plan_to_pose"] and world.said[-1] == "Plan: planned"
+    world.menu.choose("Back to the tool")
+    assert world.goal.pose is None
+
+
+def test_one_plan_at_a_time(world):
+    def second(_pose) -> str:
+        world.menu.choose("Plan")
+        return "planned"
+
+    world.goal.drag(Chain(ROBOT).forward(ROBOT.home))
+    world.client.plan_to_pose = second
+    world.menu.choose("Plan")
+    assert [line for line in world.said if "being made already" in line] and world.said[-1] == "Plan: planned"
 
 
 def test_the_handle_lies_outside_of_the_verdict():

@@ -27,7 +27,7 @@ from planning_cell import HOME, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, pl
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import CollisionError, NeighbourUnknownError
-from construction_twin.planning.pipeline import PlanningDesk
+from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.neighbour import ROUNDING, Neighbour, key_rows, row_of
@@ -206,9 +206,9 @@ def test_a_pose_belongs_to_the_first_row_that_is_near_and_a_foreign_one_to_none(
     assert row_of(path, path[200] + 0.1) is None
 
 
-def desk(neighbour) -> PlanningDesk:
+def pipeline(neighbour) -> PlanningPipeline:
     settings_ = PlannerSettings(**QUICK)
-    made = PlanningDesk(
+    made = PlanningPipeline(
         ROBOT, solver(), settings_, SELF_COLLISION, Clock(), np.random.default_rng(0), neighbour=neighbour
     )
     made.set_scene(Scene((), 0.0))
@@ -217,10 +217,10 @@ def desk(neighbour) -> PlanningDesk:
 
 def test_the_planner_goes_around_where_the_other_arm_is():
     start, goal = HOME + np.radians([-20, 45, -45, 0, 0, 0]), HOME + np.radians([-100, 45, -45, 0, 0, 0])
-    free = desk(None).to_joints(start, goal, REQUEST)
+    free = pipeline(None).to_joints(start, goal, REQUEST)
     assert free.planner == "direct"
     obstacles = [item.padded(0.1) for item in other().between(STRETCHED, STRETCHED)]
-    around = desk(lambda: obstacles).to_joints(start, goal, REQUEST)
+    around = pipeline(lambda: obstacles).to_joints(start, goal, REQUEST)
     assert around.planner == "RRTConnect"
     assert around.scene == free.scene
     samples = around.trajectory.sample_many(np.arange(0.0, around.trajectory.duration, 0.004))[0]
@@ -231,7 +231,7 @@ def test_the_planner_goes_around_where_the_other_arm_is():
 def test_a_goal_inside_the_other_arm_is_refused_by_name():
     obstacles = other().between(TOWARDS, TOWARDS)
     with pytest.raises(CollisionError, match="other/"):
-        desk(lambda: obstacles).to_joints(CLEAR, NEAR, REQUEST)
+        pipeline(lambda: obstacles).to_joints(CLEAR, NEAR, REQUEST)
 
 
 def test_a_silent_neighbour_is_never_taken_to_be_absent():
@@ -239,12 +239,12 @@ def test_a_silent_neighbour_is_never_taken_to_be_absent():
         raise NeighbourUnknownError("kr120_2", "no message on /kr120_2/twin/joint_states")
 
     with pytest.raises(NeighbourUnknownError, match="kr120_2.*no message.*start it"):
-        desk(unknown).to_joints(HOME, NEAR, REQUEST)
+        pipeline(unknown).to_joints(HOME, NEAR, REQUEST)
 
 
 def test_a_robot_alone_plans_as_before():
     alone = planner().plan_to_joints(HOME, NEAR, REQUEST, empty_world())
-    assert alone.hash == desk(None).to_joints(HOME, NEAR, REQUEST).hash
+    assert alone.hash == pipeline(None).to_joints(HOME, NEAR, REQUEST).hash
 
 
 def test_the_cell_says_where_the_other_arm_stands():

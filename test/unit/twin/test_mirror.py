@@ -16,7 +16,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance, radians
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.gateway import State
-from construction_twin.link.supervisor import LinkState
+from construction_twin.link.states import LinkState
 from construction_twin.monitor.gate import SyncState
 from construction_twin.twin.mirror import DECIMALS, MirrorTwin
 from construction_twin.twin.virtual_robot import VirtualRobot
@@ -123,10 +123,10 @@ class TestSupervisor:
         with pytest.raises(ReviewError):
             getattr(armed.supervisor, request_name)(armed.now)
 
-    def test_an_emergency_stop_ends_it_and_a_person_goes_on(self, armed):
+    def test_a_halt_ends_it_and_a_person_goes_on(self, armed):
         armed.supervisor.begin_mirror(armed.now)
         armed.run(0.5)
-        armed.supervisor.drop("stopped")
+        armed.supervisor.halt("stopped")
         armed.set_gateway("holding", STOP, fault=True)
         armed.run(0.5)
         assert armed.state is LinkState.NEEDS_RESET

@@ -145,6 +145,65 @@ def test_arguments_that_can_work_pass():
     assert preflight.problem(FINE | {"broker": "false", "broker_config": "/nope"}, "/a".__eq__) == ""
 
 
+#: A real arm on a site's broker, with the gateway on the cell PC.
+REAL = FINE | {
+    "arm": "real", "gateway": "false", "bridge_account": "/a", "broker": "false", "auto_approve": "false",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "change, sentence",
+    [
+        ({"auto_approve": "true"}, "auto_approve:=true with arm:=real: "),
+        ({"auto_approve": "1", "anonymous_broker_is_meant": "true"}, "auto_approve:=true with arm:=real: "),
+        ({"bridge_account": ""}, "bridge_account:='' with arm:=real: "),
+        ({"bridge_account": "", "auto_approve_is_meant": "true"}, "bridge_account:='' with arm:=real: "),
+        ({"gateway": "true", "gateway_account": ""}, "gateway_account:='' with arm:=real: "),
+        ({"broker": "true", "broker_config": "/a"}, "broker_config:=/a with arm:=real: "),
+        ({"anonymous_broker_is_meant": "yes"}, "anonymous_broker_is_meant:=yes: expected true or false"),
+    ],
+)
+def test_a_real_arm_without_accounts_or_without_a_person_must_be_meant(change, sentence):
+    said = preflight.problem(REAL | change, "/a".__eq__, "/a".__eq__)
+    assert said.startswith(sentence)
+    # one sentence that says what to do
+    assert "expected" in said or "_is_meant:=true" in said
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"auto_approve": "true", "auto_approve_is_meant": "true"},
+        {"bridge_account": "", "anonymous_broker_is_meant": "true"},
+        {"broker": "true", "broker_config": "/a", "anonymous_broker_is_meant": "True"},
+        {"gateway": "true", "gateway_account": "/a"},
+        {"arm": "mock", "bridge_account": "", "auto_approve": "true"},
+    ],
+)
+def test_a_real_arm_with_accounts_and_a_person_starts_and_so_does_what_is_meant(change):
+    assert preflight.problem(REAL | change, "/a".__eq__, "/a".__eq__) == ""
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("allow_anonymous true\n", True),
+        ("# allow_anonymous true\nallow_anonymous false\n", False),
+        ("listener 8883\n", False),
+        (None, True),
+    ],
+)
+def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_path, capsys, text, said):
+    file, account = tmp_path / "mosquitto.conf", tmp_path / "account.json"
+    account.write_text("{}")
+    if text is not None:
+        file.write_text(text)
+    arguments = ["arm:=real", f"bridge_account:={account}", "gateway:=false", "broker:=true", f"broker_config:={file}"]
+    assert preflight.main(arguments) == said
+    assert ("broker_config" in capsys.readouterr().err) is said
+
+
 def test_preflight_as_a_program(capsys, tmp_path):
     assert preflight.main(["arm:=mock", f"robot_config:={Path(__file__).resolve()}"]) == 0
     assert capsys.readouterr().out == "ok\n"

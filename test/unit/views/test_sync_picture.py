@@ -11,7 +11,7 @@ from visualization_msgs.msg import Marker
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.monitor.states import SyncState
-from construction_twin.robot.description import expand_xacro
+from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.nodes.sync_view import arm_markers, text_marker
 from construction_twin.views.sync_picture import COLOURS, LINE_LENGTH, headline, visual_shapes, worst_joint
 

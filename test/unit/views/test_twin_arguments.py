@@ -16,7 +16,6 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_abc
 from construction_twin.views.arguments import Exit, check, parser
-from construction_twin.views.completion import bash_completion
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
 from construction_twin.views.texts import joint_value, plan_lines, range_sentence, status_lines
@@ -57,7 +56,7 @@ def test_a_plan_s_options():
     "text",
     [
         "", "dance", "plan", "plan --pose 1 2 3", "plan --joints 1 --csv a", "plan --joints nan", "plan --joints 1 --speed 101",
-        "plan --joints 1 --speed 0", "plan --joints 1 --duration -1", "watch --rate 11", "--completion zsh", "status --rea dy x",
+        "plan --joints 1 --speed 0", "plan --joints 1 --duration -1", "watch --rate 11", "--completion csh", "status --rea dy x",
     ],
 )  # fmt: skip
 def test_nonsense_is_a_usage_error(text, capsys):
@@ -156,19 +155,32 @@ def test_progress_is_known_while_playing():
 # -- completion
 
 
-def completed(line: str, tmp_path, prelude: str = "") -> list[str]:
-    """Return what bash offers for the last word of a line."""
-    words = line.split(" ")
+def completion(shell: str, capsys) -> str:
+    """Return what `twin --completion SHELL` prints."""
+    with pytest.raises(SystemExit) as ending:
+        parsed(f"--completion {shell}")
+    assert ending.value.code == Exit.DONE
+    return capsys.readouterr().out
+
+
+@pytest.fixture
+def completed(tmp_path, capsys):
+    """What bash offers for the last word of a line."""
     script = tmp_path / "completion.bash"
-    script.write_text(bash_completion(parser("kr120")))
-    function = "_twin_rosrun" if words[0] == "rosrun" else "_twin_alone"
-    array = " ".join(f"'{word}'" for word in words)
-    call = f"COMP_WORDS=({array}); COMP_CWORD={len(words) - 1}; {function}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
-    run = subprocess.run(
-        ["bash", "--norc", "-uc", f"{prelude} source {script}; {call}"], capture_output=True, text=True, cwd=tmp_path
-    )
-    assert run.returncode == 0 and run.stderr == "", run.stderr
-    return sorted(run.stdout.split())
+    script.write_text(completion("bash", capsys))
+
+    def offers(line: str, prelude: str = "") -> list[str]:
+        words = line.split(" ")
+        function = "_twin_rosrun" if words[0] == "rosrun" else "_shtab_twin"
+        array = " ".join(f"'{word}'" for word in words)
+        call = f"COMP_WORDS=({array}); COMP_CWORD={len(words) - 1}; {function}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+        run = subprocess.run(
+            ["bash", "--norc", "-c", f"{prelude} source {script}; {call}"], capture_output=True, text=True, cwd=tmp_path
+        )
+        assert run.returncode == 0 and run.stderr == "", run.stderr
+        return sorted(run.stdout.split())
+
+    return offers
 
 
 @pytest.mark.parametrize(
@@ -178,29 +190,39 @@ def completed(line: str, tmp_path, prelude: str = "") -> list[str]:
         ("twin --robot a re", ["reject", "reset", "resume"]),
         ("twin plan --j", ["--joints"]),
         ("twin approve --w", ["--wait"]),
-        ("twin --completion ", ["bash"]),
+        ("twin --completion ", ["bash", "zsh"]),
         ("twin plan --duration ", []),
         ("rosrun construction_twin twin app", ["approve"]),
         ("rosrun construction_twin twin watch --o", ["--once"]),
     ],
 )
-def test_bash_completes(line, offers, tmp_path):
-    assert completed(line, tmp_path) == offers
+def test_bash_completes(line, offers, completed):
+    assert completed(line) == offers
 
 
-def test_bash_completes_files(tmp_path):
+def test_bash_completes_files(completed, tmp_path):
     (tmp_path / "points.csv").touch()
-    assert completed("twin plan --csv po", tmp_path) == ["points.csv"]
+    assert completed("twin plan --csv po") == ["points.csv"]
 
 
-def test_any_other_rosrun_is_left_to_ros(tmp_path):
+def test_any_other_rosrun_is_left_to_ros(completed):
     prelude = "_roscomplete_exe() { COMPREPLY=(ros); };"
-    assert completed("rosrun construction_twin ev", tmp_path, prelude) == ["ros"]
-    assert completed("rosrun roscpp twin x", tmp_path, prelude) == ["ros"]
-    assert completed("rosrun other ev", tmp_path) == []
+    assert completed("rosrun construction_twin ev", prelude) == ["ros"]
+    assert completed("rosrun roscpp twin x", prelude) == ["ros"]
+    assert completed("rosrun other ev") == []
 
 
-def test_completion_is_printed_and_ends(capsys):
-    with pytest.raises(SystemExit) as ending:
-        parsed("--completion bash")
-    assert ending.value.code == 0 and "complete -F" in capsys.readouterr().out
+def test_both_names_of_the_command_are_completed(tmp_path, capsys):
+    (tmp_path / "completion.bash").write_text(completion("bash", capsys))
+    run = subprocess.run(
+        ["bash", "--norc", "-c", f"source {tmp_path}/completion.bash; complete -p twin rosrun; declare -F twin"],
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    assert "-F _shtab_twin twin" in run.stdout and "-F _twin_rosrun rosrun" in run.stdout
+
+
+def test_zsh_is_given_a_completion_too(capsys):
+    script = completion("zsh", capsys)
+    assert script.startswith("#compdef twin") and "rosrun construction_twin twin" in script and "--joints" in script

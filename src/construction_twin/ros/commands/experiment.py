@@ -255,11 +255,12 @@ class _ProgressView:
         self._next = 0.0
 
     def __enter__(self) -> Callable[[float], None]:
-        if self._bar is None:
+        bar = self._bar
+        if bar is None:
             return self._line
-        self._bar.start()
-        task = self._bar.add_task(self._title, total=1.0)
-        return lambda fraction: self._bar.update(task, completed=fraction)
+        bar.start()
+        task = bar.add_task(self._title, total=1.0)
+        return lambda fraction: bar.update(task, completed=fraction)
 
     def __exit__(self, *_) -> None:
         if self._bar is not None:

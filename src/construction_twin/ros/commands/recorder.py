@@ -7,6 +7,7 @@ import subprocess
 import xmlrpc.client
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import rosgraph
 import roslib.packages
@@ -79,8 +80,11 @@ class Recorder:
         """Return the pairs of topic and node of what these nodes send to the recorder."""
         sent = set()
         for node in nodes:
-            _, _, connections = xmlrpc.client.ServerProxy(self._master.lookupNode(node)).getBusInfo(self._name)
-            sent |= {(c[4], node) for c in connections if c[2] == "o" and c[1] == self._name and c[5]}
+            answer: Any = xmlrpc.client.ServerProxy(self._master.lookupNode(node)).getBusInfo(self._name)
+            _, _, connections = answer
+            for _, subscriber, direction, _, topic, connected, *_ in connections:
+                if direction == "o" and subscriber == self._name and connected:
+                    sent.add((topic, node))
         return sent
 
     def stop(self, timeout: float) -> None:

@@ -27,7 +27,7 @@ from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
 from construction_twin.ros.shared.params import robot_from_parameters
-from construction_twin.ros.transport.kept_service import KeptService
+from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.scenario.definition import STATES, Move, Scenario, Step, make_scenario
 from construction_twin.scenario.judge import Verdict, judge
 from construction_twin.scenario.table import print_verdict
@@ -78,7 +78,7 @@ class ScenarioDriver:
         rospy.Subscriber("execution", Execution, self._on_execution)
         rospy.Subscriber("plan", Plan, self._on_plan)
         self._rest = RestDetector(_REST_BAND, _REST_TIME)
-        self._stop = KeptService("stop", Trigger).keep()
+        self._stop = PersistentService("stop", Trigger)
 
     def wait_until_ready(self) -> None:
         """Wait until a plan could be started.

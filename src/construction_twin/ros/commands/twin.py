@@ -1,4 +1,4 @@
-"""The command `twin`: plan, review and watch one robot from a terminal. Its words are in `cli.arguments`."""
+"""The command `twin`: plan, review and watch one robot from a terminal. Its options are in `views.arguments`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import socket
 import sys
 import urllib.parse
 import xmlrpc.client
+from functools import partial
 from pathlib import Path
 
 import rosgraph
@@ -39,7 +40,7 @@ class Command:
     Parameters
     ----------
     options : argparse.Namespace
-        As `cli.arguments.parser` makes them.
+        As `views.arguments.parser` makes them.
     """
 
     def __init__(self, options: argparse.Namespace):
@@ -57,17 +58,15 @@ class Command:
 
     def _plan(self) -> Exit:
         options, client = self._options, self._client
-        pace = {"speed_scale": options.speed or 0.0}
+        scale, duration = options.speed or 0.0, options.duration or 0.0
         if options.csv is not None:
-            print(client.plan_from_csv(str(Path(options.csv).absolute()), **pace))
+            print(client.plan_from_csv(str(Path(options.csv).absolute()), scale))
         elif options.joints is not None:
-            goal = joint_goal(options.joints, self._robot())
-            print(client.plan_to_joints(goal, options.duration or 0.0, **pace))
+            print(client.plan_to_joints(joint_goal(options.joints, self._robot()), duration, scale))
         elif options.line:
-            print(client.plan_line(pose_goal(options.pose), options.frame, (options.tool_speed or 0.0) / 1e3, **pace))
+            print(client.plan_line(pose_goal(options.pose), options.frame, (options.tool_speed or 0.0) / 1e3, scale))
         else:
-            goal = pose_goal(options.pose), options.frame, options.configuration
-            print(client.plan_to_pose(*goal, options.duration or 0.0, **pace))
+            print(client.plan_to_pose(pose_goal(options.pose), options.frame, options.configuration, duration, scale))
         return Exit.DONE
 
     def _home(self) -> Exit:
@@ -126,8 +125,7 @@ class Command:
         return RobotListener(self._namespace, self._robot(), rates)
 
     def _under_review(self, listener: RobotListener) -> Plan:
-        """Return the plan that is meant; RequestRefused when none, or another one, waits."""
-
+        """Return the plan under review; RequestRefused if there is none, or if another one was named."""
         if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
             topic = f"{self._namespace}/execution"
             raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")
@@ -142,15 +140,19 @@ class Command:
         return plan
 
     def _await_latched(self, listener: RobotListener) -> None:
-        """Wait for what was said before this process began, where somebody is there who says it.
+        """Wait for the latched messages that were published before this process began, where somebody publishes them.
 
-        Before the first plan since the start there is none; a latched one is here within a moment, and its verdict, if there is
-        one, arrives beside it, not before it.
+        No plan has been published yet if none was made since the start. A latched plan arrives within a moment; its verdict, if
+        there is one, may arrive shortly after it.
         """
         patience = min(LATCHED, self._options.timeout)
         for name, limit in (("link", patience), ("plan", patience), ("review", patience / 2)):
             if listener.publishers(name) > 0 or name == "plan":
-                listener.wait(lambda name=name: listener.newest(name) is not None, limit)
+                listener.wait(partial(self._reported, listener, name), limit)
+
+    @staticmethod
+    def _reported(listener: RobotListener, name: str) -> bool:
+        return listener.newest(name) is not None
 
     def _print_plan(self, plan: Plan) -> None:
         print("\n".join(plan_lines(plan, self._robot().linear)))
@@ -160,7 +162,7 @@ class Command:
         return self._client.review(plan.id, plan.hash, approve, reviewer, self._options.reason)
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
-        """Wait for the motion's end, tell it, and turn it into an exit code."""
+        """Wait for the motion's end, print it, and return its exit code."""
         seen = []
 
         def over() -> bool:
@@ -168,7 +170,7 @@ class Command:
             if report.plan_id == plan.id:
                 seen.append(report.plan_id)
                 return report.state in _AT_REST and bool(report.outcome)
-            # another plan, or none, after this one: a new session, or another executor
+            # after this plan the executor reports another one or none (a new session, another executor), or it is gone
             return bool(seen) or not listener.publishers("execution")
 
         listener.wait(over, None)
@@ -179,21 +181,21 @@ class Command:
 
 
 def connect(options: argparse.Namespace) -> None:
-    """Become a node; SilenceError when there is no master, or no robot of this name."""
+    """Register as a node; SilenceError if there is no master, or no robot of this name."""
     uri = rosgraph.get_master_uri()
     to_do = "start bringup, or set ROS_MASTER_URI"
     address = urllib.parse.urlsplit(uri)
     if address.scheme != "http" or not address.hostname:
         raise ConfigurationError("ROS_MASTER_URI", uri, "http://HOST:PORT")
-    unasked = socket.getdefaulttimeout()
+    before = socket.getdefaulttimeout()
     try:
-        # without this question a node waits for its master for ever, and for whoever else holds its port
+        # a node would wait without end for a master that does not answer, or for another program on its port
         socket.setdefaulttimeout(options.timeout)
         rosgraph.Master("/twin", uri).getPid()
     except (OSError, ValueError, rosgraph.MasterException, http.client.HTTPException, xmlrpc.client.Error) as error:
         raise SilenceError(uri, f"no ROS master answers ({error})", to_do) from error
     finally:
-        socket.setdefaulttimeout(unasked)
+        socket.setdefaulttimeout(before)
     rospy.init_node("twin", anonymous=True, disable_signals=True)
     namespace = "/" + options.robot.strip("/")
     if not rospy.has_param(f"{namespace}/robot/name"):
@@ -204,38 +206,38 @@ def connect(options: argparse.Namespace) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return the exit code of `cli.arguments.Exit`.
+    """Run the command line; return an exit code of `views.arguments.Exit`.
 
     Parameters
     ----------
     arguments : list of str, optional
         Default: the process's, without ROS's remappings.
     """
-    words = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
-    options = words.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+    command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
+    options = command_line.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
     problem = check(options)
     if problem:
-        words.error(problem)
+        command_line.error(problem)
     try:
         connect(options)
         return Command(options).run()
     except SilenceError as error:
-        return _told(error, Exit.SILENT)
+        return _report(error, Exit.SILENT)
     except ConfigurationError as error:
-        return _told(error, Exit.USAGE)
+        return _report(error, Exit.USAGE)
     except ConstructionTwinError as error:
-        return _told(error, Exit.REFUSED)
+        return _report(error, Exit.REFUSED)
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
 
 
-def _told(error: ConstructionTwinError, code: Exit) -> Exit:
+def _report(error: ConstructionTwinError, code: Exit) -> Exit:
     print(f"twin: {error}", file=sys.stderr)
     return code
 
 
 def _user() -> str:
-    """Return who calls: the login name, or the number of an account that has none (in a container)."""
+    """Return the user's login name, or the number of an account without a name (in a container)."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -243,7 +245,7 @@ def _user() -> str:
 
 
 def _confirmed() -> bool:
-    """Ask at the terminal; nobody there is a no."""
+    """Ask at the terminal; without a terminal the answer is no."""
     if not sys.stdin.isatty():
         print("twin: nobody can be asked here; look at the plan, then give --yes", file=sys.stderr)
         return False

@@ -1,4 +1,4 @@
-"""Keeps the terminal view of `cli.watch` up to date."""
+"""Keeps the terminal view of `views.dashboard` up to date."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
     -------
     msg : construction_twin/Plan
     """
-    clearance, fractions = plan.report.clearance, plan.report.fractions
+    clearance, fractions = plan.report.clearance, plan.report.usage
     msg = PlanMsg(
         id=plan.id,
         hash=plan.hash,

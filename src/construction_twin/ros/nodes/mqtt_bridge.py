@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 import threading
 import time
 import uuid
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 import pydantic
 import rospy
@@ -15,13 +18,23 @@ from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from construction_twin.core.errors import PayloadError, ReviewError
-from construction_twin.core.freshness import StateCheck
+from construction_twin.core.travel_time import StateCheck
+from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.speed_forwarder import SpeedForwarder
+from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
-from construction_twin.link.supervisor import LinkState, LinkSupervisor
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, Topics, parse_status, read_state_properties
+from construction_twin.mqtt.messages import (
+    CommandProperties,
+    Control,
+    StateProperties,
+    Topics,
+    parse_status,
+    read_state_properties,
+)
 from construction_twin.msg import Feedback, Link, SpeedLimit
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.gateway_config import config_from_parameters
@@ -32,7 +45,7 @@ from construction_twin.ros.transport.joint_stream import JointPublisher, JointSu
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 
-#: Period at which the link's state is looked at [s].
+#: Period at which the link is polled [s].
 POLL = 0.02
 #: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
 MIRROR_MODE = "mirror_mode"
@@ -45,23 +58,70 @@ class Settings(MqttSettings):
     max_state_age: float = pydantic.Field(gt=0)
 
 
-class MqttBridgeNode:
-    """ROS and MQTT around a LinkSupervisor.
+class Sink(Protocol):
+    """A publisher as the bridge uses it."""
 
-    Two locks, never held together with a socket: `_lock` guards the supervisor; paho has its own for the connection. The supervisor
-    is told the monotonic clock: a wall clock that is set must not make a gateway look alive, or an arm at rest.
+    def publish(self, *content) -> None:
+        """Send a message, or what it is made of."""
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where the bridge publishes in ROS.
+
+    Attributes
+    ----------
+    physical, feedback : JointPublisher
+        The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
+    link : Publisher
     """
 
-    def __init__(self):
-        settings = read_parameters(Settings)
+    physical: Sink
+    feedback: Sink
+    link: Sink
+
+
+class MqttBridge:
+    """ROS and MQTT around a LinkSupervisor; `start` gives it topics, services and a connection.
+
+    `_lock` guards the supervisor and the counters; nothing is sent while it is held. paho has locks of its own for the connection.
+    The supervisor is told the monotonic clock: a wall clock that is set must not make a gateway look alive, or an arm at rest.
+
+    Parameters
+    ----------
+    settings : Settings
+    robot : str
+        Name in the MQTT topics.
+    config : GatewayConfig
+        As the gateway should run it.
+    codec : JointStringCodec
+    broker : Broker
+    client : FastClient
+        Not connected yet.
+    outputs : Outputs
+    diagnostics : callable
+        Takes `report`; returns the node's NodeDiagnostics.
+    mirrors : bool, optional
+        Whether the arm leads from the start.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        robot: str,
+        config: GatewayConfig,
+        codec: JointStringCodec,
+        broker: Broker,
+        client: FastClient,
+        outputs: Outputs,
+        diagnostics: Callable[[Callable[[], tuple[int, str, dict]]], NodeDiagnostics],
+        mirrors: bool = False,
+    ):
         self._settings = settings
-        robot = robot_from_parameters()
-        config = config_from_parameters()
-        self._codec = JointStringCodec.of(robot, config.decimals)
+        self._codec = codec
+        self._outputs = outputs
         self._properties = config.properties and settings.protocol == "5"
         self._lock = threading.Lock()
-        # no private parameter: those are what somebody set, and this is what somebody asked for while it ran
-        mirrors = rospy.get_param(MIRROR_MODE, False) is True
         self._supervisor = LinkSupervisor.of(config, lambda: uuid.uuid4().hex, mirrors)
         self._speed = SpeedForwarder(config.speed_limit_deadline)
         self._sequence = 0
@@ -69,37 +129,44 @@ class MqttBridgeNode:
         self._states = 0
         # what the gateway's last status says beside its counters; changed together with the supervisor's status
         self._gateway_values: dict[str, str] = {}
-        self._reported: tuple = ()
+        self._reported: tuple[LinkState, str, str] | None = None
         self._reported_at = 0.0
-        self._diagnostics = NodeDiagnostics(robot.name, self._report)
-        self._physical = JointPublisher("physical/joint_states", robot.joint_names)
-        self._feedback = JointPublisher("physical/feedback", robot.joint_names, Feedback)
-        self._link = Publisher("link", Link, queue_size=10, latch=True)
-        self._topics = Topics(settings.prefix, robot.name)
-        self._client = self._connect(broker_of(settings))
-        refuse = self._diagnostics.refuse
-        JointSubscriber("command/joint_states", robot.joint_names, self._on_command, refuse)
-        Service("reset", Trigger, lambda _: self._begin_session(self._supervisor.request_reset))
-        Service("~arm", Trigger, lambda _: self._begin_session(self._supervisor.request_arm))
-        Service("~stop", Trigger, self._on_stop)
-        Service("emergency_stop", Trigger, self._on_stop)
-        Service("mirror", SetBool, self._on_mirror)
-        Subscriber("speed_limit", SpeedLimit, self._on_speed_limit, refuse, queue_size=5)
+        self._topics = Topics(settings.prefix, robot)
+        self._broker = broker
+        self._client = client
+        self._connection = report_of(broker)
+        self._diagnostics = diagnostics(self.report)
+
+    def connect(self) -> None:
+        """Connect to the broker, and serve the connection in a thread of its own."""
+        client = self._client
+        self._connection.watch(client)
+        client.on_connect = self.on_connect
+        client.on_disconnect = self.on_disconnect
+        client.on_stream(self._topics.state, self.on_state)
+        client.message_callback_add(
+            self._topics.status, lambda _client, _data, message: self.on_status(message.payload)
+        )
+        client.message_callback_add(
+            self._topics.control_ack, lambda _client, _data, message: self.on_answer(message.payload)
+        )
+        client.connect_async(self._broker.host, self._broker.port, self._broker.keepalive)
+        client.loop_start()
+
+    @property
+    def link(self) -> LinkState:
+        """State of the link."""
+        return self._supervisor.state
+
+    @property
+    def refuse(self) -> Callable[[str, str], None]:
+        """Counts a refused input; takes reason and sentence."""
+        return self._diagnostics.refuse
 
     def run(self) -> None:
-        """Look after the link until shutdown."""
+        """Poll the link until shutdown."""
         while not rospy.is_shutdown():
-            with self._lock:
-                now = time.monotonic_ns()
-                control = self._supervisor.poll(now)
-                armed = self._supervisor.session if self._supervisor.state is LinkState.ARMED else ""
-                limit = self._speed.poll(armed, now)
-            if control is not None:
-                self._send_control(control)
-            if limit is not None:
-                # repeated for as long as its source speaks: no line in the log
-                self._publish_control(Control(str(self._speed.number), armed, "speed_limit", limit))
-            self._publish_link()
+            self.poll()
             time.sleep(POLL)
         self._client.publish(
             self._topics.bridge_status, json.dumps({"state": "offline", "reason": "bridge stopped"}), 1, True
@@ -107,9 +174,24 @@ class MqttBridgeNode:
         self._client.disconnect()
         self._client.loop_stop()
 
+    def poll(self) -> None:
+        """Update the link, and publish what follows from it."""
+        with self._lock:
+            now = time.monotonic_ns()
+            control = self._supervisor.poll(now)
+            armed = self._supervisor.session if self._supervisor.state is LinkState.ARMED else ""
+            limit = self._speed.poll(armed, now)
+        if control is not None:
+            self._send_control(control)
+        if limit is not None:
+            # repeated for as long as its source sends: no line in the log
+            self._publish_control(Control(str(self._speed.number), armed, "speed_limit", limit))
+        self._publish_link()
+
     # -- ROS to MQTT
 
-    def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
+    def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Send a command [rad] with its stamp [ns], if the link is armed."""
         with self._lock:
             send = self._supervisor.on_command(q, time.monotonic_ns())
             session = self._supervisor.session
@@ -125,10 +207,12 @@ class MqttBridgeNode:
         self._client.send_stream(self._topics.command, payload, beside)
 
     def _send_control(self, control: Control) -> None:
-        rospy.loginfo("%s, session %s", control.verb, control.session)
+        # the log may wait for a disk or for rosout; what is to stop the arm does not
         self._publish_control(control)
+        rospy.loginfo("%s, session %s", control.verb, control.session)
 
-    def _on_speed_limit(self, message: SpeedLimit) -> None:
+    def on_speed_limit(self, message: SpeedLimit) -> None:
+        """Take a speed limit; it is sent with the next poll."""
         source = caller_of(message)
         try:
             with self._lock:
@@ -141,20 +225,8 @@ class MqttBridgeNode:
 
     # -- MQTT to ROS
 
-    def _connect(self, broker: Broker):
-        client = make_client(broker, unique_id(self._topics.robot, "bridge"), self._topics.bridge_status, direct=True)
-        self._connection = report_of(broker)
-        self._connection.watch(client)
-        client.on_connect = self._on_connect
-        client.on_disconnect = self._on_disconnect
-        client.on_stream(self._topics.state, self._on_state)
-        client.message_callback_add(self._topics.status, self._on_status)
-        client.message_callback_add(self._topics.control_ack, self._on_answer)
-        client.connect_async(broker.host, broker.port, broker.keepalive)
-        client.loop_start()
-        return client
-
-    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+    def on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        """Subscribe, and say that the bridge is here."""
         if reason_code.is_failure:
             self._connection.refused(reason_code)
             return
@@ -168,12 +240,14 @@ class MqttBridgeNode:
         with self._lock:
             self._supervisor.on_connection(True)
 
-    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+    def on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+        """Report the end of the connection."""
         self._connection.lost(reason_code)
         with self._lock:
             self._supervisor.on_connection(False)
 
-    def _on_state(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
+    def on_state(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
+        """Take the arm's pose, as a joint string with its user properties."""
         received, now = now_ns(), time.monotonic_ns()
         try:
             if retained:
@@ -191,14 +265,15 @@ class MqttBridgeNode:
             self._states += 1
         self._publish_physical(q, received, properties)
 
-    def _publish_physical(self, q: tuple[float, ...], received: int, properties) -> None:
-        self._physical.publish(received, q)
+    def _publish_physical(self, q: tuple[float, ...], received: int, properties: StateProperties | None) -> None:
+        self._outputs.physical.publish(received, q)
         seq, command_stamp = (properties.seq, properties.command_stamp) if properties is not None else (0, 0)
-        self._feedback.publish(received, q, seq, command_stamp)
+        self._outputs.feedback.publish(received, q, seq, command_stamp)
 
-    def _on_status(self, client, userdata, message) -> None:
+    def on_status(self, payload: bytes) -> None:
+        """Take the gateway's status; one that cannot be read is refused as a whole."""
         try:
-            status = parse_status(message.payload)
+            status = parse_status(payload)
             values = status_values(status)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
@@ -209,9 +284,10 @@ class MqttBridgeNode:
             self._supervisor.on_status(status, time.monotonic_ns())
             self._gateway_values = values
 
-    def _on_answer(self, client, userdata, message) -> None:
+    def on_answer(self, payload: bytes) -> None:
+        """Take the gateway's answer to a control message."""
         try:
-            answer = parse_status(message.payload)
+            answer = parse_status(payload)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
@@ -223,6 +299,14 @@ class MqttBridgeNode:
             self._supervisor.on_answer(answer, time.monotonic_ns())
 
     # -- services
+
+    def on_reset(self, _request) -> TriggerResponse:
+        """Start over from the arm's pose."""
+        return self._begin_session(self._supervisor.request_reset)
+
+    def on_arm(self, _request) -> TriggerResponse:
+        """Begin a session where nothing needs to move for it."""
+        return self._begin_session(self._supervisor.request_arm)
 
     def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
         try:
@@ -240,11 +324,12 @@ class MqttBridgeNode:
             time.sleep(POLL)
         return TriggerResponse(False, f"not armed within {self._settings.reset_timeout:g} s: {state.name}, {reason}")
 
-    def _on_stop(self, _request) -> TriggerResponse:
+    def on_halt(self, _request) -> TriggerResponse:
+        """Stop executor and gateway: the gateway brakes the arm within its limits, and the executor drops its plan."""
         with self._lock:
             control, mirrored = Control(uuid.uuid4().hex, self._supervisor.session, "stop"), self._supervisor.mirrors
             # the link is not armed from here on: the executor drops its plan, and no command is sent
-            self._supervisor.drop("stopped at the gateway on request; call reset")
+            self._supervisor.halt("stopped at the gateway on request; call reset")
         self._send_control(control)
         if mirrored:
             rospy.set_param(MIRROR_MODE, False)
@@ -255,7 +340,8 @@ class MqttBridgeNode:
             )
         return TriggerResponse(True, "stop sent to the gateway, plan dropped; call reset to go on")
 
-    def _on_mirror(self, request) -> SetBoolResponse:
+    def on_mirror(self, request) -> SetBoolResponse:
+        """Begin or end mirror mode."""
         try:
             with self._lock:
                 supervisor, now = self._supervisor, time.monotonic_ns()
@@ -276,16 +362,17 @@ class MqttBridgeNode:
         with self._lock:
             supervisor = self._supervisor
             state = (supervisor.state, self._reason(), supervisor.session)
-            status, values = dict(supervisor.status), self._gateway_values
+            # neither is ever changed, only replaced
+            status, values = supervisor.status, self._gateway_values
         now = time.monotonic()
         changed = state != self._reported
         if not changed and now - self._reported_at < 1.0:
             return
         self._reported, self._reported_at = state, now
-        self._link.publish(self._link_message(*state, status, values))
+        self._outputs.link.publish(self._link_message(*state, status, values))
         if changed:
-            rospy.loginfo("%s: %s", state[0].name, state[1])
             self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
+            rospy.loginfo("%s: %s", state[0].name, state[1])
 
     def _reason(self) -> str:
         """Return the supervisor's sentence; without a connection, also why there is none."""
@@ -293,17 +380,15 @@ class MqttBridgeNode:
         return f"{reason}: {why}" if why and self._supervisor.state is LinkState.DISCONNECTED else reason
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
+        # a copy: other threads go on counting
+        refused = self._diagnostics.refused
         message = Link(state=state.value, text=state.name, reason=reason, session=session)
         message.header.stamp = rospy.Time.now()
         message.gateway_state = str(status.get("state", "offline"))
         message.commands_sent = self._sequence
-        message.commands_refused = sum(
-            count for name, count in self._diagnostics.refused.items() if not name.startswith("stat")
-        )
+        message.commands_refused = sum(count for name, count in refused.items() if not name.startswith("stat"))
         message.states_received = self._states
-        message.states_refused = sum(
-            count for name, count in self._diagnostics.refused.items() if name.startswith("stat")
-        )
+        message.states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
         counters = status.get("counters", {}) | values
         counters["decimals"] = status.get("decimals", "")
         reply = status.get("reply_us", {})
@@ -314,18 +399,53 @@ class MqttBridgeNode:
         message.reply_us_counts = reply.get("counts", [])
         return message
 
-    def _report(self) -> tuple[int, str, dict]:
-        supervisor = self._supervisor
-        level = OK if supervisor.state in (LinkState.ARMED, LinkState.MIRROR) else WARN
-        values = {"session": supervisor.session, "commands sent": self._sequence, "states received": self._states}
-        gateway = supervisor.status.get("counters", {}) | self._gateway_values
+    def report(self) -> tuple[int, str, dict]:
+        """Return level, sentence and values for `/diagnostics`."""
+        with self._lock:
+            state, session, reason = self._supervisor.state, self._supervisor.session, self._reason()
+            gateway = self._supervisor.status.get("counters", {}) | self._gateway_values
+        values = {"session": session, "commands sent": self._sequence, "states received": self._states}
         values |= {f"gateway {key}": value for key, value in sorted(gateway.items())}
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
-        return level, f"{supervisor.state.name}: {self._reason()}", values
+        level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
+        return level, f"{state.name}: {reason}", values
+
+
+def start() -> MqttBridge:
+    """Return the bridge with its parameters, topics and services, connecting to the broker."""
+    settings = read_parameters(Settings)
+    robot = robot_from_parameters()
+    config = config_from_parameters()
+    broker = broker_of(settings)
+    topics = Topics(settings.prefix, robot.name)
+    bridge = MqttBridge(
+        settings,
+        robot.name,
+        config,
+        JointStringCodec.of(robot, config.decimals),
+        broker,
+        make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True),
+        Outputs(
+            JointPublisher("physical/joint_states", robot.joint_names),
+            JointPublisher("physical/feedback", robot.joint_names, Feedback),
+            Publisher("link", Link, queue_size=10, latch=True),
+        ),
+        functools.partial(NodeDiagnostics, robot.name),
+        # no private parameter: those are what somebody set, and this is what somebody asked for while it ran
+        mirrors=rospy.get_param(MIRROR_MODE, False) is True,
+    )
+    bridge.connect()
+    JointSubscriber("command/joint_states", robot.joint_names, bridge.on_command, bridge.refuse)
+    Service("reset", Trigger, bridge.on_reset)
+    Service("~arm", Trigger, bridge.on_arm)
+    Service("halt", Trigger, bridge.on_halt)
+    Service("mirror", SetBool, bridge.on_mirror)
+    Subscriber("speed_limit", SpeedLimit, bridge.on_speed_limit, bridge.refuse, queue_size=5)
+    return bridge
 
 
 def main() -> None:
     """Run the node."""
     sys.setswitchinterval(0.001)
-    run_node("mqtt_bridge", MqttBridgeNode)
+    run_node("mqtt_bridge", start)

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import queue
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 
 import pydantic
 import rospy
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.link.remote_review import PlanBoard, PlanView, RemoteReview, parse_review, review_answer
-from construction_twin.mqtt.client import make_client, subscriptions, unique_id
+from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Link, Plan, Review
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import ReviewPlan
 
 #: Verdicts that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
 #: Longest wait for `review_plan` to exist [s].
 SERVICE_TIMEOUT = 1.0
-#: How often the node looks whether the broker holds what it should [s].
+#: Period at which the node compares what the broker holds with what it should hold [s].
 CHECK_PERIOD = 1.0
 
 
@@ -36,12 +40,35 @@ class Settings(MqttSettings):
     path_points: int = pydantic.Field(ge=2, le=1000)
 
 
-class MqttReviewNode:
-    """ROS and MQTT around a PlanBoard; `_lock` guards it, because ROS serves every topic from a thread of its own."""
+class MqttReview:
+    """ROS and MQTT around a PlanBoard; `start` gives it topics and a connection.
 
-    def __init__(self):
-        self._settings = read_parameters(Settings)
-        robot = robot_from_parameters()
+    `_lock` guards the board and the counters: ROS serves every topic from a thread of its own.
+
+    Parameters
+    ----------
+    settings : Settings
+    robot : str
+        Name in the MQTT topics.
+    broker : Broker
+    client : FastClient
+        Not connected yet.
+    review_plan : rospy.ServiceProxy
+        The executor's service.
+    diagnostics : callable
+        Takes `report`; returns the node's NodeDiagnostics.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        robot: str,
+        broker: Broker,
+        client: FastClient,
+        review_plan: rospy.ServiceProxy,
+        diagnostics: Callable[[Callable[[], tuple[int, str, dict]]], NodeDiagnostics],
+    ):
+        self._settings = settings
         self._board = PlanBoard()
         self._lock = threading.Lock()
         self._session: str | None = None
@@ -49,19 +76,38 @@ class MqttReviewNode:
         self._checked_at = 0.0
         self._reviews: queue.Queue[RemoteReview] = queue.Queue(WAITING)
         self._verdicts: Counter[str] = Counter()
-        self._diagnostics = NodeDiagnostics(robot.name, self._report)
-        self._topics = Topics(self._settings.prefix, robot.name)
-        self._review_plan = rospy.ServiceProxy("review_plan", ReviewPlan)
-        self._client = self._connect(robot.name)
-        rospy.Subscriber("plan", Plan, self._on_plan, queue_size=5)
-        rospy.Subscriber("review", Review, self._on_verdict, queue_size=10)
-        rospy.Subscriber("link", Link, self._on_link, queue_size=5)
+        self._topics = Topics(settings.prefix, robot)
+        self._review_plan = review_plan
+        self._broker = broker
+        self._client = client
+        self._connection = report_of(broker)
+        self._diagnostics = diagnostics(self.report)
+
+    def connect(self) -> None:
+        """Connect to the broker, and serve the connection in a thread of its own."""
+        client = self._client
+        self._connection.watch(client)
+        client.on_connect = self.on_connect
+        client.on_disconnect = self.on_disconnect
+        client.message_callback_add(
+            self._topics.review, lambda _client, _data, message: self.on_review(message.payload, message.retain)
+        )
+        client.message_callback_add(
+            self._topics.plan, lambda _client, _data, message: self.on_own_plan(message.payload)
+        )
+        client.connect_async(self._broker.host, self._broker.port, self._broker.keepalive)
+        client.loop_start()
+
+    @property
+    def refuse(self) -> Callable[[str, str], None]:
+        """Counts a refused input; takes reason and sentence."""
+        return self._diagnostics.refuse
 
     def run(self) -> None:
         """Carry out verdicts until shutdown."""
         while not rospy.is_shutdown():
             try:
-                self._carry_out(self._reviews.get(timeout=0.2))
+                self.carry_out(self._reviews.get(timeout=0.2))
             except queue.Empty:
                 self._check_plan()
         self._client.publish(self._topics.plan, b"", qos=1, retain=True)
@@ -70,18 +116,21 @@ class MqttReviewNode:
 
     # -- ROS to MQTT
 
-    def _on_plan(self, message: Plan) -> None:
+    def on_plan(self, message: Plan) -> None:
+        """Show a plan."""
         payload = plan_view(message).to_json(self._settings.path_points)
         with self._lock:
             self._board.on_plan(message.id, payload)
         self._publish_plan()
 
-    def _on_verdict(self, message: Review) -> None:
+    def on_verdict(self, message: Review) -> None:
+        """Take a plan away that somebody has judged."""
         with self._lock:
             self._board.on_verdict(message.plan_id)
         self._publish_plan()
 
-    def _on_link(self, message: Link) -> None:
+    def on_link(self, message: Link) -> None:
+        """Take the plan away when another session begins."""
         if message.session and message.session != self._session:
             if self._session is not None:
                 with self._lock:
@@ -104,21 +153,8 @@ class MqttReviewNode:
 
     # -- MQTT to ROS
 
-    def _connect(self, robot: str):
-        broker = broker_of(self._settings)
-        # as the last will, nothing: without this node nobody hears a verdict, so there is nothing to review
-        client = make_client(broker, unique_id(robot, "review"), self._topics.plan, will="")
-        self._connection = report_of(broker)
-        self._connection.watch(client)
-        client.on_connect = self._on_connect
-        client.on_disconnect = self._on_disconnect
-        client.message_callback_add(self._topics.review, self._on_review)
-        client.message_callback_add(self._topics.plan, self._on_own_plan)
-        client.connect_async(broker.host, broker.port, broker.keepalive)
-        client.loop_start()
-        return client
-
-    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+    def on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        """Subscribe, and show what is under review."""
         if reason_code.is_failure:
             self._connection.refused(reason_code)
             return
@@ -128,15 +164,18 @@ class MqttReviewNode:
         info = client.publish(self._topics.plan, self._board.payload, qos=1, retain=True)
         self._connection.watch_publish(client, self._topics.plan, info.mid)
 
-    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+    def on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+        """Report the end of the connection."""
         self._connection.lost(reason_code)
 
-    def _on_own_plan(self, client, userdata, message) -> None:
-        self._seen = message.payload
+    def on_own_plan(self, payload: bytes) -> None:
+        """Note what the broker holds."""
+        self._seen = payload
 
-    def _on_review(self, client, userdata, message) -> None:
+    def on_review(self, payload: bytes, retained: bool) -> None:
+        """Take a verdict; it is carried out in the main thread."""
         try:
-            review = parse_review(message.payload, message.retain)
+            review = parse_review(payload, retained)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             self._answer(None, False, str(error))
@@ -148,7 +187,8 @@ class MqttReviewNode:
             self._diagnostics.refuse("busy", sentence)
             self._answer(review, False, sentence)
 
-    def _carry_out(self, review: RemoteReview) -> None:
+    def carry_out(self, review: RemoteReview) -> None:
+        """Give a verdict to the executor, and its answer to whoever judged."""
         try:
             rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
             answer = self._review_plan(
@@ -157,7 +197,8 @@ class MqttReviewNode:
             ok, sentence = answer.success, answer.message
         except (rospy.ServiceException, rospy.ROSException) as error:
             ok, sentence = False, f"{self._review_plan.resolved_name} does not answer: {error}; does the executor run?"
-        self._verdicts["taken" if ok else "not taken"] += 1
+        with self._lock:
+            self._verdicts["taken" if ok else "not taken"] += 1
         rospy.loginfo("%s of plan %s by %s: %s", review.verdict, review.plan_id, review.reviewer, sentence)
         self._answer(review, ok, sentence)
 
@@ -166,8 +207,10 @@ class MqttReviewNode:
 
     # -- reports
 
-    def _report(self) -> tuple[int, str, dict]:
-        values = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
+    def report(self) -> tuple[int, str, dict]:
+        """Return level, sentence and values for `/diagnostics`."""
+        with self._lock:
+            values = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
         if not self._client.is_connected():
             return WARN, self._connection.sentence or "connecting to the broker", values
         return OK, "a plan is shown" if self._board.payload else "no plan to review", values
@@ -219,6 +262,22 @@ def _xyz(point) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
 
+def start() -> MqttReview:
+    """Return the node with its parameters and topics, connecting to the broker."""
+    settings = read_parameters(Settings)
+    robot = robot_from_parameters().name
+    broker = broker_of(settings)
+    # as the last will, nothing: while this node does not run nobody takes a verdict, so there is nothing to review
+    client = make_client(broker, unique_id(robot, "review"), Topics(settings.prefix, robot).plan, will="")
+    review_plan = rospy.ServiceProxy("review_plan", ReviewPlan)
+    node = MqttReview(settings, robot, broker, client, review_plan, functools.partial(NodeDiagnostics, robot))
+    node.connect()
+    Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
+    Subscriber("review", Review, node.on_verdict, node.refuse, queue_size=10)
+    Subscriber("link", Link, node.on_link, node.refuse, queue_size=5)
+    return node
+
+
 def main() -> None:
     """Run the node."""
-    run_node("mqtt_review", MqttReviewNode)
+    run_node("mqtt_review", start)

@@ -23,7 +23,7 @@ from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import PlanOutcome
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.planning.pipeline import PlanningDesk
+from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import plan_to_msg, pose_from_msg, pose_from_transform_msg
@@ -92,7 +92,7 @@ class PlannerNode:
         self._robot = robot_from_parameters()
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
-        self._desk = self._open_desk()
+        self._pipeline = self._make_pipeline()
         self._base_frame = tf_frame(self._settings.tf_prefix, self._robot.base_link)
         # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
@@ -115,11 +115,11 @@ class PlannerNode:
         Service("plan_cartesian", PlanCartesian, self._on_plan_cartesian)
         Service("plan_from_csv", PlanFromCsv, self._on_plan_from_csv)
 
-    def _open_desk(self) -> PlanningDesk:
+    def _make_pipeline(self) -> PlanningPipeline:
         settings = self._settings
         rng = np.random.default_rng(settings.seed or None)
         ik = IkSettings(budget_s=settings.ik_budget)
-        return PlanningDesk(
+        return PlanningPipeline(
             self._robot,
             inverse_kinematics(self._chain, ik, rng, time.monotonic),
             settings,
@@ -145,9 +145,9 @@ class PlannerNode:
 
     def _on_scene(self, msg: SceneMsg) -> None:
         try:
-            self._desk.set_scene(scene_from_msg(msg))
+            self._pipeline.set_scene(scene_from_msg(msg))
         except SceneError as error:
-            self._desk.refuse_scene(error)
+            self._pipeline.refuse_scene(error)
             self._diagnostics.refuse("scene", str(error))
 
     # -- requests
@@ -158,21 +158,21 @@ class PlannerNode:
         def plan(asked: PlanRequest) -> Plan:
             if request.asked:
                 check_asked(asked, arrived)
-            return self._desk.to_joints(request.start or self._present_pose(), request.goal, asked)
+            return self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
 
         return PlanToJointsResponse(*self._answer(plan, self._request(request))[:5])
 
     def _on_plan_to_pose(self, request) -> PlanToPoseResponse:
         def plan(asked: PlanRequest) -> Plan:
             goal = self._goal_in_base(request.goal)
-            return self._desk.to_pose(self._present_pose(), goal, asked, request.configuration)
+            return self._pipeline.to_pose(self._present_pose(), goal, asked, request.configuration)
 
         return PlanToPoseResponse(*self._answer(plan, self._request(request))[:5])
 
     def _on_plan_cartesian(self, request) -> PlanCartesianResponse:
         def plan(asked: PlanRequest) -> Plan:
             path = tool_waypoints(request.waypoints, self._base_T(request.frame_id, rospy.Time(0)))
-            return self._desk.along(self._present_pose(), path, request.speed or None, asked)
+            return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
 
         success, message, *plan_fields, fraction = self._answer(plan, self._request(request))
         return PlanCartesianResponse(success, message, fraction, *plan_fields)
@@ -180,14 +180,14 @@ class PlannerNode:
     def _on_plan_from_csv(self, request) -> PlanFromCsvResponse:
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = read_waypoints(request.path, self._robot)
-            return lambda asked: self._desk.through(waypoints, self._present_pose(), asked)
+            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
         return PlanFromCsvResponse(*self._answer_read(read, self._request(request, request.path))[:5])
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = trajectory_waypoints(msg, self._robot)
-            return lambda asked: self._desk.through(waypoints, self._present_pose(), asked)
+            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
         caller = caller_of(msg)
         self._answer_read(read, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
@@ -229,10 +229,10 @@ class PlannerNode:
 
     def _demand_scene(self) -> None:
         """Wait for a scene that somebody answers for: without its publisher, nobody knows what surrounds the arm now."""
-        seen = self._desk.scene
+        seen = self._pipeline.scene
         if not self._scene_subscriber.get_num_connections():
-            self._desk.forget_scene(seen)
-        self._desk.wait_for_scene(self._settings.scene_timeout)
+            self._pipeline.forget_scene(seen)
+        self._pipeline.wait_for_scene(self._settings.scene_timeout)
 
     def _published(self, plan: Plan, asked: PlanRequest) -> tuple:
         tool_path = [self._chain.forward(q).position for q in plan.trajectory.positions]
@@ -279,7 +279,7 @@ class PlannerNode:
         return pose_from_transform_msg(transform.transform)
 
     def _report(self) -> tuple[int, str, dict]:
-        scene = self._desk.scene
+        scene = self._pipeline.scene
         values = {"plans": self._plans, "scene": scene.hash if scene is not None else "none"}
         return OK if scene is not None else WARN, self._last, values
 

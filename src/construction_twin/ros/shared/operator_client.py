@@ -13,7 +13,7 @@ from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.ros.transport.kept_service import KeptService
+from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.srv import (
     PlanCartesian,
     PlanFromCsv,
@@ -38,14 +38,11 @@ class OperatorClient:
         How long to wait until a service is there [s]; an answer may take longer.
     source : str
         Who asks, for the reviewer.
-    lasting : bool, optional
-        Whether this tool runs for long: it then keeps a connection for `stop`, which makes a stop quicker.
     """
 
-    def __init__(self, namespace: str, timeout: float, source: str, lasting: bool = False):
+    def __init__(self, namespace: str, timeout: float, source: str):
         self._namespace = namespace.rstrip("/")
-        stop = f"{self._namespace}/stop"
-        self._stop = KeptService(stop, Trigger).keep() if lasting else rospy.ServiceProxy(stop, Trigger)
+        self._stop = PersistentService(f"{self._namespace}/stop", Trigger)
         self._timeout = timeout
         self._source = source
 

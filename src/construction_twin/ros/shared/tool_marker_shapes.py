@@ -24,12 +24,14 @@ COLOURS = {
     Reach.OUT: (0.9, 0.05, 0.05, 0.9),
     None: (0.55, 0.57, 0.6, 0.8),
 }
-#: Readable before the sky, the floor and the arm.
+#: Can be read in front of the sky, the floor and the arm.
 _TEXT_COLOUR = (0.1, 0.1, 0.15, 1.0)
-#: Height of a letter, distance of the text below the marker, where the arm seldom is, as fractions of its size; characters of a line.
-_LETTER, _BELOW, _WIDTH = 0.1, 0.95, 45
-#: Size of the handle, and of the sphere in it that shows the verdict, as fractions of the marker's. The handle is the outer one, a
-#: clear shell: rviz gives a click to what it meets first, and the verdict's sphere has no menu.
+#: Height of a letter, and distance of the text below the marker, where it seldom hides the arm, as fractions of the marker's size.
+_LETTER, _BELOW = 0.1, 0.95
+#: Characters of a line.
+_WIDTH = 45
+#: Size of the handle, and of the sphere in it that shows the verdict, as fractions of the marker's size. The handle is a clear
+#: shell around the sphere, because rviz gives a click to the first object it meets, and the sphere has no menu.
 _HANDLE, _SPHERE = 0.3, 0.25
 _HALF = math.sqrt(0.5)
 #: Orientation of a control whose axis is the marker's x, y, z.
@@ -37,7 +39,7 @@ _AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0
 
 
 def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
-    """Return the interactive marker: moves along and turns about its axes, and opens the menu.
+    """Return the interactive marker: it moves along and turns about its axes, and opens the menu.
 
     Parameters
     ----------
@@ -93,7 +95,7 @@ def verdict_markers(frame: str, pose: PoseMsg, scale: float, reach: Reach | None
 
 def _text(text: str, at: Point, scale: float) -> Marker:
     marker = Marker(ns="verdict", id=1, type=Marker.TEXT_VIEW_FACING, color=ColorRGBA(*_TEXT_COLOUR), text=text)
-    # rviz centres a text on its position, so that a longer one has its own further down
+    # rviz centres a text on its position: a longer one is placed lower, so that all begin at the same height
     below = _BELOW + 0.6 * _LETTER * text.count("\n")
     marker.pose = PoseMsg(Point(at.x, at.y, at.z - below * scale), Quaternion(w=1.0))
     marker.scale.z = _LETTER * scale

@@ -1,7 +1,8 @@
-"""Which states of the arm count: in sequence, and no older than they look. Standard library only.
+"""How long messages travel, and which of them are too old or out of sequence to be used. Standard library only.
 
-Pure: reception times and stamps are arguments [ns]. The two clocks are never compared, only their difference with its own
-smallest value (design, section 4). What is refused raises PayloadError, whose reason is the counter's name.
+Pure: stamps and times of reception are arguments [ns]. They are on two clocks that are never compared; only the difference of the
+two is, with its own smallest value (docs/architecture.md, law 4). What is refused raises PayloadError, whose reason is the
+counter's name.
 """
 
 from __future__ import annotations
@@ -13,8 +14,66 @@ from construction_twin.core.units import NANOSECONDS
 MAX_JUMP = 250
 #: So many messages in a row must follow one that does not fit before it becomes the new reference.
 CONFIRMATIONS = 3
-#: The quickest travel time is forgotten at this rate, so that clocks that drift apart never make fresh states old.
+#: The shortest travel time is forgotten at this rate, so that clocks that drift apart never make fresh messages old.
 MAX_DRIFT = 100e-6
+
+
+class TravelTime:
+    """By how much the members of one stream travel longer than the quickest one.
+
+    A member that waited in a queue has a large excess. The smallest difference between reception and stamp is the reference;
+    it grows by `MAX_DRIFT`, so that it follows clocks that drift apart.
+    """
+
+    def __init__(self):
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the quickest one: the sender's clock may be another."""
+        self._shortest: int | None = None
+        self._at = 0
+
+    def excess(self, stamp: int, received: int) -> int:
+        """Return by how much longer than the quickest one a member has travelled, without taking it as a reference.
+
+        Parameters
+        ----------
+        stamp : int
+            When it was sent, on the sender's clock [ns].
+        received : int
+            When it was received, on a clock that nobody sets [ns].
+
+        Returns
+        -------
+        excess : int
+            [ns]; negative for one that is quicker than all before it, 0 for the first.
+        """
+        if self._shortest is None:
+            return 0
+        return received - stamp - self._shortest - round((received - self._at) * MAX_DRIFT)
+
+    def take(self, stamp: int, received: int) -> int:
+        """Return by how much longer than the quickest one a member has travelled, itself included.
+
+        Parameters
+        ----------
+        stamp : int
+            When it was sent, on the sender's clock [ns].
+        received : int
+            When it was received, on a clock that nobody sets [ns].
+
+        Returns
+        -------
+        excess : int
+            [ns]; 0 for one that is at least as quick as all before it: it is the new reference.
+        """
+        travelled = received - stamp
+        if self._shortest is None:
+            shortest = travelled
+        else:
+            shortest = min(travelled, self._shortest + round((received - self._at) * MAX_DRIFT))
+        self._shortest, self._at = shortest, received
+        return travelled - shortest
 
 
 class SequenceCheck:
@@ -71,12 +130,12 @@ class FreshnessCheck:
 
     def __init__(self, limit: float):
         self._limit = round(limit * NANOSECONDS)
-        self.restart()
+        self._travel = TravelTime()
+        self._early = 0
 
     def restart(self) -> None:
         """Forget the quickest one: the sender's clock may be another."""
-        self._quickest: int | None = None
-        self._at = 0
+        self._travel.restart()
         self._early = 0
 
     def accept(self, stamp: int, received: int) -> None:
@@ -88,18 +147,14 @@ class FreshnessCheck:
             ``stale``, when it is too old; ``early``, when it is so much quicker than all others that only further ones like it
             are believed: a single wrong stamp must not make all that follow look old.
         """
-        travelled = received - stamp
-        if self._quickest is None:
-            self._quickest, self._at = travelled, received
-        quickest = self._quickest + round((received - self._at) * MAX_DRIFT)
-        longer = (travelled - quickest) / NANOSECONDS
-        if travelled < quickest - self._limit and self._early < CONFIRMATIONS:
+        excess = self._travel.excess(stamp, received)
+        if excess < -self._limit and self._early < CONFIRMATIONS:
             self._early += 1
-            raise PayloadError("early", f"state travelled {-longer:.3f} s less than the quickest one")
+            raise PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
         self._early = 0
-        self._quickest, self._at = min(quickest, travelled), received
-        if travelled - quickest > self._limit:
-            raise PayloadError("stale", f"state is {longer:.3f} s older than the freshest one")
+        self._travel.take(stamp, received)
+        if excess > self._limit:
+            raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
 
 
 class StateCheck:

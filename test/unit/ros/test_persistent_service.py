@@ -1,4 +1,4 @@
-"""A connection that is kept for a stop: over real sockets, with a service that speaks ROS's protocol."""
+"""A persistent connection for a stop: over real sockets, with a service that speaks ROS's protocol."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.ros.shared import operator_client
 from construction_twin.ros.shared.operator_client import OperatorClient
-from construction_twin.ros.transport.kept_service import KeptService
+from construction_twin.ros.transport.persistent_service import PersistentService
 
 ANSWER = b"\x01" + (lambda body: struct.pack("<I", len(body)) + body)(
     (lambda out: TriggerResponse(True, "braking").serialize(out) or out.getvalue())(BytesIO())
@@ -115,43 +115,32 @@ def world(monkeypatch):
         world.service.kill()
 
 
-def test_a_call_over_a_kept_connection_asks_no_master(world):
-    stop = KeptService("/kr120/stop", Trigger)
-    assert stop.connect() and world.asked == 1
+def test_a_call_over_an_open_connection_asks_no_master(world):
+    stop = PersistentService("/kr120/stop", Trigger)
     assert [stop().message for _ in range(3)] == ["braking"] * 3
     assert (world.asked, len(world.service.connections), world.service.calls) == (1, 1, 3)
-    assert stop.connect() and world.asked == 1
-
-
-def test_without_a_connection_it_calls_all_the_same(world):
-    assert KeptService("/kr120/stop", Trigger)().success
 
 
 def test_a_service_that_was_started_anew_is_found(world):
-    stop = KeptService("/kr120/stop", Trigger)
-    assert stop.connect()
-    world.service.kill()
-    world.service = Service()
-    assert stop().message == "braking" and world.service.calls == 1
-    world.service.kill()
-    world.service = Service()
-    # by who looks after it, before anybody calls
-    assert stop.connect() and world.asked == 3
-    assert stop().success and world.asked == 3
+    stop = PersistentService("/kr120/stop", Trigger)
+    assert stop().success and world.asked == 1
+    for asked in (2, 3):
+        world.service.kill()
+        world.service = Service()
+        assert stop().message == "braking" and world.service.calls == 1 and world.asked == asked
 
 
 def test_a_connection_that_breaks_before_the_answer_is_made_again(world):
-    stop = KeptService("/kr120/stop", Trigger)
-    assert stop.connect()
+    stop = PersistentService("/kr120/stop", Trigger)
+    assert stop().success
     world.service.ends_before_the_answer = True
-    assert stop().success and world.service.calls == 2
+    assert stop().success and world.service.calls == 3 and len(world.service.connections) == 2
 
 
 def test_nobody_there_is_no_answer_and_no_harm(world):
-    stop = KeptService("/kr120/stop", Trigger)
+    stop = PersistentService("/kr120/stop", Trigger)
     world.service.kill()
     gone, world.service = world.service, None
-    assert not stop.connect()
     with pytest.raises(rospy.ServiceException):
         stop()
     world.service = gone  # its address, with nobody behind it
@@ -162,16 +151,17 @@ def test_nobody_there_is_no_answer_and_no_harm(world):
 
 
 def test_a_second_stop_does_not_wait_for_the_answer_to_the_first(world):
-    stop = KeptService("/kr120/stop", Trigger)
-    stop.connect()
+    stop = PersistentService("/kr120/stop", Trigger)
+    assert stop().success
+    world.service.called.clear()
     world.service.slow = go_on = threading.Event()
     first = threading.Thread(target=stop)
     first.start()
     assert world.service.called.wait(10.0)
-    assert stop().success and first.is_alive() and stop.connect()
+    assert stop().success and first.is_alive()
     go_on.set()
     first.join(10.0)
-    assert world.service.calls == 2
+    assert world.service.calls == 3 and len(world.service.connections) == 2
 
 
 class TestClient:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import pytest
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import CONFIRMATIONS, MAX_JUMP, FreshnessCheck, SequenceCheck, StateCheck
+from construction_twin.core.travel_time import (
+    CONFIRMATIONS,
+    MAX_JUMP,
+    FreshnessCheck,
+    SequenceCheck,
+    StateCheck,
+    TravelTime,
+)
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 
 LIMIT = 0.1
@@ -25,6 +32,32 @@ def reason(call, *args) -> str:
 
 def reasons(check: SequenceCheck, numbers) -> list[str]:
     return [reason(check.accept, seq) for seq in numbers]
+
+
+class TestTravelTime:
+    def test_the_excess_is_told_from_the_quickest_one(self):
+        travel = TravelTime()
+        assert travel.take(1000, 7000) == 0 and travel.take(1000, 7500) == 500
+        assert travel.take(3000, 8000) == 0 and travel.take(3000, 8001) == 1
+
+    def test_the_measured_excess_changes_nothing_and_is_negative_for_a_quicker_one(self):
+        travel = TravelTime()
+        assert travel.excess(1000, 7000) == 0
+        travel.take(1000, 7000)
+        assert [travel.excess(1500, 7000), travel.excess(1500, 7000), travel.excess(0, 7000)] == [-500, -500, 1000]
+        assert travel.take(1000, 7500) == 500
+
+    def test_a_restart_forgets_the_quickest_one(self):
+        travel = TravelTime()
+        travel.take(1000, 1000)
+        travel.restart()
+        assert travel.take(1000, 10**12) == 0
+
+    def test_slow_drift_makes_nothing_late(self):
+        travel = TravelTime()
+        for second in range(10_000):
+            # the sender's clock is slow by 50 ppm: half a second in all
+            assert travel.take(round(second * 0.99995 * NANOSECONDS), second * NANOSECONDS) == 0
 
 
 class TestSequence:

@@ -1,0 +1,101 @@
+"""What answers RSI after the gateway itself has failed: brakes from the last correction that was sent, then holds, and echoes IPOC.
+
+As small as it can be, and built before it is needed: it shares nothing with the code that may have failed but the text of a reply,
+which it copies beforehand. Pure. Standard library only; rad, m for linear axes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from construction_twin.core.limits import MotionLimits
+from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.rsi.gateway_codec import SensorEncoder
+from construction_twin.rsi.telegram import MAX_TELEGRAM
+
+_CYCLE_MS = CYCLE_NS // 1_000_000
+#: After a step of IPOC beyond this the arm has come to a stand under HOLDON [ms].
+STANDSTILL_MS = 2 * _CYCLE_MS
+#: After a longer gap nobody knows whether the controller still has the correction: a program may have started RSI anew, and the
+#: correction would be a jump. It is answered no more, and times out; the arm stands already [ms].
+LONGEST_GAP_MS = 10 * _CYCLE_MS
+_IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,19})\s*</IPOC>").search
+
+
+class LastResort:
+    """Remembers what was sent; after `take_over` answers in the gateway's place.
+
+    Parameters
+    ----------
+    limits : MotionLimits
+    encoder : SensorEncoder or None
+        Whose replies are copied; None: the controller expects no answers, and gets none.
+
+    Attributes
+    ----------
+    ending : bool
+        True: once at rest, replies carry Stop 1, which ends RSI_MOVECORR.
+    correction : tuple of float, shape (n,)
+        Sent last; () before the first.
+    ipoc : int
+        Answered last.
+    """
+
+    def __init__(self, limits: MotionLimits, encoder: SensorEncoder | None):
+        self._budget = tuple(a * CYCLE * CYCLE for a in limits.acceleration)
+        self._order = encoder.order if encoder else ()
+        self._texts = {stop: encoder.template(stop) for stop in (None, True)} if encoder else {}
+        self._source: object = None
+        self._before: tuple[float, ...] = ()
+        self._before_ipoc = 0
+        self._step: tuple[float, ...] = ()
+        self._over = encoder is None
+        self.correction: tuple[float, ...] = ()
+        self.ipoc = 0
+        self.ending = False
+
+    def sent(self, ipoc: int, source: object, correction: tuple[float, ...]) -> None:
+        """Take note of a reply that the gateway has sent: IPOC, to whom, correction [rad]."""
+        self._before, self._before_ipoc = self.correction, self.ipoc
+        self.correction, self.ipoc, self._source = correction, ipoc, source
+
+    def take_over(self) -> None:
+        """Begin to answer: with the step between the last two corrections, if they followed one another."""
+        if 0 < self.ipoc - self._before_ipoc <= STANDSTILL_MS and len(self._before) == len(self.correction):
+            self._step = tuple([new - old for new, old in zip(self.correction, self._before)])
+        else:
+            self._step = (0.0,) * len(self.correction)
+
+    @property
+    def at_rest(self) -> bool:
+        """True when the correction changes no more."""
+        return not any(self._step)
+
+    @property
+    def ends(self) -> bool:
+        """True when replies carry Stop 1."""
+        return self.ending and self.at_rest and not self._over and bool(self.correction)
+
+    def ipoc_of(self, data: bytes, source: object) -> int:
+        """Return the IPOC of a datagram that is to be answered; 0 when it is not from the session's controller, or an old one."""
+        if self._over or source != self._source or len(data) > MAX_TELEGRAM:
+            return 0
+        found = _IPOC(data)
+        ipoc = int(found[1]) if found else 0
+        return ipoc if ipoc > self.ipoc else 0
+
+    def answer(self, ipoc: int) -> bytes | None:
+        """Brake on by one step and return the reply to a telegram that `ipoc_of` found; None when the session is over."""
+        elapsed = ipoc - self.ipoc
+        if elapsed > LONGEST_GAP_MS and any(self.correction):
+            self._over = True
+            return None
+        if elapsed > STANDSTILL_MS:
+            self._step = (0.0,) * len(self._step)
+        self._step = tuple([math.copysign(max(0.0, abs(v) - most), v) for v, most in zip(self._step, self._budget)])
+        self.correction = tuple([value + step for value, step in zip(self.correction, self._step)])
+        self.ipoc = ipoc
+        values = [self.correction[index] * factor for index, factor in self._order]
+        text = self._texts[True if self.ends else None] % (*values, ipoc)
+        return text.replace(b'"-0.000000"', b'"0.000000"')

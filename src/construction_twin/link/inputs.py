@@ -1,0 +1,167 @@
+"""What the bridge knows of the broker, the gateway, the arm and the command stream, and what follows from it at a time.
+
+Pure: time is an argument [ns]. Angles in rad (axis space).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from construction_twin.core.limits import outside_tolerance
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.states import LinkEvent
+
+#: A pose or command older than this is not used for a decision [ns].
+FRESH = NANOSECONDS // 4
+#: The arm is at rest when its pose has not moved for this long [ns].
+REST = NANOSECONDS // 5
+#: A retained status is believed this long without a newer one; the gateway repeats its status every second [ns].
+STATUS_TIMEOUT = 3 * NANOSECONDS
+
+
+class LinkInputs:
+    """The newest of everything that the link is decided by.
+
+    Parameters
+    ----------
+    config_hash : str
+        Hash of the configuration that this side would give the gateway.
+    decimals : int
+    start_tolerances : sequence of float, shape (n,)
+        Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
+    last_digits : sequence of float, shape (n,)
+        Value of the last decimal on the wire [rad], [m], as `MotionLimits.last_digits`.
+
+    Attributes
+    ----------
+    status : dict
+        The gateway's last status; empty while there is no connection.
+    """
+
+    def __init__(
+        self, config_hash: str, decimals: int, start_tolerances: Sequence[float], last_digits: Sequence[float]
+    ):
+        self._hash = config_hash
+        self._decimals = decimals
+        self._tolerances = tuple(start_tolerances)
+        # an arm that rests between two values of the wire flickers by one digit
+        self._rest_bands = tuple(
+            max(tolerance / 50, 1.5 * digit) for tolerance, digit in zip(start_tolerances, last_digits)
+        )
+        self.status: dict = {}
+        self._status_at = 0
+        self._connected = False
+        self._pose: tuple[float, ...] | None = None
+        self._pose_at = 0
+        self._rest_pose: tuple[float, ...] = ()
+        self._moved_at = 0
+        self._command: tuple[float, ...] | None = None
+        self._command_at = 0
+        self._command_moved_at = 0
+
+    # -- what comes in
+
+    def on_connection(self, connected: bool) -> None:
+        """Take the state of the connection to the broker."""
+        self._connected = connected
+        if not connected:
+            self.status = {}
+
+    def on_status(self, status: dict, now: int) -> None:
+        """Take the gateway's status."""
+        self.status, self._status_at = status, now
+
+    def on_pose(self, q: tuple[float, ...], now: int) -> None:
+        """Take the arm's pose [rad]."""
+        if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
+            self._rest_pose, self._moved_at = q, now
+        self._pose, self._pose_at = q, now
+
+    def on_command(self, q: tuple[float, ...], now: int) -> None:
+        """Take a command that wants to be sent [rad]."""
+        if self._command is not None and q != self._command:
+            self._command_moved_at = now
+        self._command, self._command_at = q, now
+
+    def forget_command(self) -> None:
+        """Wait for the next command: the last one belongs to another session."""
+        self._command = None
+
+    # -- the gateway
+
+    @property
+    def gateway(self) -> str:
+        """State of the gateway, as its status names it."""
+        return str(self.status.get("state", "offline"))
+
+    @property
+    def gateway_reason(self) -> str:
+        """The gateway's sentence on its state."""
+        return str(self.status.get("reason"))
+
+    @property
+    def reads_only(self) -> bool:
+        """True when the controller takes no corrections (ONLYSEND)."""
+        return self.gateway == "read_only"
+
+    @property
+    def fault(self) -> bool:
+        """True when the gateway was stopped by anything but silence since its last reset, whether or not this bridge ran then."""
+        return bool(self.status.get("fault", False))
+
+    @property
+    def holds_after_silence(self) -> bool:
+        """True when the gateway holds, and its last stop was for silence."""
+        stop = self.status.get("stop")
+        return self.gateway == "holding" and isinstance(stop, dict) and stop.get("cause") == "silence"
+
+    def follows(self, session: str) -> bool:
+        """Return whether the gateway is armed for a session or follows it."""
+        return self.gateway in ("armed", "following") and self.status.get("session") == session
+
+    def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
+        """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
+        if not self._connected:
+            return LinkEvent.BROKER_LOST, "not connected to the broker"
+        if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
+            return LinkEvent.GATEWAY_LOST, "no gateway answers on the broker; start rsi_gateway on the cell PC"
+        if self.status.get("decimals") != self._decimals:
+            return (
+                LinkEvent.MISMATCHED,
+                f"gateway uses {self.status.get('decimals')} decimals, the bridge {self._decimals}: give both the same number",
+            )
+        if self.status.get("hash") != self._hash:
+            return (
+                LinkEvent.MISMATCHED,
+                "gateway runs another configuration (its hash differs); export it again with `rosrun construction_twin "
+                "export_gateway_config` and restart the gateway",
+            )
+        if not self.status.get("run"):
+            return (
+                LinkEvent.MISMATCHED,
+                "gateway names no run in its status: it is older than the bridge; install the same version on both sides",
+            )
+        if self.gateway in ("no_controller", "joined_running") or (self.reads_only and not mirrors):
+            return LinkEvent.CONTROLLER_LOST, f"gateway has no RSI session to command: {self.gateway_reason}"
+        return None
+
+    # -- arm and stream
+
+    def at_rest(self, now: int) -> bool:
+        """Return whether the arm's pose is known, and has not changed for `REST`."""
+        return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
+
+    def stream_moves(self, now: int) -> bool:
+        """Return whether commands come, and one of them differed from the one before it within `REST`."""
+        return self._command is not None and now - self._command_moved_at < REST and now - self._command_at < FRESH
+
+    def within_tolerance(self, now: int) -> bool:
+        """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""
+        if (
+            self._command is None
+            or self._pose is None
+            or now - self._command_at >= FRESH
+            or now - self._pose_at >= FRESH
+        ):
+            return False
+        return outside_tolerance(self._command, self._pose, self._tolerances) is None

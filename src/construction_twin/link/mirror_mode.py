@@ -1,0 +1,84 @@
+"""Mirror mode: the arm leads, the twin follows, nothing is commanded. When it may begin and end.
+
+Pure: time is an argument [ns].
+"""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import ReviewError
+from construction_twin.link.inputs import LinkInputs
+
+_LEADS = "the arm leads, the twin follows; nothing is commanded"
+
+
+class MirrorMode:
+    """Whether the arm leads, and the session that it ended.
+
+    Parameters
+    ----------
+    inputs : LinkInputs
+    active : bool
+        Whether the arm leads from the start.
+
+    Attributes
+    ----------
+    active : bool
+    ended_session : str
+        The session that commanded before; it is ended at the gateway too.
+    """
+
+    def __init__(self, inputs: LinkInputs, active: bool):
+        self._inputs = inputs
+        self.active = active
+        self.ended_session = ""
+
+    def begin(self, session: str, now: int) -> None:
+        """Let the arm lead from now on; `session` is the one that commanded so far.
+
+        Raises
+        ------
+        ReviewError
+            When there is no arm to follow, or arm or command stream move.
+        """
+        # a gateway that only reads is enough
+        obstacle = self._inputs.obstacle(now, mirrors=True)
+        if obstacle is not None:
+            raise ReviewError(f"cannot mirror: {obstacle[1]}")
+        if not self._inputs.at_rest(now):
+            raise ReviewError("cannot mirror: the arm's pose is unknown or still changing; wait until it is at rest")
+        if self._inputs.stream_moves(now):
+            raise ReviewError(
+                "cannot mirror: the command stream still moves; stop or pause the plan and wait until it is at rest"
+            )
+        self.active, self.ended_session = True, session
+
+    def end(self, now: int) -> None:
+        """Let the arm lead no longer.
+
+        Raises
+        ------
+        ReviewError
+            When the arm's pose is not known, or it moves.
+        """
+        obstacle = self._inputs.obstacle(now, mirrors=True)
+        if obstacle is not None:
+            raise ReviewError(f"cannot leave mirror mode: {obstacle[1]}")
+        if not self._inputs.at_rest(now):
+            raise ReviewError(
+                "cannot leave mirror mode: the arm's pose is unknown or still changing; wait until it is at rest"
+            )
+        self.active = False
+
+    @property
+    def sentence(self) -> str:
+        """What a person reads of mirror mode, and what the gateway does meanwhile."""
+        if self._inputs.reads_only:
+            return f"{_LEADS}; the gateway is read-only"
+        if self._inputs.fault:
+            return f"{_LEADS}; the gateway was stopped and is {self._inputs.gateway}"
+        return _LEADS
+
+    @property
+    def old_session_commands(self) -> bool:
+        """True while the gateway is still armed for the session before mirror mode."""
+        return self._inputs.follows(self.ended_session)

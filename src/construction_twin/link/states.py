@@ -1,0 +1,169 @@
+"""The state machine of the link: one table of states, events, guards, actions and the states that they lead to.
+
+Pure data. `LinkSupervisor` finds out which event happened, evaluates the guards and carries out the actions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class LinkState(Enum):
+    """State of the link; values are those of `Link.msg`."""
+
+    DISCONNECTED = 0
+    GATEWAY_OFFLINE = 1
+    NO_CONTROLLER = 2
+    MISMATCH = 3
+    RESYNC = 4
+    ARMED = 5
+    NEEDS_RESET = 6
+    MIRROR = 7
+
+
+class LinkEvent(Enum):
+    """What can happen to the link; the values are the words of the documentation."""
+
+    BROKER_LOST = "there is no connection to the broker"
+    GATEWAY_LOST = "no gateway answers on the broker"
+    MISMATCHED = "the gateway runs another configuration or version"
+    CONTROLLER_LOST = "the gateway has no RSI session to command"
+    PRESENT = "poll: broker, gateway and arm are there"
+    TURN = "poll: a control message may be sent"
+    ARM_ACCEPTED = "the gateway accepts `arm`"
+    RESET_ASKED = "a person calls `reset` or `arm`, or ends mirror mode"
+    MIRROR_ASKED = "a person begins mirror mode"
+    HALTED = "a person calls `halt`"
+
+
+class Guard(Enum):
+    """What must hold for a row to count; the values are the words of the documentation."""
+
+    ARM_LEADS = "mirror mode is on"
+    SESSION_ENDED = "the gateway does not follow our session"
+    FAULT = "the gateway reports a fault"
+    FAULT_UNASKED = "the gateway reports a fault, and no person asked for this session"
+    HALTED_HERE = "`halt` was called since the last session began"
+    FIRST_SESSION = "this bridge has never been armed, and the gateway is ready"
+    NOTHING_COULD_JUMP = (
+        "the gateway is ready, armed, or holds after silence; twin and arm rest within the start tolerance"
+    )
+    ANSWER_AWAITED = "the last control message is unanswered and younger than 0.5 s"
+    BRAKING = "the gateway brakes"
+    NOT_READY = "the gateway is not ready, or reports a fault"
+    POSES_DIFFER = "twin and arm are not within the start tolerance, or the arm moves before the first session"
+    ARM_REFUSED = "the gateway refused `arm`"
+    OLD_SESSION_COMMANDS = "the gateway still follows the session before mirror mode"
+
+
+class Action(Enum):
+    """What a row does beside changing the state; the values are the words of the documentation."""
+
+    FORGET_REQUESTS = "forget the pending control message and request"
+    NOTE_HALT = "forget all requests; end mirror mode; wait for a person"
+    BEGIN_MIRROR = "begin a session without the right to command"
+    BEGIN_ASKED_SESSION = "begin a new session on a person's request"
+    BEGIN_FIRST_SESSION = "begin the first session"
+    BEGIN_NEXT_SESSION = "begin a new session without a person"
+    BEGIN_SESSION_AFTER_REFUSAL = "begin another session"
+    NOTE_ARMED = "remember that the link was armed"
+    TELL_MIRROR = "say what the gateway does meanwhile"
+    TELL_GATEWAY = "say what the gateway says"
+    TELL_STOP = "say why the gateway was stopped"
+    TELL_HALT = "say that `halt` was called"
+    TELL_RESET = "say what the gateway says, and that `reset` is needed"
+    SEND_RESET = "send `reset`"
+    SEND_ARM = "send `arm`"
+    RESET_OLD_SESSION = "send `reset` for the session before mirror mode"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of the table; of all rows for a state and an event the first whose guard holds is carried out.
+
+    Attributes
+    ----------
+    states : tuple of LinkState
+        Where it counts.
+    event : LinkEvent
+    guard : Guard or None
+        None: always.
+    action : Action or None
+    target : LinkState
+    """
+
+    states: tuple[LinkState, ...]
+    event: LinkEvent
+    guard: Guard | None
+    action: Action | None
+    target: LinkState
+
+
+_ANY = tuple(LinkState)
+_RESYNC = (LinkState.RESYNC,)
+#: States that are left as soon as broker, gateway and arm are there.
+_ABSENT = (
+    LinkState.DISCONNECTED,
+    LinkState.GATEWAY_OFFLINE,
+    LinkState.NO_CONTROLLER,
+    LinkState.MISMATCH,
+    LinkState.MIRROR,
+)
+_WAITING = (*_ABSENT, LinkState.NEEDS_RESET)
+
+#: An event without a row for the present state, or without a guard that holds, changes nothing.
+TABLE = (
+    Row(_ANY, LinkEvent.BROKER_LOST, None, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
+    Row(_ANY, LinkEvent.GATEWAY_LOST, None, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
+    Row(_ANY, LinkEvent.MISMATCHED, None, Action.FORGET_REQUESTS, LinkState.MISMATCH),
+    Row(_ANY, LinkEvent.CONTROLLER_LOST, None, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
+    # what a person asks for
+    Row(_ANY, LinkEvent.HALTED, None, Action.NOTE_HALT, LinkState.NEEDS_RESET),
+    Row(_ANY, LinkEvent.MIRROR_ASKED, None, Action.BEGIN_MIRROR, LinkState.MIRROR),
+    Row(_ANY, LinkEvent.RESET_ASKED, None, Action.BEGIN_ASKED_SESSION, LinkState.RESYNC),
+    # nothing is missing: who may command?
+    Row(_ANY, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
+    Row((LinkState.ARMED,), LinkEvent.PRESENT, Guard.SESSION_ENDED, Action.TELL_GATEWAY, LinkState.NEEDS_RESET),
+    Row(_RESYNC, LinkEvent.PRESENT, Guard.FAULT_UNASKED, Action.TELL_STOP, LinkState.NEEDS_RESET),
+    Row(_WAITING, LinkEvent.PRESENT, Guard.HALTED_HERE, Action.TELL_HALT, LinkState.NEEDS_RESET),
+    Row(_WAITING, LinkEvent.PRESENT, Guard.FAULT, Action.TELL_STOP, LinkState.NEEDS_RESET),
+    Row(_WAITING, LinkEvent.PRESENT, Guard.FIRST_SESSION, Action.BEGIN_FIRST_SESSION, LinkState.RESYNC),
+    Row(_WAITING, LinkEvent.PRESENT, Guard.NOTHING_COULD_JUMP, Action.BEGIN_NEXT_SESSION, LinkState.RESYNC),
+    Row(_ABSENT, LinkEvent.PRESENT, None, Action.TELL_RESET, LinkState.NEEDS_RESET),
+    # which control message comes next?
+    Row(_RESYNC, LinkEvent.TURN, Guard.ANSWER_AWAITED, None, LinkState.RESYNC),
+    Row(_RESYNC, LinkEvent.TURN, Guard.BRAKING, None, LinkState.RESYNC),
+    Row(_RESYNC, LinkEvent.TURN, Guard.NOT_READY, Action.SEND_RESET, LinkState.RESYNC),
+    Row(_RESYNC, LinkEvent.TURN, Guard.POSES_DIFFER, None, LinkState.RESYNC),
+    Row(_RESYNC, LinkEvent.TURN, Guard.ARM_REFUSED, Action.BEGIN_SESSION_AFTER_REFUSAL, LinkState.RESYNC),
+    Row(_RESYNC, LinkEvent.TURN, None, Action.SEND_ARM, LinkState.RESYNC),
+    Row((LinkState.MIRROR,), LinkEvent.TURN, Guard.ANSWER_AWAITED, None, LinkState.MIRROR),
+    Row((LinkState.MIRROR,), LinkEvent.TURN, Guard.OLD_SESSION_COMMANDS, Action.RESET_OLD_SESSION, LinkState.MIRROR),
+    Row(_RESYNC, LinkEvent.ARM_ACCEPTED, None, Action.NOTE_ARMED, LinkState.ARMED),
+)
+
+#: The rows for a state and an event, in the table's order.
+ROWS: dict[tuple[LinkState, LinkEvent], tuple[Row, ...]] = {
+    (state, event): tuple(row for row in TABLE if state in row.states and row.event is event)
+    for state in LinkState
+    for event in LinkEvent
+}
+
+
+def table_cells() -> list[tuple[str, str, str, str, str]]:
+    """Return the table for the documentation: state, event, guard, action, next state; one row of texts each."""
+    return [
+        (
+            _names(row.states),
+            row.event.value,
+            row.guard.value if row.guard else "",
+            row.action.value if row.action else "",
+            row.target.name,
+        )
+        for row in TABLE
+    ]
+
+
+def _names(states: tuple[LinkState, ...]) -> str:
+    return "any" if states == _ANY else ", ".join(state.name for state in states)

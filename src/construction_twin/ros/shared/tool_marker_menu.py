@@ -1,0 +1,155 @@
+"""The menu of the marker at the tool: plan, preview, approve, reject, stop. Each action runs in a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import rospy
+from interactive_markers.interactive_marker_server import InteractiveMarkerServer
+from interactive_markers.menu_handler import MenuHandler
+from visualization_msgs.msg import InteractiveMarkerFeedback
+
+from construction_twin.core.errors import ConstructionTwinError, RequestRefused
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.plan import Plan
+from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.tool_marker_shapes import NAME
+from construction_twin.views.marker_goal import MarkerGoal
+
+#: How long a plan must have been shown before the menu approves or rejects it [s]: nobody has seen a plan that came with the click.
+SHOWN = 1.0
+#: The entry that is heard from every client; see `ToolMarkerMenu.on_feedback`.
+STOP = "Stop"
+
+
+def in_thread(title: str, action: Callable[[], None]) -> None:
+    """Run an action in a thread of its own, so that a stop waits for no other action."""
+    threading.Thread(target=action, name=title, daemon=True).start()
+
+
+@dataclass(frozen=True)
+class ShownPlan:
+    """The plan that the operator sees (empty: none), and since when [s, monotonic]."""
+
+    plan_id: str = ""
+    since: float = 0.0
+
+
+class ToolMarkerMenu:
+    """Carries out what an operator chooses.
+
+    Parameters
+    ----------
+    client : OperatorClient
+    under_review : callable
+        Returns the plan that waits for a verdict, or None.
+    goal : MarkerGoal
+    home : sequence of float, length n
+        The robot's home pose [rad], [m] for linear joints.
+    reviewer : str
+        Who approves and rejects.
+    say : callable
+        Shows a sentence to the operator.
+    run : callable, optional
+        ``run(title, action)`` runs an action; `in_thread` by default.
+    """
+
+    def __init__(
+        self,
+        client: OperatorClient,
+        under_review: Callable[[], Plan | None],
+        goal: MarkerGoal,
+        home: Sequence[float],
+        reviewer: str,
+        say: Callable[[str], None],
+        run: Callable[[str, Callable[[], None]], None] = in_thread,
+    ):
+        self._client = client
+        self._under_review = under_review
+        self._goal = goal
+        self._reviewer = reviewer
+        self._say = say
+        self._run = run
+        self._planning = threading.Lock()
+        self._shown = ShownPlan()
+        self._actions: dict[str, Callable[[], str]] = {
+            "Plan": lambda: self._plan(lambda: client.plan_to_pose(self._demand_goal())),
+            "Plan straight line": lambda: self._plan(lambda: client.plan_line(self._demand_goal())),
+            "Preview": client.preview,
+            "Approve": lambda: self._review(True),
+            "Reject": lambda: self._review(False),
+            STOP: lambda: client.trigger("stop"),
+            "Plan to home": lambda: self._plan(lambda: client.plan_to_joints(home)),
+            "Back to the tool": self._back,
+        }
+        self._menu = MenuHandler()
+        # the marker server ignores a second rviz for a second after the first one's last message; a stop must not be lost, so that
+        # entry does nothing here, and on_feedback hears it from every rviz
+        self._entries = {
+            title: self._menu.insert(
+                title, callback=lambda _, title=title: None if title == STOP else self.choose(title)
+            )
+            for title in self._actions
+        }
+
+    def attach(self, server: InteractiveMarkerServer) -> None:
+        """Give the marker of a server this menu."""
+        self._menu.apply(server, NAME)
+
+    def on_feedback(self, feedback: InteractiveMarkerFeedback) -> None:
+        """Take what any rviz sends on the feedback topic: a stop is carried out, the rest is the marker server's."""
+        if feedback.event_type == feedback.MENU_SELECT and feedback.menu_entry_id == self._entries[STOP]:
+            self.choose(STOP)
+
+    def show(self, plan_id: str) -> None:
+        """Note which plan the operator sees now; empty for none."""
+        if plan_id != self._shown.plan_id:
+            self._shown = ShownPlan(plan_id, time.monotonic())
+
+    def choose(self, title: str) -> None:
+        """Carry out an entry, and tell the operator how it ended."""
+        self._run(title, lambda: self._do(title))
+
+    def _do(self, title: str) -> None:
+        self._say(f"{title} ...")
+        try:
+            sentence = self._actions[title]()
+        except ConstructionTwinError as error:
+            rospy.logwarn("%s: %s", title, error)
+            self._say(f"{title}: {error}")
+            return
+        except rospy.ROSInterruptException:
+            return  # the node ends
+        rospy.loginfo("%s: %s", title, sentence)
+        self._say(f"{title}: {sentence}")
+
+    def _plan(self, request: Callable[[], str]) -> str:
+        """Ask for a plan, unless another request is under way."""
+        if not self._planning.acquire(blocking=False):
+            raise RequestRefused("a plan is being made already; wait for it")
+        try:
+            return request()
+        finally:
+            self._planning.release()
+
+    def _demand_goal(self) -> Pose:
+        pose = self._goal.pose
+        if pose is None:
+            raise RequestRefused("the marker is at the tool; drag it to a goal first")
+        return pose
+
+    def _review(self, approve: bool) -> str:
+        plan = self._under_review()
+        if plan is None:
+            raise RequestRefused("no plan waits for approval; plan one first")
+        shown = self._shown
+        if shown.plan_id != plan.id or time.monotonic() - shown.since < SHOWN:
+            raise RequestRefused(f"plan {plan.id[:8]} has only just come; look at it, then choose again")
+        return self._client.review(plan.id, plan.hash, approve, self._reviewer, "by the marker's menu")
+
+    def _back(self) -> str:
+        self._goal.drop()
+        return "the marker follows the tool"

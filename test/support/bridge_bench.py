@@ -1,0 +1,159 @@
+"""The bridge with lists in place of ROS topics and of the broker, on clocks that the test sets."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections import Counter
+from types import SimpleNamespace
+
+from gateway_cell import CONFIG, RUN, START
+
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.states import LinkState
+from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import parse_control
+from construction_twin.ros.nodes.mqtt_bridge import MqttBridge, Outputs, Settings
+
+
+class Clocks:
+    """The wall clock, which somebody sets, and the monotonic one, in place of a module's."""
+
+    def __init__(self, monkeypatch, module):
+        self.wall, self.steady = 1_764_000_000 * NANOSECONDS, 1000 * NANOSECONDS
+        monkeypatch.setattr(module, "now_ns", lambda: self.wall)
+        steady = SimpleNamespace(monotonic_ns=lambda: self.steady, monotonic=lambda: self.steady / NANOSECONDS)
+        monkeypatch.setattr(module, "time", steady)
+
+    def run(self, seconds: float) -> None:
+        self.wall += round(seconds * NANOSECONDS)
+        self.steady += round(seconds * NANOSECONDS)
+
+
+class Client:
+    """In place of the connection to the broker: remembers what is published."""
+
+    protocol = None
+
+    def __init__(self):
+        self.published: list[tuple[str, bytes]] = []
+        self.streamed: list[tuple[str, bytes, object]] = []
+        self.connected = True
+
+    def publish(self, topic, payload, qos=0, retain=False):
+        self.published.append((topic, payload))
+        return SimpleNamespace(mid=len(self.published))
+
+    def send_stream(self, topic, payload, pairs=None):
+        self.streamed.append((topic, payload, pairs))
+
+    def subscribe(self, topics):
+        pass
+
+    def is_connected(self):
+        return self.connected
+
+    @property
+    def controls(self):
+        """The control messages among what was published."""
+        return [parse_control(payload) for topic, payload in self.published if topic.endswith("/control")]
+
+
+class Published(list):
+    """In place of a publisher."""
+
+    def publish(self, *content):
+        self.append(content)
+
+
+class Refusals:
+    """In place of `NodeDiagnostics`, which wants a master."""
+
+    def __init__(self, report):
+        self.refused = Counter()
+
+    def refuse(self, reason, sentence):
+        self.refused[reason] += 1
+
+
+class BridgeBench:
+    """A bridge for the two-axis arm of `gateway_cell`.
+
+    Parameters
+    ----------
+    clocks : Clocks
+    diagnostics : callable, optional
+        As the bridge's.
+    properties : bool, optional
+        Whether the link carries MQTT 5 properties.
+    options
+        The bridge's.
+    """
+
+    def __init__(self, clocks, diagnostics=Refusals, properties=True, **options):
+        self.clocks = clocks
+        self.client = Client()
+        self.physical, self.links = Published(), Published()
+        settings = Settings(
+            host="127.0.0.1", port=1, protocol="5" if properties else "3.1.1", reset_timeout=1.0, max_state_age=0.1
+        )
+        config = dataclasses.replace(CONFIG, properties=properties)
+        codec = JointStringCodec(len(config.axes), config.decimals)
+        self._made = None
+
+        def make(report):
+            self._made = diagnostics(report)
+            return self._made
+
+        self._codec, self._states = codec, 0
+        outputs = Outputs(self.physical, Published(), self.links)
+        self.bridge = MqttBridge(
+            settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, make, **options
+        )
+        self.gateway = {
+            "state": "ready", "reason": "", "session": "", "run": RUN, "hash": config.hash, "decimals": config.decimals,
+        }  # fmt: skip
+
+    @property
+    def refused(self):
+        """What was refused, and how often."""
+        return self._made.refused
+
+    def connect(self) -> None:
+        """Let the broker say welcome."""
+        self.bridge.on_connect(self.client, None, None, SimpleNamespace(is_failure=False), None)
+
+    def step(self) -> None:
+        """Let 20 ms pass, with a gateway that is well and an arm at rest where it is commanded; then poll."""
+        self.clocks.run(0.02)
+        self._states += 1
+        pairs = [("seq", str(self._states)), ("stamp", str(self.clocks.steady)), ("command_stamp", "0")]
+        self.bridge.on_status(json.dumps(self.gateway).encode())
+        self.bridge.on_state(self._codec.encode(START), pairs, False)
+        self.bridge.on_command(self.clocks.wall, START)
+        self.bridge.poll()
+
+    def arm(self) -> None:
+        """Lead the link to ARMED."""
+        self.connect()
+        for _ in range(100):
+            self.step()
+            for control in self.client.controls[-1:]:
+                self.gateway |= {"state": "armed", "session": control.session}
+                self.bridge.on_answer(json.dumps({"id": control.id, "ok": True, "verb": control.verb}).encode())
+            if self.bridge.link is LinkState.ARMED:
+                self.bridge.poll()
+                return
+        raise AssertionError(f"not armed: {self.links[-1][0].reason}")
+
+    def at_rest(self) -> bool:
+        """Tell whether the bridge takes the arm to be at rest: only then `mirror` is not refused for its pose."""
+        return "still changing" not in self.bridge.on_mirror(SimpleNamespace(data=True)).message
+
+    def shown(self, status: dict) -> dict[str, str]:
+        """Give the bridge a status; return what `link` says of the gateway a second later."""
+        self.bridge.on_status(json.dumps(status).encode())
+        self.clocks.run(1.0)
+        self.bridge.poll()
+        return {pair.key: pair.value for pair in self.links[-1][0].gateway_counters}

@@ -1,0 +1,138 @@
+"""An exception that nobody foresaw, raised in every part of the running gateway: it brakes, answers, says so, and stays failed."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+
+import pytest
+from processes import wait_until
+from service_cell import AXES, CONFIG, PATIENT, cell, motion, stream
+
+from construction_twin.core.units import CYCLE
+from construction_twin.gateway.states import State
+
+
+class Unforeseen(Exception):
+    """What no handler of the package names."""
+
+
+def broken(*arguments, **options):
+    raise Unforeseen("injected")
+
+
+def broken_once(original):
+    """Raise in the first call only: what sends the replies is what the last resort needs, too."""
+    calls = []
+
+    def broken(*arguments):
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise Unforeseen("injected")
+        return original(*arguments)
+
+    return broken
+
+
+#: Part of the service and name of the method that begins to raise in motion, and how many replies may be missing.
+PARTS = {
+    "inbox": lambda service: (service._inbox, "newest"),
+    "telegram decoder": lambda service: (service._inbox._decoder, "parse"),
+    "RSI session": lambda service: (service.gateway._controller, "hear"),
+    "playout": lambda service: (service.gateway._player._playout, "advance"),
+    "follower": lambda service: (service.gateway._player.follower, "follow"),
+    "reply's encoder": lambda service: (service._encoder, "encode"),
+    "reply's socket": lambda service: (service, "_answer"),
+    "state publisher": lambda service: (service._mqtt.client, "send_stream"),
+    "state's codec": lambda service: (service.gateway._states, "message"),
+    "status": lambda service: (service.gateway, "status"),
+    "status publisher": lambda service: (service._mqtt.client, "publish"),
+    "status clock": lambda service: (service._status, "is_due"),
+    "histogram": lambda service: (service.reply_time, "add"),
+    "poll": lambda service: (service.gateway, "poll"),
+    "command callback": lambda service: (service.gateway, "on_command"),
+    "command's codec": lambda service: (service.gateway._stream, "read"),
+    "MQTT connection": lambda service: (service._mqtt, "service"),
+    "MQTT reading": lambda service: (service._mqtt, "read"),
+    "MQTT library": lambda service: (service._mqtt.client, "loop_read"),
+    "selector": lambda service: (service._selector, "select"),
+}
+#: Parts without which nothing can be said on MQTT any more: the log says it.
+MUTE = {"status publisher", "MQTT connection"}
+
+
+def assert_it_brakes_and_holds(controller, begin, missed=1):
+    """Every reply from `begin` on is there, inside the acceleration limits, and ends at rest away from where it was."""
+    wait_until(lambda: len(controller.replies) > begin + 250, what="a second of replies")
+    replies = controller.replies[begin - 2 :]
+    assert sum(reply is None for reply in replies) <= missed
+    places = [reply for reply in replies if reply is not None]
+    for axis, acceleration in enumerate(CONFIG.acceleration):
+        values = [place[axis] for place in places]
+        changes = [abs(c - 2 * b + a) for a, b, c in zip(values, values[1:], values[2:])]
+        # what the command's three decimals add is the format's allowance
+        assert max(changes) <= (acceleration * CYCLE**2) * 1.0001 + 4e-5
+    assert places[-1] == places[-2] == places[-20]
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, caplog):
+    with (
+        caplog.at_level(logging.CRITICAL, "rsi_gateway"),
+        cell(broker, topics, config=PATIENT) as (service, controller, client),
+    ):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(80)))
+        owner, name = PARTS[part](service)
+        begin = len(controller.replies)
+        setattr(owner, name, broken_once(getattr(owner, name)) if part == "reply's socket" else broken)
+        for k in range(80, 100):
+            client.command(motion(k))
+            time.sleep(0.004)
+        wait_until(lambda: service.failure, what="failure")
+        assert_it_brakes_and_holds(controller, begin)
+        assert "Unforeseen in broken: injected" in service.failure
+        assert service.gateway.state is State.FAILED and service.gateway.fault
+        said = [record for record in caplog.records if record.levelno == logging.CRITICAL]
+        assert len(said) == 1 and said[0].exc_info[0] is Unforeseen
+        if part not in MUTE:
+            status = client.wait_for_status(state="failed") and client.status()
+            assert status["fault"] and "start it again" in status["reason"] and status["run"] == service.gateway.run
+        if part not in MUTE | {"MQTT reading", "MQTT library"}:
+            for verb in ("reset", "arm"):
+                answer = client.arm(PATIENT, "s2") if verb == "arm" else client.control(verb)
+                assert not answer["ok"] and "failed" in answer["reason"]
+        assert len([record for record in caplog.records if record.levelno == logging.CRITICAL]) == 1
+
+
+def test_what_fails_while_nobody_moves_leads_there_as_well(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        service.gateway.poll = broken
+        client.wait_for_status(state="failed")
+        begin = len(controller.replies)
+        wait_until(lambda: len(controller.replies) > begin + 20, what="replies")
+        assert set(controller.replies[begin:]) == {(0.0,) * len(AXES)}
+
+
+def test_an_exception_that_ends_another_thread_is_one_of_the_gateway(broker, topics, monkeypatch):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        monkeypatch.setattr(threading, "excepthook", service.on_thread_failure)
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(80)))
+        begin = len(controller.replies)
+        # the thread that connects again after the connection is lost
+        service._mqtt.client.reconnect = broken
+        service._mqtt.client.socket().shutdown(socket.SHUT_RDWR)
+        wait_until(lambda: service.failure, what="failure")
+        assert_it_brakes_and_holds(controller, begin)
+        assert "Unforeseen" in service.failure
+
+
+def test_a_failed_gateway_still_ends_in_order(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        service.gateway.poll = broken
+        client.wait_for_status(state="failed")
+        service.stop()
+        client.wait_for_status(state="offline", reason="gateway stopped", fault=True)

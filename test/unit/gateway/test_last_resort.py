@@ -1,0 +1,123 @@
+"""The last resort: brakes from what was sent last inside the limits, echoes IPOC, and never makes the arm jump."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from gateway_cell import CONFIG
+
+from construction_twin.core.units import CYCLE
+from construction_twin.gateway.last_resort import LONGEST_GAP_MS, LastResort
+from construction_twin.rsi.gateway_codec import SensorEncoder, parse_sensor
+from construction_twin.rsi.layout import RsiLayout
+
+PEER = ("192.168.1.20", 49152)
+AXES = CONFIG.axes
+BUDGET = [a * CYCLE * CYCLE for a in CONFIG.acceleration]
+#: Six decimals of a degree, twice: a step is the difference of two rounded values, a change of the step that of three.
+ROUNDED = math.radians(2e-6)
+
+
+def made(layout=None):
+    return LastResort(CONFIG.limits, SensorEncoder.of(layout or CONFIG.layout, AXES, CONFIG.units))
+
+
+def taken_over(speed=(1.0, -2.0), cycles=100, **options):
+    """A last resort that takes over from an arm that moves at `speed` [rad/s]."""
+    resort = made(**options)
+    for k in range(1, cycles + 1):
+        resort.sent(1000 + 4 * k, PEER, tuple(v * CYCLE * k for v in speed))
+    resort.take_over()
+    return resort
+
+
+def telegram(ipoc):
+    return b'<Rob Type="KUKA"><AIPos A1="0"/><IPOC>%d</IPOC></Rob>' % ipoc
+
+
+def ask(resort, ipoc, source=PEER):
+    """Return the reply's correction, or None when there is none."""
+    found = resort.ipoc_of(telegram(ipoc), source)
+    reply = resort.answer(found) if found else None
+    if reply is None:
+        return None
+    read = parse_sensor(reply, "ImFree", AXES)
+    assert read.ipoc == ipoc
+    return read.correction
+
+
+def test_it_brakes_with_every_axis_acceleration_limit_and_holds():
+    resort = taken_over()
+    before, last = [v * CYCLE * 99 for v in (1.0, -2.0)], [v * CYCLE * 100 for v in (1.0, -2.0)]
+    for k in range(300):
+        correction = ask(resort, resort.ipoc + 4)
+        for axis, budget in enumerate(BUDGET):
+            change = (correction[axis] - last[axis]) - (last[axis] - before[axis])
+            assert abs(change) <= budget + 2 * ROUNDED
+        before, last = last, correction
+    assert resort.at_rest and last == before
+    # v^2 / 2a, less half a cycle's step
+    assert last[0] - 0.4 == pytest.approx(1.0 / (2 * CONFIG.acceleration[0]), abs=CYCLE)
+
+
+def test_at_rest_it_repeats_what_was_sent():
+    resort = taken_over(speed=(0.0, 0.0))
+    assert [ask(resort, resort.ipoc + 4) for _ in range(3)] == [(0.0, 0.0)] * 3
+
+
+def test_a_repeated_telegram_an_older_one_and_one_of_somebody_else_get_no_answer():
+    resort = taken_over()
+    last = resort.ipoc
+    assert ask(resort, last) is None and ask(resort, last - 4) is None
+    assert ask(resort, last + 4, ("192.168.1.21", 49152)) is None
+    assert resort.ipoc_of(b"garbage", PEER) == 0 and resort.ipoc_of(b"<IPOC>" + b"9" * 9000 + b"</IPOC>", PEER) == 0
+    assert ask(resort, last + 4) is not None
+
+
+def test_after_missed_telegrams_the_arm_stands_and_is_held_where_it_stands():
+    resort = taken_over()
+    where = resort.correction
+    assert ask(resort, resort.ipoc + 16) == pytest.approx(where, abs=ROUNDED)
+    assert resort.at_rest
+
+
+def test_after_a_long_gap_a_correction_would_be_a_jump_and_is_not_sent():
+    resort = taken_over()
+    assert ask(resort, resort.ipoc + LONGEST_GAP_MS + 4) is None
+    assert ask(resort, resort.ipoc + 4) is None
+    still = taken_over(speed=(0.0, 0.0))
+    assert ask(still, still.ipoc + LONGEST_GAP_MS + 4) == (0.0, 0.0)
+
+
+def test_a_correction_of_another_session_is_no_speed():
+    resort = made()
+    resort.sent(1000, PEER, (0.3, 0.3))
+    resort.sent(900_000, PEER, (0.0, 0.0))
+    resort.take_over()
+    assert resort.at_rest and ask(resort, 900_004) == (0.0, 0.0)
+
+
+def test_who_was_never_answered_gets_no_answer():
+    resort = made()
+    resort.take_over()
+    assert ask(resort, 1000) is None and not resort.ends
+    without = LastResort(CONFIG.limits, None)
+    without.take_over()
+    assert ask(without, 1000) is None and without.at_rest
+
+
+def test_it_ends_the_program_only_once_the_arm_is_at_rest():
+    channels = (*RsiLayout.plain(AXES).receive, "Stop")
+    layout = RsiLayout("ImFree", 49152, False, ("AIPos", "ASPos"), channels, (True,) * len(channels))
+    resort = LastResort(CONFIG.limits, SensorEncoder.of(layout, AXES, CONFIG.units))
+    for k in range(1, 50):
+        resort.sent(4 * k, PEER, (0.004 * k, 0.0))
+    resort.take_over()
+    resort.ending = True
+    ends = []
+    for _ in range(300):
+        moving = not resort.at_rest
+        reply = resort.answer(resort.ipoc + 4)
+        ends.append((moving, b"<Stop>1</Stop>" in reply))
+    assert ends[0] == (True, False) and ends[-1] == (False, True)

@@ -1,0 +1,103 @@
+"""The link on the fast client and on paho's public interface: the same assertions on both, over a real broker."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+import pytest
+from paho.mqtt import __version__ as paho_version
+from processes import ROOT, wait_until
+from service_cell import PATIENT, cell, motion, stream
+
+from construction_twin.mqtt import fast_client
+from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
+from construction_twin.mqtt.plain_client import PlainClient
+
+
+@pytest.fixture(params=["fast", "plain"])
+def kind(request, monkeypatch):
+    """Both ways: with the installed paho as one that was tested, and as one that was not."""
+    versions = (paho_version,) if request.param == "fast" else ()
+    monkeypatch.setattr(fast_client, "TESTED_VERSIONS", versions)
+    is_tested.cache_clear()
+    yield request.param
+    is_tested.cache_clear()
+
+
+def test_the_pinned_paho_is_the_installed_one_and_was_tested():
+    pinned = [line for line in (ROOT / "setup/requirements.txt").read_text().splitlines() if line.startswith("paho")]
+    assert pinned == [f"paho-mqtt=={fast_client.TESTED_VERSIONS[-1]}"]
+    assert paho_version in fast_client.TESTED_VERSIONS
+
+
+def test_an_untested_paho_is_warned_of_once_and_its_private_parts_are_left_alone(monkeypatch, caplog):
+    monkeypatch.setattr(fast_client, "paho_version", "2.9.9")
+    is_tested.cache_clear()
+    clients = [make_client(Broker(), unique_id("arm", "a"), "status", direct=direct) for direct in (True, False, True)]
+    is_tested.cache_clear()
+    assert [type(client) for client in clients] == [PlainClient] * 3
+    said = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(said) == 1 and "2.9.9" in said[0] and "tested: 2.2.0" in said[0]
+
+
+def test_a_tested_paho_is_used_in_full_and_without_a_word(caplog):
+    is_tested.cache_clear()
+    assert isinstance(make_client(Broker(), "a", "status", direct=True), DirectClient)
+    assert isinstance(make_client(Broker(), "b", "status"), FastClient)
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
+@pytest.mark.parametrize("direct", [True, False])
+def test_a_stream_arrives_whole_in_order_and_with_its_properties(broker, topics, kind, protocol, direct):
+    sender = make_client(Broker(port=broker, protocol=protocol), unique_id("a", "s"), "w/1", direct=direct)
+    receiver = make_client(Broker(port=broker, protocol=protocol), unique_id("a", "r"), "w/2", direct=direct)
+    assert isinstance(sender, FastClient) == (kind == "fast")
+    got, subscribed, ended = [], threading.Event(), threading.Event()
+
+    def take(payload, pairs, retained):
+        got.append((payload, pairs, retained))
+        if len(got) == 201:
+            ended.set()
+
+    receiver.on_stream(topics.command, take)
+    receiver.on_connect = lambda client, *rest: client.subscribe(subscriptions(client, [(topics.command, 0)]))
+    receiver.on_subscribe = lambda *rest: subscribed.set()
+    sender.send_stream(topics.command, b"before there is a connection: dropped")
+    for client in (receiver, sender):
+        client.connect_async("127.0.0.1", broker)
+        client.loop_start()
+    wait_until(sender.is_connected, what="connection")
+    assert subscribed.wait(10.0)
+    for number in range(200):
+        sender.send_stream(topics.command, b"+%03d.000" % number, [("seq", str(number)), ("session", "s1")])
+    sender.publish(topics.command, b"kept", 0, True).wait_for_publish(5.0)
+    assert ended.wait(10.0)
+    sender.publish(topics.command, b"", 0, True).wait_for_publish(5.0)
+    for client in (sender, receiver):
+        client.disconnect()
+        client.loop_stop()
+    beside = [[("seq", str(number)), ("session", "s1")] if protocol == "5" else [] for number in range(200)]
+    assert [pairs for _, pairs, _ in got[:200]] == beside
+    assert [payload for payload, _, _ in got[:200]] == [b"+%03d.000" % number for number in range(200)]
+    # only MQTT 5 shows the flag on what is published while one listens
+    assert got[200] == (b"kept", [], protocol == "5")
+
+
+def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics, kind):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert isinstance(service._mqtt.client, FastClient) == (kind == "fast")
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(150)))
+        client.wait_for_status(state="following")
+        wait_until(lambda: abs(controller.measured[0] - motion(100)[0]) < 0.02, what="motion")
+        states = client.on(topics.state)
+        assert len(states) > 100
+        sequence = [int(dict(message.properties.UserProperty)["seq"]) for message in states]
+        assert sequence == sorted(sequence)
+        assert client.control("stop")["ok"]
+        client.wait_for_status(state="holding", fault=True)
+        assert client.control("reset")["ok"]
+        assert service.failure == ""
