@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import rospy
 from construction_twin.msg import Conflict
-from neighbour_cell import AWAY, CLEAR, NEAR, other, plan
+from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STEP, other, plan
+from planning_cell import ROBOT
 
 from construction_twin.coordination.path_judge import Judgement
 from construction_twin.coordination.plan_book import PlanUnknownError
@@ -19,12 +20,13 @@ from construction_twin.ros.nodes import executor as executor_node
 from construction_twin.ros.nodes import neighbour as neighbour_node
 from construction_twin.ros.nodes import planner as planner_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
-from construction_twin.ros.shared.arm_listener import OtherArm
+from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
+from construction_twin.scene.neighbour import Neighbour
 from construction_twin.scene.objects import Scene, SceneObject
 
 EMPTY = Scene((), 0.0)
-FREE = Judgement(False, -1.0, "its way is free")
+FREE = Judgement(False, -1.0, "its path is free")
 STAMP = rospy.Time(100, 5)
 
 
@@ -47,7 +49,7 @@ class Bench:
         return STAMP
 
     def plans(self):
-        return plan(CLEAR, NEAR, "played"), 5, plan(CLEAR, NEAR, "waiting")
+        return ArmPlans(plan(CLEAR, NEAR, "played"), 5, plan(CLEAR, NEAR, "waiting"))
 
     def occupied(self, horizon):
         assert horizon == self.node._horizon
@@ -81,10 +83,10 @@ def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_j
 
 def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_others_from_starting(bench):
     waiting, calls = plan(CLEAR, NEAR, "waiting"), iter(range(9))
-    bench.node._own.plans = lambda: (None, 0, waiting) if next(calls) % 2 == 0 else (waiting, 5, None)
-    bench.node._judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its way has been checked so far")
+    bench.node._own.plans = lambda: ArmPlans(None, 0, waiting) if next(calls) % 2 == 0 else ArmPlans(waiting, 5, None)
+    bench.node._judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its path has been checked so far")
     assert not bench.look()
-    bench.node._own.plans = lambda: (None, 0, waiting)
+    bench.node._own.plans = lambda: ArmPlans(None, 0, waiting)
     assert bench.look()["waiting"].conflict
 
 
@@ -135,13 +137,8 @@ def test_what_nobody_foresaw_ends_the_process(bench, monkeypatch):
         bench.node.run()
 
 
-def arm(poses, plans=lambda: (None, 0, None), scene=EMPTY) -> OtherArm:
-    made = object.__new__(OtherArm)
-    made._settings = SimpleNamespace(name="b", max_pose_age=0.5)
-    made._listener = SimpleNamespace(poses=poses, plans=plans, scene=scene)
-    made._bare = made._shape = other()
-    made._carried_by, made._sweeps, made._at, made.claim, made.unknown = "", {}, ("", 0), None, ""
-    return made
+def arm(poses, plans=lambda: ArmPlans(None, 0, None), scene=EMPTY) -> OtherArm:
+    return OtherArm(SimpleNamespace(poses=poses, plans=plans, scene=scene, robot=ROBOT), Neighbour("b", ROBOT, BESIDE, STEP), 0.5)
 
 
 def here(*_):
@@ -159,7 +156,7 @@ def without_plan():
 @pytest.mark.parametrize("found", [arm(nowhere), arm(here, without_plan)])
 def test_of_an_arm_whose_pose_or_path_nobody_knows_the_whole_reach_counts(found):
     (ball,) = found.occupied()
-    assert ball.owner == "other/whole reach" and found.claim is None
+    assert ball.owner == "b/whole reach" and found.claim is None
     assert found.unknown.startswith("where b is, or goes, is not known")
     # the same again: who has looked at it need not look again
     assert found.occupied() == (ball,)
@@ -182,7 +179,7 @@ LONG = plan(AWAY, AWAY + 0.3, "long", 40.0)
 
 
 def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_after_some_looks():
-    found = arm(here, lambda: (LONG, 5, None))
+    found = arm(here, lambda: ArmPlans(LONG, 5, None))
     counts = [len(found.occupied(horizon=3.0))]
     assert not found.complete
     ends = [found._sweeps["long"].fraction * 40.0]
@@ -194,7 +191,7 @@ def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_af
 
 
 def test_the_horizon_goes_with_the_arm():
-    found = arm(lambda *_: (q, q), lambda: (LONG, 5, None))
+    found = arm(lambda *_: (q, q), lambda: ArmPlans(LONG, 5, None))
     for at in (0.0, 6.0, 11.0, 19.0):
         q = LONG.trajectory.sample_many(np.array([at]))[0][0]
         found.occupied(horizon=9.0)
@@ -202,18 +199,18 @@ def test_the_horizon_goes_with_the_arm():
 
 
 def test_a_planner_asks_for_the_whole_path():
-    found = arm(here, lambda: (LONG, 5, None))
+    found = arm(here, lambda: ArmPlans(LONG, 5, None))
     found.occupied()
     assert found.complete
 
 
 def test_a_path_is_prepared_while_its_plan_waits():
-    found = arm(here, lambda: (None, 0, LONG))
+    found = arm(here, lambda: ArmPlans(None, 0, LONG))
     for _ in range(9):
         assert found.claim is None and found.occupied(horizon=3.0)
     sweep = found._sweeps["long"]
     assert sweep.complete
-    found._listener.plans = lambda: (LONG, 5, None)
+    found._listener.plans = lambda: ArmPlans(LONG, 5, None)
     found.occupied(horizon=3.0)
     assert found._sweeps["long"] is sweep and found.complete
 
@@ -237,7 +234,7 @@ def test_the_executor_counts_a_verdict_by_its_stamp(monkeypatch, age, refused):
     on_verdict = node._executor.neighbour.on_verdict
     node._executor.neighbour.on_verdict = lambda *given: taken.append(given[3]) or on_verdict(*given)
     monkeypatch.setattr(executor_node.rospy.Time, "now", staticmethod(lambda: STAMP))
-    message = Conflict(plan_id="p1", conflict=False, reason="its way is free")
+    message = Conflict(plan_id="p1", conflict=False, reason="its path is free")
     message.header.stamp = STAMP - rospy.Duration(age)
     node._on_conflict(message)
     assert reasons == ["conflict_age"] * refused
@@ -261,10 +258,10 @@ def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
         raise PlanningError("the start is in collision")
 
     node = planner("where b is, or goes, is not known: no message")
-    success, sentence, *_ = node._answer(lambda _: blocked(node), None)
-    assert not success
-    assert sentence.startswith(
+    answer = node._answer(lambda _: blocked(node), None)
+    assert not answer.success
+    assert answer.sentence.startswith(
         "the start is in collision; plans keep clear of the whole reach of b, because where b is"
     )
     node._other.unknown = ""
-    assert node._answer(lambda _: blocked(node), None)[1] == "the start is in collision"
+    assert node._answer(lambda _: blocked(node), None).sentence == "the start is in collision"
