@@ -88,6 +88,7 @@ class MockRsiNode:
 
     def _snapshot(self, stamp: int) -> dict:
         controller, linear = self._controller, self._robot.linear
+        layout = controller.config.layout
         return {
             "state": "running" if controller.running else "stopped",
             "reason": controller.reason,
@@ -106,7 +107,7 @@ class MockRsiNode:
             "stop_ramp": self._ramp(),
             "counters": self._mock.counters,
             "config": self._settings.model_dump(exclude={"ethernet_xml"}),
-            "ethernet": asdict(controller.config.layout),
+            "ethernet": asdict(layout) if layout is not None else {},
         }
 
     def _ramp(self) -> dict | None:
