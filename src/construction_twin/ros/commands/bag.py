@@ -1,4 +1,7 @@
-"""Reads a rosbag into a `Recording`. Needs no ROS master and no running node."""
+"""Reads a rosbag into a `Recording`. Needs no ROS master and no running node.
+
+A bag may come from elsewhere: it is opened by `known_bag.open_bag`, which runs no code from it.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,11 @@ from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 
+import genpy
 import numpy as np
 import rosbag
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from construction_twin.core.errors import EvaluationError
 from construction_twin.evaluation.recording import (
@@ -19,6 +25,8 @@ from construction_twin.evaluation.recording import (
     StateChange,
     Stream,
 )
+from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.ros.shared.known_bag import open_bag
 
 TWIN = "twin/joint_states"
 PHYSICAL = "physical/joint_states"
@@ -34,17 +42,17 @@ TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXECUTION, PLAN, LINK, SYNC, MOCK)
 #: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
-#: Type each topic must have: a foreign message of the same name must not be read by accident.
-TYPES = {
-    TWIN: "sensor_msgs/JointState",
-    PHYSICAL: "sensor_msgs/JointState",
-    FEEDBACK: "construction_twin/Feedback",
-    COMMAND: "sensor_msgs/JointState",
-    EXECUTION: "construction_twin/Execution",
-    PLAN: "construction_twin/Plan",
-    LINK: "construction_twin/Link",
-    SYNC: "construction_twin/Sync",
-    MOCK: "std_msgs/String",
+#: Type each topic must have. The bag is read with these classes; another definition of the same type is refused.
+TYPES: dict[str, type[genpy.Message]] = {
+    TWIN: JointState,
+    PHYSICAL: JointState,
+    FEEDBACK: Feedback,
+    COMMAND: JointState,
+    EXECUTION: Execution,
+    PLAN: Plan,
+    LINK: Link,
+    SYNC: Sync,
+    MOCK: String,
 }
 
 
@@ -64,16 +72,17 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
     Raises
     ------
     EvaluationError
-        If the file cannot be read as a bag, holds no or several robots, a topic of another type, or too little data.
+        If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
+        its type, or too little data.
     """
     try:
-        with rosbag.Bag(str(path)) as bag:
+        with open_bag(path, TYPES.values()) as bag:
             types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
             robot = _choose_robot(types, namespace)
             messages = _read_messages(bag, robot, types)
     except rosbag.ROSBagUnindexedException as error:
         raise EvaluationError(f"{path} was not closed properly; run `rosbag reindex {path}` and try again") from error
-    except (rosbag.ROSBagException, OSError) as error:
+    except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
         raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
     return _to_recording(robot, messages)
 
@@ -102,9 +111,9 @@ def _read_messages(bag: rosbag.Bag, robot: str, types: dict[str, str]) -> dict[s
     relative = {f"{robot.rstrip('/')}/{topic}": topic for topic in TOPICS}
     for topic, name in relative.items():
         found = types.get(topic)
-        if found not in (None, TYPES[name]):
-            raise EvaluationError(f"{topic} in the bag is a {found}; expected a {TYPES[name]}")
-    messages = defaultdict(list)
+        if found not in (None, TYPES[name]._type):
+            raise EvaluationError(f"{topic} in the bag is a {found}; expected a {TYPES[name]._type}")
+    messages: dict[str, list[tuple[int, object]]] = defaultdict(list)
     for topic, message, received in bag.read_messages(topics=list(relative)):
         messages[relative[topic]].append((received.to_nsec(), message))
     return messages
