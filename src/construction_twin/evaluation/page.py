@@ -1,6 +1,7 @@
-"""The report as one HTML page that needs no other file: figures inside, tables, timing, what happened. Standard library only.
+"""The report as one HTML page that needs no other file: figures, tables, timing, events. Standard library only.
 
-Everything that comes from a recording is escaped: a bag may come from anywhere.
+Text from a recording is escaped, so that it cannot become markup. This protects the page only: a bag from elsewhere is made safe
+to read where it is opened, in `ros.shared.known_bag`.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from construction_twin.evaluation.paper import NOTE
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.tables import ALIGNMENTS, summary_lines, table_rows
 
-#: Most rows of a table of what happened; a bag of a restless link may hold thousands.
+#: Most rows of the table of state changes; a bag of an unstable link may hold thousands.
 MOST_CHANGES = 500
-#: State words that mean that something went wrong.
+#: Words of states that are faults.
 FAULTS = {
     "HOLDING", "STALE", "STOPPED", "FAULT", "REFUSING", "REPLANNING", "HELD",
     "DISCONNECTED", "GATEWAY_OFFLINE", "NO_CONTROLLER", "MISMATCH", "NEEDS_RESET",
@@ -49,14 +50,14 @@ def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) 
     summary : Mapping
         As `summary.json` holds it.
     recording : Recording
-        For its plans and what happened.
+        For its plans and state changes.
     drawings : Mapping of str to bytes
         The PNGs, by file name.
 
     Returns
     -------
     html : str
-        ASCII but for what the recording says itself.
+        ASCII except for text from the recording.
     """
     title = f"Twin and physical arm: {summary['robot']}"
     sections = [

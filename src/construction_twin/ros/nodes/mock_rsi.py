@@ -107,7 +107,7 @@ class MockRsiNode:
             "stop_ramp": self._ramp(),
             "counters": self._mock.counters,
             "config": self._settings.model_dump(exclude={"ethernet_xml"}),
-            "ethernet": asdict(layout) if layout is not None else {},
+            "ethernet": asdict(controller.config.rsi_layout),
         }
 
     def _ramp(self) -> dict | None:
