@@ -1,6 +1,6 @@
-"""The twin while the arm leads: it follows the measured pose inside the limits, so it never jumps.
+"""The twin in mirror mode: it follows the arm's measured pose within the limits, so it never jumps.
 
-Pure; angles in rad, linear joints in m, stamps in ns.
+Pure; angles in rad, prismatic joints in m, stamps in ns.
 """
 
 from __future__ import annotations
@@ -9,23 +9,23 @@ from construction_twin.core.follower import Follower
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS
 
-#: Decimals of a measured pose whose rounding is no motion of its own: the format's default.
+#: Decimals of a measured pose; changes by rounding are not counted as motion. The joint string's default.
 DECIMALS = 3
-#: The way of more cycles than this is not made up for at once [cycles]: 0.25 s.
+#: Most cycles of motion that are caught up in one step: 0.25 s.
 MOST_CYCLES = 62
 
 
 class MirrorTwin:
     """Follows measured poses, from a pose at rest.
 
-    A pose that the limits allow is met exactly. Another one is approached inside the limits, cycle by cycle, as the gateway
-    follows its targets: the twin may stand elsewhere when mirroring begins, and poses may be lost.
+    A pose that the limits allow is reached exactly. Otherwise it is approached within the limits, cycle by cycle, as the gateway
+    follows its targets: the twin may be elsewhere when mirroring begins, and poses may be lost.
 
     Parameters
     ----------
     limits : MotionLimits
     pose : tuple, shape (n,)
-        Where the twin stands [rad], [m].
+        The twin's pose [rad], [m].
     """
 
     def __init__(self, limits: MotionLimits, pose: tuple[float, ...]):
@@ -35,7 +35,7 @@ class MirrorTwin:
 
     @property
     def arrived(self) -> bool:
-        """True while the twin is where the arm was measured."""
+        """True while the twin is at the measured pose."""
         return not self._follower.settling
 
     def follow(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...] | None:
@@ -44,7 +44,7 @@ class MirrorTwin:
         Parameters
         ----------
         stamp : int
-            Of the measurement [ns]. How many cycles have gone by since the last one says how far the twin may move.
+            Of the measurement [ns]. The number of cycles since the last one limits how far the twin may move.
         q : tuple, shape (n,)
             [rad], [m]
 

@@ -1,6 +1,6 @@
-"""The kinematic twin: executes commands exactly, after it has taken over the arm's pose.
+"""The kinematic twin: executes commands exactly, after it has taken the arm's pose as its own.
 
-Pure; angles in rad, linear joints in m, stamps in ns.
+Pure; angles in rad, prismatic joints in m, stamps in ns.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ from construction_twin.core.limits import MotionLimits, outside_tolerance
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.twin.mirror import MirrorTwin
 
-#: The first command may differ this much from the pose taken over (design, law 5): joints that turn [rad], linear ones [m].
+#: Largest difference of the first command from the pose taken over (docs/architecture.md, law 5): revolute joints [rad],
+#: prismatic joints [m].
 START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
 #: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
 SILENCE = NANOSECONDS // 4
 
 
 class VirtualRobot:
-    """A robot that is where it was told to be.
+    """A robot whose pose is the last executed command.
 
     Parameters
     ----------
     home : tuple, shape (n,) or None
-        Pose to start at [rad], [m]; None waits for `take_over`, so that a twin of a physical arm never shows a pose it made up.
+        Pose to start at [rad], [m]; None waits for `take_over`, so that a twin of a physical arm never shows an invented pose.
     linear : sequence of bool, shape (n,), optional
-        Which joints are linear; default: none.
+        True for prismatic joints; default: none.
     """
 
     def __init__(self, home: tuple[float, ...] | None, linear: Sequence[bool] = ()):
@@ -73,8 +74,8 @@ class VirtualRobot:
     def execute(self, stamp: int, q: tuple[float, ...]) -> bool:
         """Execute a command; return whether it was executed.
 
-        Refused is a command while no pose is held, one that is not newer than the last, and a first one away from the pose taken
-        over: it belongs to the stream before the restart, still on its way.
+        A command is refused while no pose is held, while mirroring, and if it is not newer than the last one. The first command is
+        refused if it differs from the pose taken over: then it belongs to the stream before the restart and was in transit.
         """
         if self.pose is None or stamp <= self.stamp or self._mirror is not None:
             return False
@@ -85,7 +86,7 @@ class VirtualRobot:
 
 
 class TwinClock:
-    """Decides which stamps the twin's poses are published with: those of its commands, and the clock's while there are none.
+    """Decides with which stamps the twin's poses are published: those of its commands, or the clock's while there are none.
 
     Stamps always increase. A command whose stamp is not newer than what was published (it was delayed by more than `SILENCE`)
     is executed, but its stamp belongs to the past and is not published.

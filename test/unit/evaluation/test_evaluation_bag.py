@@ -183,7 +183,9 @@ def test_command_line_answers_an_error_with_one_sentence(tmp_path, capsys):
 
 def with_definition(kind, definition: str, md5: str | None = None) -> type:
     """Return a message class of the same name whose bag carries another definition."""
-    return type(kind.__name__, (kind,), {"_full_text": definition, "_md5sum": md5 or kind._md5sum, "__slots__": kind.__slots__})
+    return type(
+        kind.__name__, (kind,), {"_full_text": definition, "_md5sum": md5 or kind._md5sum, "__slots__": kind.__slots__}
+    )
 
 
 #: In genpy's generated code, a constant's name stands outside of any quotes.
