@@ -88,7 +88,6 @@ class MockRsiNode:
 
     def _snapshot(self, stamp: int) -> dict:
         controller, linear = self._controller, self._robot.linear
-        layout = controller.config.layout
         return {
             "state": "running" if controller.running else "stopped",
             "reason": controller.reason,
