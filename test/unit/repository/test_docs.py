@@ -387,7 +387,15 @@ def test_programs_and_launch_arguments_in_documents_exist(file):
 
 
 def test_readme_calls_what_a_newcomer_needs():
-    words = ("bringup.launch", "twin plan", "twin approve", "twin watch", "make demo", "make test", "source .ws/env.bash")
+    words = (
+        "bringup.launch",
+        "twin plan",
+        "twin approve",
+        "twin watch",
+        "make demo",
+        "make test",
+        "source .ws/env.bash",
+    )
     assert [word for word in words if word not in README] == []
 
 
