@@ -200,7 +200,7 @@ def run(subject: str, seconds: float, rate_seconds: float, realtime: int = REALT
         os.environ |= {"ROS_MASTER_URI": world.start_master(), "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": folder}
         parameters = bridge_parameters(port, realtime)
         config = gateway_config(robot, parameters["gateway"])
-        parameters["mqtt_bridge"]["gate"] = "/pca_monitor"  # this process, outside of the namespace
+        parameters["publishers"] = {"command/joint_states": "/pca_monitor"}  # this process, outside of the namespace
         rospy.set_param(f"/{NAMESPACE}", parameters)
         process = world.start(subject, subject_command(subject, port, topics, realtime), ROS_NAMESPACE=NAMESPACE)
         request_realtime(realtime)  # both ends; after the master, which has no part in the path
