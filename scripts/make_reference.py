@@ -323,10 +323,10 @@ def state_rows(module: str) -> list[tuple[str, ...]]:
     States with the same row share one; "any" stands for all of them. The monitor's table has neither guards nor actions.
     """
     code = importlib.import_module(module)
-    if hasattr(code, "table_cells"):
-        return [tuple(row) for row in code.table_cells()]
-    if hasattr(code, "rows"):
-        return _shared_rows([tuple(row) for row in code.rows()])
+    for name in ("table_cells", "table_rows", "rows"):
+        if hasattr(code, name):
+            rows = [tuple(row) for row in getattr(code, name)()]
+            return rows if name == "table_cells" else _shared_rows(rows)
     table = [(s.name, f"`{e.value}`", t.name) for s, row in code.TABLE.items() for e, t in row.items()]
     return _shared_rows(table)
 
@@ -357,6 +357,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "messages": _message_page,
     "gateway states": lambda: _state_table("construction_twin.gateway.states"),
     "link states": lambda: _state_table("construction_twin.link.states"),
+    "executor states": lambda: _state_table("construction_twin.execution.states"),
     "monitor states": lambda: _state_table("construction_twin.monitor.states"),
 }
 

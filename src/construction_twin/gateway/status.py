@@ -19,7 +19,7 @@ QUIET = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The content of the `status` topic, key by key; each is explained in docs/interface.md."""
+    """The content of the `status` topic, key by key; each is explained in docs/reference/mqtt.md."""
 
     state: str
     reason: str

@@ -36,7 +36,7 @@ TIMEOUT = 5.0
 
 
 class Exit(enum.IntEnum):
-    """What the command's exit code says; `docs/interface.md` lists them for scripts."""
+    """What the command's exit code says; `docs/reference/command_line.md` lists them for scripts."""
 
     DONE = 0
     #: The system has refused; its sentence is on standard error.

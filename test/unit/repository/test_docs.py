@@ -1,14 +1,22 @@
-"""The documents say what the code does: every name a user can reach is written down, every link and every quoted message exists."""
+"""The documents say what the code does.
+
+Every name a user can reach is written down, every link, file, command and quoted message exists, and what is written from the code
+is up to date.
+"""
 
 from __future__ import annotations
 
+import ast
+import configparser
 import dataclasses
 import importlib
 import json
+import math
 import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import make_reference
 import pydantic
 import pytest
 import yaml
@@ -17,21 +25,38 @@ from gateway_cell import following
 
 from construction_twin.broker.access import PLC, ROLES
 from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.execution.states import ExecutorEvent, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.gateway.gateway import State
-from construction_twin.gateway.states import Mode
+from construction_twin.gateway.states import Mode, State
 from construction_twin.link.remote_review import PlanView, review_answer
+from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
+from construction_twin.monitor.comparison import ComparisonSettings, undetected
+from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.messages import Topics
+from construction_twin.robot.description import read_robot_files
 
 ROOT = Path(__file__).resolve().parents[3]
-NODE_MODULES = ROOT / "src/construction_twin/ros/nodes"
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-INTERFACE = (ROOT / "docs/interface.md").read_text()
+PACKAGE = ROOT / "src/construction_twin"
+NODE_MODULES = PACKAGE / "ros/nodes"
+DOCUMENTS = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "krl/README.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/tutorials").glob("*.md"))]
+PAGES = {page.stem: page.read_text() for page in sorted((ROOT / "docs/reference").glob("*.md"))}
+REFERENCE = "\n".join(PAGES.values())
+ARCHITECTURE = (ROOT / "docs/architecture.md").read_text()
 README = (ROOT / "README.md").read_text()
 BROKER = (ROOT / "docs/broker.md").read_text()
 TROUBLESHOOTING = (ROOT / "docs/troubleshooting.md").read_text()
+
+
+def relative(file: Path) -> str:
+    return str(file.relative_to(ROOT))
 
 
 def code_words(text: str) -> set[str]:
@@ -39,7 +64,7 @@ def code_words(text: str) -> set[str]:
     return {word for span in re.findall(r"`([^`\n]+)`", text) for word in re.split(r"[\s,:\[\]]+", span)}
 
 
-CODE_WORDS = code_words(INTERFACE)
+CODE_WORDS = code_words(REFERENCE)
 NODES = [
     *sorted(p for p in NODE_MODULES.glob("*.py") if p.stem != "__init__"),
     ROOT / "examples/separation/separation_node.py",
@@ -57,9 +82,12 @@ def undocumented(names) -> list[str]:
     return sorted(set(names) - CODE_WORDS)
 
 
+# -- what is written from the code
+
+
 def test_scan_of_the_code_finds_what_is_there():
     found = set().union(*map(ros_names, NODES))
-    assert {"plan", "command/joint_states", "mock_rsi/status", "review_plan", "mqtt_bridge/stop"} <= found
+    assert {"plan", "command/joint_states", "mock_rsi/status", "review_plan", "mqtt_bridge/arm"} <= found
 
 
 @pytest.mark.parametrize("file", NODES, ids=lambda file: file.stem)
@@ -90,7 +118,7 @@ def test_launch_arguments_are_documented(file):
 
 @pytest.mark.parametrize("file", sorted((ROOT / "nodes").iterdir()), ids=lambda file: file.name)
 def test_executables_have_a_heading(file):
-    assert re.search(rf"^##+ .*\b{file.name}\b|`{file.name} ", INTERFACE, re.MULTILINE)
+    assert re.search(rf"^##+ .*\b{file.name}\b|`{file.name}[ `]", REFERENCE, re.MULTILINE)
 
 
 def test_gateway_interface_is_documented():
@@ -109,8 +137,7 @@ def test_gateway_status_is_documented():
 
 
 def test_gateway_counters_are_documented():
-    files = ("service", "gateway", "player", "rsi_session", "command_stream", "command_intake", "inbox")
-    code = "".join((ROOT / f"src/construction_twin/gateway/{file}.py").read_text() for file in files)
+    code = "".join(file.read_text() for file in sorted((PACKAGE / "gateway").glob("*.py")))
     # a refusal is documented by its reason
     counters = re.findall(r"counters\[\"(\w+)\"", code)
     refused = r"(?:PayloadError|MotionRefused|refusals\.\w+|_refuse)\(\s*\"(\w+)\""
@@ -149,17 +176,141 @@ def test_roles_and_their_topics_are_documented():
     ],
 )
 def test_command_line_options_are_documented(file):
-    text = (ROOT / f"src/construction_twin/{file}.py").read_text()
+    text = (PACKAGE / f"{file}.py").read_text()
     options = re.findall(r"(?:add_argument|option|add)\(\s*\"(--[a-z-]+)\"", text)
     assert options
-    assert undocumented(options) == []
+    printed = "\n".join(re.findall(r"^```text\n(.*?)^```", PAGES["command_line"], re.MULTILINE | re.DOTALL))
+    assert [option for option in options if not re.search(rf"{option}(?![a-z-])", printed)] == []
 
 
 def test_keys_of_the_summary_are_documented():
     assert undocumented(summarise(evaluate(run()))) == []
 
 
-@pytest.mark.parametrize("file", DOCUMENTS, ids=lambda file: file.name)
+def test_reference_is_what_the_code_says():
+    stale = [page.name for page, text in make_reference.pages() if page.read_text() != text]
+    assert stale == [], "run python scripts/make_reference.py"
+
+
+@pytest.mark.parametrize("node", make_reference.NODES)
+def test_every_node_with_parameters_has_its_table(node):
+    assert re.search(rf"^### {node}$", PAGES["parameters"], re.MULTILINE)
+
+
+def test_every_class_of_parameters_is_in_the_reference():
+    modules = {module.rsplit(".", 1)[-1] for module, _ in make_reference.NODES.values()}
+    for file in NODES:
+        has_settings = re.search(r"^class Settings\(", file.read_text(), re.MULTILINE)
+        assert not has_settings or file.stem in modules, f"add {file.stem} to make_reference.NODES"
+
+
+# -- states
+
+
+@pytest.mark.parametrize("states", [SyncState, ExecutorState, LinkState], ids=lambda states: states.__name__)
+def test_states_are_explained(states):
+    words = set(re.findall(r"[A-Z_]{4,}", PAGES["states"]))
+    assert {state.name for state in states} <= words
+
+
+def test_gateway_states_and_events_are_explained():
+    """Explained by hand, in the first column of a table; the generated tables hold every word anyway."""
+    explained = code_words("\n".join(re.findall(r"^\| (`[^|]*`) \|[^|]*\|$", PAGES["states"], re.MULTILINE)))
+    events = {event.value for kind in (SyncEvent, ExecutorEvent) for event in kind}
+    assert {state.value for state in State} | events <= explained
+
+
+@pytest.mark.parametrize("module", ["gateway.states", "execution.states", "monitor.states"])
+def test_rows_that_states_share_keep_the_order_in_which_guards_are_asked(module):
+    shared = make_reference.state_rows(f"construction_twin.{module}")
+    names = list(dict.fromkeys(name for row in shared for name in row[0].split(", ") if name != "any"))
+    asked = [(state, row[1], row[2:]) for row in shared for state in (names if row[0] == "any" else row[0].split(", "))]
+    code = importlib.import_module(f"construction_twin.{module}")
+    rows = getattr(code, "table_rows", getattr(code, "rows", None))
+    if rows is None:
+        pytest.skip("this table has no guards")
+    for state, event in {(row[0], row[1]) for row in rows()}:
+        expected = [tuple(row[2:]) for row in rows() if (row[0], row[1]) == (state, event)]
+        assert [rest for of, on, rest in asked if (of, on) == (state, event)] == expected
+
+
+def test_largest_undetected_difference_is_that_of_the_shipped_settings():
+    robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+    shipped = yaml.safe_load((ROOT / "config/pca_monitor.yaml").read_text())
+    assert shipped["lag_margin"] <= 0.02
+    settings = ComparisonSettings(
+        threshold=(shipped["threshold"],) * len(robot.velocity),
+        lag_allowance=shipped["lag_allowance"],
+        lag_margin=shipped["lag_margin"],
+    )
+    in_motion, at_first = undetected(settings, robot.velocity), undetected(settings, robot.velocity, known=False)
+    rows = [
+        f"| A{number} | {math.degrees(speed):.0f} | {math.degrees(later):.2f} | {math.degrees(first):.2f} |"
+        for number, speed, later, first in zip(range(1, 7), robot.velocity, in_motion, at_first)
+    ]
+    assert [row for row in rows if row not in PAGES["states"]] == []
+
+
+# -- the folders
+
+
+def folder_table() -> dict[str, set[str]]:
+    """Return the folders of docs/architecture.md in its order, with what each may import."""
+    rows = re.findall(r"^\| `(\w+)`(?: \*)? \|.*\| ([^|]*) \|$", ARCHITECTURE, re.MULTILINE)
+    return {folder: set(re.findall(r"`(\w+)`", imports)) for folder, imports in rows}
+
+
+def imported_folders(folder: str) -> set[str]:
+    """Return the folders of the package that a folder's modules import, anywhere in their code."""
+    found = set()
+    for file in (PACKAGE / folder).rglob("*.py"):
+        if relative(file) == "src/construction_twin/rsi/gateway.py":
+            continue  # the shim for the gateway's former name
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            found |= {name.split(".")[1] for name in names if name.startswith("construction_twin.")}
+    return found - {folder, "msg", "srv"}
+
+
+def test_folders_of_the_architecture_are_those_of_the_contract_and_of_the_disk():
+    contract = configparser.ConfigParser()
+    contract.read(ROOT / ".importlinter")
+    order = contract["importlinter:contract:order"]["layers"].split()
+    assert list(folder_table()) == order[::-1]
+    inside = contract["importlinter:contract:ros"]["layers"].split()
+    assert f"order is {', '.join(f'`{folder}`' for folder in inside[::-1])}," in " ".join(ARCHITECTURE.split())
+    for parent, folders in ((PACKAGE, order), (PACKAGE / "ros", inside)):
+        real = {file.parent.name for file in parent.glob("*/__init__.py")}
+        assert real == set(folders)
+    drawn = ARCHITECTURE[ARCHITECTURE.index("```") : ARCHITECTURE.index("The table goes")]
+    assert set(order) <= set(re.findall(r"\w+", drawn))
+
+
+@pytest.mark.parametrize("folder", [folder for folder in folder_table() if folder != "ros"])
+def test_a_folder_imports_what_the_architecture_says(folder):
+    assert imported_folders(folder) <= folder_table()[folder]
+
+
+@pytest.mark.parametrize("folder", [folder for folder in folder_table() if folder not in ("core", "ros")])
+def test_a_folder_says_itself_what_it_may_import(folder):
+    paragraph = " ".join((ast.get_docstring(ast.parse((PACKAGE / folder / "__init__.py").read_text())) or "").split())
+    said = set(re.findall(r"``(\w+)``", paragraph[paragraph.index("May import") :]))
+    assert said == folder_table()[folder]
+
+
+@pytest.mark.parametrize("file", sorted(PACKAGE.rglob("__init__.py")), ids=relative)
+def test_a_folder_s_init_holds_its_paragraph_and_nothing_else(file):
+    code = ast.parse(file.read_text())
+    assert len(code.body) == 1
+    paragraph = " ".join((ast.get_docstring(code) or "").split())
+    assert file.parent == PACKAGE or all(word in paragraph for word in ("In:", "Out:", "ay import"))
+
+
+# -- what documents name
+
+
+@pytest.mark.parametrize("file", DOCUMENTS, ids=relative)
 def test_relative_links_lead_somewhere(file):
     for target, anchor in re.findall(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]+))?\)", file.read_text()):
         path = (file.parent / target).resolve() if target else file
@@ -170,17 +321,105 @@ def test_relative_links_lead_somewhere(file):
             assert anchor in slugs, f"{file.name} links to {target}#{anchor}"
 
 
+@pytest.mark.parametrize("file", [file for file in DOCUMENTS if file.name != "rsi.md"], ids=relative)
+def test_source_files_in_documents_exist(file):
+    named = {name for name in re.findall(r"`((?:[\w.]+/)+[\w]+\.(?:py|yaml|xml|launch))`", file.read_text())}
+    assert (
+        sorted(name for name in named if not any((base / name).exists() for base in (ROOT, PACKAGE, ROOT / "krl")))
+        == []
+    )
+
+
+def test_every_document_is_reached_from_the_readme():
+    reached, waiting = set(), [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        if page in reached or page.suffix != ".md":
+            continue
+        reached.add(page)
+        links = re.findall(r"\]\((?!https?:)([^)#\s]+)", page.read_text())
+        waiting += [(page.parent / link).resolve() for link in links]
+    assert sorted(map(relative, set(DOCUMENTS) - reached)) == []
+
+
+def test_nothing_cites_a_document_that_a_reader_cannot_open():
+    elsewhere = "|".join(
+        (
+            "design" + r"\.md",
+            "paper" + r"\.txt",
+            "shared" + "/",
+            "house" + r"\.md",
+            r"(?<!docs/)(?<!/)\brsi" + r"\.md",
+            "design, " + "(?:law|section)",
+        )
+    )
+    said = []
+    for folder in (
+        "src",
+        "nodes",
+        "launch",
+        "config",
+        "urdf",
+        "krl",
+        "docs",
+        "scripts",
+        "setup",
+        "tools",
+        "examples",
+        "test",
+    ):
+        for file in sorted((ROOT / folder).rglob("*")):
+            if file.suffix in (".py", ".md", ".yaml", ".launch", ".xacro", ".sh", ".src", ".xml") and file != Path(
+                __file__
+            ):
+                # pages beside each other link without the folder
+                text = re.sub(r"\]\([^)]*\)", "", file.read_text().replace("[rsi.md]", ""))
+                text = text.replace("ros/shared/", "")
+                said += [f"{relative(file)}: {found}" for found in re.findall(elsewhere, text)]
+    assert said == []
+
+
 def test_make_targets_exist():
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     named = {name for file in DOCUMENTS for name in re.findall(r"(?:`|^)make ([a-z]+)", file.read_text(), re.MULTILINE)}
     assert {"demo", "test"} <= named <= targets
+    assert targets - named - {"help"} == set()
 
 
-def test_services_called_in_the_readme_exist():
+def commands(file: Path) -> str:
+    """Return a document with the lines of its commands joined."""
+    return file.read_text().replace("\\\n", " ")
+
+
+@pytest.mark.parametrize("file", GUIDES, ids=relative)
+def test_services_called_in_documents_exist(file):
     known = set().union(*map(ros_names, NODES))
-    called = re.findall(r"rosservice call /kr120/(\S+?)[\s`]", README)
-    assert called
+    called = re.findall(r"rosservice call /(?:kr120|ur_like)/(\S+?)[\s`]", file.read_text() + "\n")
     assert set(called) <= known
+
+
+@pytest.mark.parametrize("file", GUIDES, ids=relative)
+def test_programs_and_launch_arguments_in_documents_exist(file):
+    programs = re.findall(r"rosrun construction_twin ([a-z_]+)", commands(file))
+    assert set(programs) <= {path.name for path in (ROOT / "nodes").iterdir()}
+    for name, rest in re.findall(r"roslaunch construction_twin (\w+)\.launch([^\n`#]*)", commands(file)):
+        known = make_reference.launch_arguments(ROOT / f"launch/{name}.launch")
+        if name in ("experiment", "scenario", "two_robots"):
+            known = known | make_reference.launch_arguments(ROOT / "launch/bringup.launch")
+        assert set(re.findall(r"(\w+):=", rest)) <= set(known)
+
+
+def test_readme_calls_what_a_newcomer_needs():
+    words = (
+        "bringup.launch",
+        "twin plan",
+        "twin approve",
+        "twin watch",
+        "make demo",
+        "make test",
+        "source .ws/env.bash",
+    )
+    assert [word for word in words if word not in README] == []
 
 
 def test_messages_in_the_troubleshooting_are_the_programs_own():
@@ -212,4 +451,5 @@ def test_every_package_earns_its_place():
 
 
 def test_readme_stays_short():
-    assert len(README.splitlines()) <= 250
+    assert len(README.splitlines()) <= 125
+    assert [line for line in README.splitlines() if len(line) > 100] == []
