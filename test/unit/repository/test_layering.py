@@ -116,11 +116,11 @@ def test_every_public_name_has_a_docstring(path):
     assert undocumented(path) == []
 
 
-#: The functions that may catch every exception, one handler each.
-#: - The gateway's: after it the last resort answers RSI, and no command is taken any more. Without it an error in a status message would
-#:   end the answers, and the controller would stop the arm dead from full speed.
-#: - The subscriber's: rospy would log what a callback did not foresee and go on with the next message, in a node that has lost its way.
-#:   The handler hands every exception to `threading.excepthook`, which ends the process; it swallows nothing.
+#: The functions that may catch every exception, one handler each. - The gateway's: after it the last resort answers RSI, and no
+#: command is taken any more. Without it an error in a status message would end the answers, and the controller would stop the
+#: arm dead from full speed. - The subscriber's: rospy would log what a callback did not foresee and go on with the next
+#: message, in a node that has lost its way. The handler hands every exception to `threading.excepthook`, which ends the
+#: process; it swallows nothing.
 BROAD = {
     "src/construction_twin/gateway/service.py": "guarded",
     "src/construction_twin/ros/transport/subscriber.py": "_receive",
