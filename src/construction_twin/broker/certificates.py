@@ -11,7 +11,6 @@ import os
 import secrets
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,29 +19,8 @@ from construction_twin.core.errors import ConfigurationError, SiteError
 
 #: Lifetime of a CA [days].
 CA_DAYS = 3650
-_CA = """[req]
-distinguished_name = name
-x509_extensions = extensions
-prompt = no
-[name]
-CN = {name}
-[extensions]
-basicConstraints = critical,CA:true,pathlen:0
-keyUsage = critical,keyCertSign,cRLSign
-subjectKeyIdentifier = hash
-"""
-_REQUEST = """[req]
-distinguished_name = name
-prompt = no
-[name]
-CN = {name}
-"""
-_EXTENSIONS = """basicConstraints = critical,CA:false
-keyUsage = critical,digitalSignature
-extendedKeyUsage = {usage}
-subjectKeyIdentifier = hash
-authorityKeyIdentifier = keyid
-"""
+_CA = ("basicConstraints=critical,CA:true,pathlen:0", "keyUsage=critical,keyCertSign,cRLSign")
+_END = ("basicConstraints=critical,CA:false", "keyUsage=critical,digitalSignature", "authorityKeyIdentifier=keyid")
 
 
 class Authority:
@@ -71,12 +49,7 @@ class Authority:
             return
         make_folder(folder)
         make_key(self._key)
-        with tempfile.TemporaryDirectory() as scratch:
-            config = _written(scratch, "ca.cnf", _CA.format(name=name))
-            new = Path(scratch, "ca.crt")
-            days = ["-days", str(CA_DAYS), "-set_serial", _serial()]
-            openssl("req", "-x509", "-new", "-key", self._key, "-config", config, *days, "-out", new)
-            write_private(self.certificate, new.read_text())
+        write_private(self.certificate, _sign(name, self._key, CA_DAYS, _CA))
 
     def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
         """Sign a certificate for the key in `key`, which is made when it is not there.
@@ -94,18 +67,19 @@ class Authority:
         if not key.exists():
             make_key(key)
         hosts = tuple(hosts)
-        extensions = _EXTENSIONS.format(usage="serverAuth" if hosts else "clientAuth")
+        extensions = (*_END, f"extendedKeyUsage={'serverAuth' if hosts else 'clientAuth'}")
         if hosts:
-            extensions += f"subjectAltName = {','.join(map(_alternative_name, hosts))}\n"
-        with tempfile.TemporaryDirectory() as scratch:
-            config = _written(scratch, "request.cnf", _REQUEST.format(name=name))
-            extensions_file = _written(scratch, "extensions.cnf", extensions)
-            request, new = Path(scratch, "request.csr"), Path(scratch, "new.crt")
-            openssl("req", "-new", "-key", key, "-config", config, "-out", request)
-            signer = ["-CA", self.certificate, "-CAkey", self._key, "-set_serial", _serial()]
-            lifetime = ["-days", str(days), "-extfile", extensions_file]
-            openssl("x509", "-req", "-in", request, *signer, *lifetime, "-out", new)
-            write_private(certificate, new.read_text())
+            extensions += (f"subjectAltName={','.join(map(_alternative_name, hosts))}",)
+        signer = ("-CA", self.certificate, "-CAkey", self._key)
+        write_private(certificate, _sign(name, key, days, extensions, signer))
+
+
+def _sign(name: str, key: Path, days: int, extensions: Iterable[str], signer: tuple[object, ...] = ()) -> str:
+    """Return a new certificate (PEM) for a key; without a signer it is signed by that key itself."""
+    options = [option for extension in extensions for option in ("-addext", extension)]
+    # the machine's own configuration would add extensions
+    request = ["req", "-x509", "-config", os.devnull, "-subj", f"/CN={name}", "-key", key, *signer]
+    return openssl(*request, "-days", days, "-set_serial", _serial(), "-addext", "subjectKeyIdentifier=hash", *options)
 
 
 def expiry(certificate: Path) -> datetime:
@@ -166,9 +140,3 @@ def _alternative_name(host: str) -> str:
         if set(host) <= set("0123456789.") or ":" in host:
             raise ConfigurationError("--host", host, "a host name, or an address like 192.168.1.10") from None
         return f"DNS:{host}"
-
-
-def _written(folder: str, name: str, text: str) -> Path:
-    path = Path(folder, name)
-    path.write_text(text, encoding="utf-8")
-    return path

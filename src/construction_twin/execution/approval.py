@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from construction_twin.core.errors import RecordError, ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
-from construction_twin.review.queue import REFUSED, Ending, Verdict, prove_hash
+from construction_twin.review.queue import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
 
 #: Reviewer of a plan that was approved because of the launch argument.
 AUTO_APPROVE = "auto_approve"
@@ -62,17 +62,17 @@ class Approval:
                 if approve:
                     self._prove(plan_id)
                 with self._lock:
-                    verdict = self._executor.examine(plan_id, plan_hash, approve, reviewer, reason)
+                    verdict = self._examine(plan_id, plan_hash, approve, reviewer, reason)
             except ReviewError as error:
                 self._refuse(plan_id, plan_hash, approve, reviewer, str(error))
                 raise
             self._record(verdict)
             try:
                 with self._lock:
-                    return verdict, self._executor.carry_out(verdict)
+                    return verdict, self._carry_out(verdict)
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
-                if verdict.approved:
+                if verdict.approved and verdict.plan is not None:
                     self._record(Ending(verdict.plan, "dropped", f"not started: {error}"))
                 else:
                     self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, f"not rejected: {error}", verdict.plan))
@@ -92,7 +92,7 @@ class Approval:
             When it cannot be recorded; the plan is withdrawn.
         """
         with self._lock:
-            plan = self._executor.desk.plan if self._executor.ready_to_approve() else None
+            plan = self._executor.desk.plan if self._executor.is_ready() else None
             scene = self._executor.desk.scene
         if plan is None:
             return None
@@ -104,10 +104,33 @@ class Approval:
             return self.review(plan.id, plan.hash, True, AUTO_APPROVE, "the launch argument auto_approve is on")
         except ReviewError as error:
             with self._lock:
-                self._executor.withdraw(plan.id, f"{AUTO_APPROVE}: {error}")
+                self._withdraw(plan.id, f"{AUTO_APPROVE}: {error}")
             if isinstance(error, RecordError):
                 raise
             return None
+
+    def _examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
+        """Return the verdict that could be carried out now; an approval at the wrong moment leaves the plan on the desk."""
+        desk = self._executor.desk
+        plan = desk.check(plan_id, plan_hash, reviewer)
+        if approve:
+            self._executor.check_start(plan)
+        return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
+
+    def _carry_out(self, verdict: Verdict) -> str:
+        """Apply a verdict that was recorded, if it still can be; return a sentence."""
+        self._examine(verdict.plan_id, verdict.plan_hash, verdict.approved, verdict.reviewer)
+        plan = self._executor.desk.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
+        if not verdict.approved:
+            return f"plan {plan.id} rejected by {verdict.reviewer}"
+        self._executor.begin(plan, f"approved by {verdict.reviewer}")
+        return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
+
+    def _withdraw(self, plan_id: str, reason: str) -> None:
+        """Take a plan off the desk, if it still lies there."""
+        executor = self._executor
+        if executor.desk.plan is not None and executor.desk.plan.id == plan_id:
+            executor.turn_down(executor.desk.clear(), reason)
 
     def _prove(self, plan_id: str) -> None:
         """Prove the named plan's hash once, outside of the lock: a plan cannot change, so that it holds when it is carried out."""

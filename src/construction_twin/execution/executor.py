@@ -27,7 +27,7 @@ from construction_twin.execution.states import (
 )
 from construction_twin.execution.stopping import distance_along
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
-from construction_twin.review.queue import APPROVED, EXECUTOR, REJECTED, WITHDRAWN, Ending, ReviewDesk, Verdict
+from construction_twin.review.queue import EXECUTOR, WITHDRAWN, Ending, ReviewDesk, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -113,14 +113,20 @@ class Executor:
         return self._playback.start if self._playback else 0
 
     @property
+    def _run(self) -> Playback:
+        """The execution that is under way, or the last one; there is one in every state in which it is asked for."""
+        assert self._playback is not None
+        return self._playback
+
+    @property
     def rate(self) -> float:
         """Present fraction of the planned speed, 0 to 1; 0 when nothing is played."""
-        return self._playback.rate if self.state in ACTIVE else 0.0
+        return self._run.rate if self.state in ACTIVE else 0.0
 
     @property
     def steady(self) -> bool:
         """True when the rate does not change at the moment."""
-        return self.state not in ACTIVE or self._playback.steady
+        return self.state not in ACTIVE or self._run.steady
 
     # -- inputs
 
@@ -161,7 +167,7 @@ class Executor:
         before = self.desk.scene
         reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
         self.turn_down(self.desk.on_scene(scene), f"{reason}; plan again")
-        if self.state in ACTIVE and scene != self.plan.scene:
+        if self.state in ACTIVE and scene != self._run.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
 
     def limit_rate(self, factor: float, reason: str = "") -> None:
@@ -193,56 +199,44 @@ class Executor:
         if not self.limit.standing:
             self._on(ExecutorEvent.STALLED, reason)
 
-    # -- review
+    # -- the desk, and the start of a plan
 
     def offer(self, plan: Plan) -> None:
         """Put a plan on the desk in place of the one before; ReviewError when it cannot be reviewed."""
         self.turn_down(self.desk.offer(plan), f"replaced by plan {plan.id}")
 
-    def examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
-        """Return the verdict that could be carried out now; nothing is changed.
+    def check_start(self, plan: Plan) -> None:
+        """Check that the plan on the desk may start now.
 
         Raises
         ------
         ReviewError
-            When it cannot be taken; an approval that came at the wrong moment leaves the plan on the desk.
+            Naming what is against it.
         """
-        self.desk.check(plan_id, plan_hash, reviewer)
-        plan = self.desk.plan
-        if approve:
-            self._check_start(plan)
-        return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
+        if self.state is not ExecutorState.IDLE:
+            raise ReviewError(f"the executor is {self.state.name} ({self.reason}); approve when it is idle")
+        if self._sync is not SyncState.IN_SYNC:
+            raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
+        if self._unarmed:
+            raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
+        if problem := self.neighbour.problem(plan.id):
+            raise ReviewError(f"plan {plan.id} may not start: {problem}")
+        self.desk.check_scene()
+        assert self._setpoint is not None  # in IDLE there always is one
+        check_start_pose(plan, self._setpoint, self._robot)
 
-    def carry_out(self, verdict: Verdict) -> str:
-        """Apply a verdict that was recorded; an approval starts the plan with the next cycle.
-
-        Returns
-        -------
-        sentence : str
-
-        Raises
-        ------
-        ReviewError
-            When it cannot be taken any more.
-        """
-        self.examine(verdict.plan_id, verdict.plan_hash, verdict.approved, verdict.reviewer)
-        plan = self.desk.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
-        if not verdict.approved:
-            return f"plan {plan.id} rejected by {verdict.reviewer}"
-        self._approved = plan
-        self._on(ExecutorEvent.APPROVED, f"approved by {verdict.reviewer}")
-        return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
-
-    def ready_to_approve(self) -> bool:
-        """Return whether a plan is on the desk and neither state nor missing scene stands against approving it."""
+    def is_ready(self) -> bool:
+        """Return whether a plan is on the desk and neither state nor missing scene is against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
-        ready = ready and self.desk.plan is not None and bool(self.desk.scene) and self.desk.scene_alive
-        return ready and not self.neighbour.problem(self.desk.plan.id)
+        plan = self.desk.plan
+        if not ready or plan is None or not self.desk.scene or not self.desk.scene_alive:
+            return False
+        return not self.neighbour.problem(plan.id)
 
-    def withdraw(self, plan_id: str, reason: str) -> None:
-        """Take a plan off the desk, if it still lies there."""
-        if self.desk.plan is not None and self.desk.plan.id == plan_id:
-            self.turn_down(self.desk.clear(), reason)
+    def begin(self, plan: Plan, reason: str) -> None:
+        """Play a plan that was approved, from the next cycle on; `Approval` has checked and recorded it."""
+        self._approved = plan
+        self._on(ExecutorEvent.APPROVED, reason)
 
     def turn_down(self, plan: Plan | None, reason: str) -> None:
         """Tell that a plan is not, or no longer, on the desk."""
@@ -266,17 +260,17 @@ class Executor:
             return f"nothing is playing ({self.state.name})"
         if self.plan_start == 0:
             self._on(ExecutorEvent.STOP, "stopped before it began")
-            return f"plan {self.plan.id} had not begun"
+            return f"plan {self._run.plan.id} had not begun"
         brakes = self.state is ExecutorState.STOPPING
         self._on(ExecutorEvent.STOP, "stop requested")
         if brakes:
-            return f"plan {self.plan.id} is braking already"
+            return f"plan {self._run.plan.id} is braking already"
         stopping = self.state is ExecutorState.STOPPING
-        return f"braking plan {self.plan.id}" if stopping else f"plan {self.plan.id} ended at rest"
+        return f"braking plan {self._run.plan.id}" if stopping else f"plan {self._run.plan.id} ended at rest"
 
     def braking(self) -> Braking | None:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
-        return self._playback.braking(self.lag) if self.state is ExecutorState.STOPPING else None
+        return self._run.braking(self.lag) if self.state is ExecutorState.STOPPING else None
 
     def pause(self, now: int) -> str:
         """Brake along the path smoothly and rest on it; return a sentence. Plans asked for until `now` [ns] and not here are void.
@@ -293,10 +287,12 @@ class Executor:
             self.desk.void_coming(now)
         self._on(ExecutorEvent.PAUSE, "pause requested")
         if before is ExecutorState.HELD:
-            return f"plan {self.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
+            return (
+                f"plan {self._run.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
+            )
         if before is not ExecutorState.PLAYING:
-            return f"plan {self.plan.id} is {before.name} already"
-        return f"plan {self.plan.id} comes to rest on its path; resume goes on"
+            return f"plan {self._run.plan.id} is {before.name} already"
+        return f"plan {self._run.plan.id} comes to rest on its path; resume goes on"
 
     def resume(self) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
@@ -312,11 +308,11 @@ class Executor:
             raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
         if self._unarmed:
             raise ExecutionError(f"the arm is not armed ({self._unarmed}); resume when it is")
-        if problem := self.neighbour.problem(self.plan.id):
-            raise ExecutionError(f"plan {self.plan.id} may not go on: {problem}")
+        if problem := self.neighbour.problem(self._run.plan.id):
+            raise ExecutionError(f"plan {self._run.plan.id} may not go on: {problem}")
         self._on(ExecutorEvent.RESUME, "resumed")
-        rest = self.plan.trajectory.duration - self._playback.elapsed
-        return f"plan {self.plan.id} goes on; {rest:.3f} s of it are left"
+        rest = self._run.plan.trajectory.duration - self._run.elapsed
+        return f"plan {self._run.plan.id} goes on; {rest:.3f} s of it are left"
 
     # -- output
 
@@ -324,9 +320,9 @@ class Executor:
         """Return the setpoint for the cycle with nominal stamp `stamp` [ns], or None when nothing may be sent."""
         self.neighbour.now = now
         if self.state in ACTIVE and self.state is not ExecutorState.STOPPING:
-            if problem := self.neighbour.problem(self.plan.id):
+            if problem := self.neighbour.problem(self._run.plan.id):
                 self._on(ExecutorEvent.STOP, problem)
-        if self.state is ExecutorState.WAITING and self._agreed and self._twin_fresh(now):
+        if self.state is ExecutorState.WAITING and self._agreed and self._fresh_twin(now) is not None:
             self._on(ExecutorEvent.AGREED, "twin and physical arm agree")
         if self.state is ExecutorState.WAITING:
             return None
@@ -334,20 +330,21 @@ class Executor:
             return self._repeat_twin(stamp, now)
         return self._advance(stamp)
 
-    def _twin_fresh(self, now: int) -> bool:
-        return self._twin is not None and now - self._twin.received <= TWIN_TIMEOUT
+    def _fresh_twin(self, now: int) -> TwinPose | None:
+        return self._twin if self._twin is not None and now - self._twin.received <= TWIN_TIMEOUT else None
 
     def _repeat_twin(self, stamp: int, now: int) -> tuple[float, ...] | None:
-        if not self._twin_fresh(now):
+        twin = self._fresh_twin(now)
+        if twin is None:
             self._on(ExecutorEvent.TWIN_LOST, "the twin's pose is not known")
             return None
         # until the twin has executed the last setpoint it is still on the way there; repeating its pose would step back
-        if self._twin.stamp >= self._setpoint_stamp:
-            self._setpoint = self._twin.q
+        if twin.stamp >= self._setpoint_stamp:
+            self._setpoint = twin.q
         return self._setpoint
 
     def _advance(self, stamp: int) -> tuple[float, ...]:
-        playback = self._playback
+        playback = self._run
         if self.state is ExecutorState.STOPPING:
             self._setpoint = playback.brake(stamp)
             self._stopping.append(self._setpoint)
@@ -369,20 +366,6 @@ class Executor:
             self._say()
         return self._setpoint
 
-    # -- plans
-
-    def _check_start(self, plan: Plan) -> None:
-        if self.state is not ExecutorState.IDLE:
-            raise ReviewError(f"the executor is {self.state.name} ({self.reason}); approve when it is idle")
-        if self._sync is not SyncState.IN_SYNC:
-            raise ReviewError(f"twin and physical arm are not in sync ({self._sync.name}); approve when they are")
-        if self._unarmed:
-            raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
-        if problem := self.neighbour.problem(plan.id):
-            raise ReviewError(f"plan {plan.id} may not start: {problem}")
-        self.desk.check_scene()
-        check_start_pose(plan, self._setpoint, self._robot)
-
     # -- the table
 
     def _on(self, event: ExecutorEvent, reason: str = "") -> None:
@@ -396,28 +379,31 @@ class Executor:
         if guard is Guard.BEGUN:
             return self.plan_start != 0
         if guard is Guard.KNOWN:
-            return self._playback.knows(self._passed)
+            return self._run.knows(self._passed)
         return self._paused if guard is Guard.PAUSED else True
 
     def _follow(self, row: Row, reason: str) -> None:
         action = row.action
         if action is Action.START_FROM_TWIN:
+            assert self._twin is not None  # the event says that its pose is known
             self._setpoint, self._setpoint_stamp = self._twin.q, 0
         elif action is Action.FORGET_TWIN:
             self._twin, self._agreed, self._setpoint = None, False, None
         elif action is Action.PLAY:
+            assert self._approved is not None  # `begin` has set it
             self._playback, self.outcome = Playback(self._approved, self._robot), ""
         elif action is Action.BRAKE:
+            assert self._setpoint is not None  # the row's guard: one was sent
             self._stopping = [self._setpoint]
         elif action is Action.STAND:
-            self._playback.rest_where(self._passed)
+            self._run.rest_where(self._passed)
             self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
         elif action is Action.NOTE_PAUSE:
             self._paused = True
         sentence = self._sentence(row, reason)
         if action in OUTCOMES:
             self.outcome = OUTCOMES[action]
-            self._events.append(Ending(self.plan, self.outcome, sentence))
+            self._events.append(Ending(self._run.plan, self.outcome, sentence))
         # a restart is told although the state stays
         if row.target is not row.state or action is Action.FORGET_TWIN:
             self._enter(row.target, sentence)
@@ -428,11 +414,11 @@ class Executor:
             if row.state is ExecutorState.STOPPING:
                 return f"{self.cause}; {reason}"
             if row.action is Action.LOSE:
-                return f"{reason} at a setpoint that is not known to be of plan {self.plan.id}"
-            where = f"{self._playback.elapsed:.3f} s into the plan"
+                return f"{reason} at a setpoint that is not known to be of plan {self._run.plan.id}"
+            where = f"{self._run.elapsed:.3f} s into the plan"
             return f"{reason} {where}; goes on by itself when twin and arm agree again"
         if row.target is ExecutorState.PAUSED:
-            return f"at rest {self._playback.elapsed:.3f} s into the plan; resume goes on"
+            return f"at rest {self._run.elapsed:.3f} s into the plan; resume goes on"
         if row.event is ExecutorEvent.GATE_OPENS:
             return "twin and arm agree again; the same approval covers the rest"
         if row.event is ExecutorEvent.AT_REST:

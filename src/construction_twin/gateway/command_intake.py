@@ -63,10 +63,9 @@ class CommandIntake:
             raise PayloadError("properties", "command without session, seq and stamp")
         return self._stream.read(payload, properties, now)
 
-    def start(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take the first command of a stream; MotionRefused when it is out of range, or away from the held pose (``start``)."""
+    def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...]) -> None:
+        """Take the first command of a stream; MotionRefused when it is out of range, or away from the `held` pose (``start``)."""
         self._limits.check_range(q)
-        held = self._player.follower.position
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
         if off is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.travel_time import MAX_DRIFT
+from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -35,6 +35,7 @@ class CommandStream:
         self._codec = codec
         # a sender that has been silent for longer has been given up
         self._longest_wait = round((config.playout_delay_max + config.silence) * NANOSECONDS)
+        self._travel_time = TravelTime()
         self.begin("")
 
     def begin(self, session: str) -> None:
@@ -45,8 +46,7 @@ class CommandStream:
         self._sequence = 0
         # bit k: the number k below the newest was taken
         self._taken = 0
-        self._quickest: int | None = None
-        self._quickest_at = 0
+        self._travel_time.restart()
         self._last_q: tuple[float, ...] = ()
         self._begin_block()
 
@@ -93,7 +93,7 @@ class CommandStream:
             # nor would the count of what was lost mean anything
             raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}: no stream loses so many")
         q = self._codec.decode(payload)
-        self._check_age(now - properties.stamp, now)
+        self._check_age(properties.stamp, now)
         self._sequence = properties.seq
         self._taken = 1 if step >= REMEMBERED else (self._taken << step | 1) & _ALL
         return properties.stamp, q, step - 1
@@ -106,15 +106,11 @@ class CommandStream:
             return PayloadError("duplicate", f"{text}: it was taken before")
         return PayloadError("reordered", f"{text}: a newer one came first")
 
-    def _check_age(self, travelled: int, now: int) -> None:
-        quickest = travelled
-        if self._quickest is not None:
-            # forgotten at the rate at which two clocks may drift apart, or a slow one would make every command look old
-            quickest = min(travelled, self._quickest + round((now - self._quickest_at) * MAX_DRIFT))
-        late = (travelled - quickest) / NANOSECONDS
+    def _check_age(self, stamp: int, now: int) -> None:
+        late = self._travel_time.excess(stamp, now) / NANOSECONDS
         if late > self._config.max_age:
             raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
-        self._quickest, self._quickest_at = quickest, now
+        self._travel_time.take(stamp, now)
 
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.

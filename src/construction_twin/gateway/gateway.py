@@ -236,7 +236,9 @@ class Gateway:
         machine = self._machine
         if machine.state is State.FOLLOWING:
             # in commissioning mode the arm does not do what the player does
-            position = self._player.play(elapsed, self._controller.measured if self.mode is Mode.NORMAL else ())
+            position = self._player.play(
+                follower, elapsed, self._controller.measured if self.mode is Mode.NORMAL else ()
+            )
             overdue = self._player.overdue
             if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
@@ -336,7 +338,8 @@ class Gateway:
         self.counters["commands_received"] += 1
 
     def _on_stream_began(self, event: Event, occasion: Occasion) -> None:
-        self._stream.start(occasion.stamp, occasion.q)
+        if self._player.follower is not None:
+            self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
 
     # -- control
 

@@ -21,17 +21,18 @@ class BoundedQueueHandler(QueueHandler):
 
     def __init__(self, records: SimpleQueue):
         super().__init__(records)
+        self._records = records
         self.dropped = 0
 
     def enqueue(self, record: logging.LogRecord) -> None:
         """Put a record into the queue, or drop it."""
-        if self.queue.qsize() >= WAITING:
+        if self._records.qsize() >= WAITING:
             self.dropped += 1
             return
         if self.dropped:
             record.msg = f"{record.getMessage()} ({self.dropped} lines before this one were dropped: nobody read them)"
             record.args, self.dropped = None, 0
-        self.queue.put_nowait(record)
+        self._records.put_nowait(record)
 
 
 def log_beside_the_loop() -> QueueListener:

@@ -92,23 +92,25 @@ class Player:
         if not self._playout.push(stamp, q, waited):
             self._counters["commands_late"] += 1
 
-    def play(self, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
-        """Move on by `elapsed` [ns] and return the position to send [rad]; the arm is at `measured` [rad]."""
+    def play(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
+        """Move `follower`, the present one, on by `elapsed` [ns] and return the position to send [rad].
+
+        `measured` is where the arm is [rad]; () when it is not known.
+        """
         self.stamp, target = self._playout.advance(elapsed)
         if self._playout.silence:
             # where the motion would have gone on, nobody has said
             self._counters["cycles_without_command"] += 1
-            return self._brake(elapsed, measured)
+            return self._brake(follower, elapsed, measured)
         self.braking = None
         if self._smoother is not None:
             target = self._smoother.smooth(target)
-        position = self.follower.follow(target)
-        if self.follower.settling:
+        position = follower.follow(target)
+        if follower.settling:
             self._counters["settling"] += 1
         return position
 
-    def _brake(self, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
-        follower = self.follower
+    def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:
             self.braking = Braking(follower, measured)
         if not follower.at_rest:

@@ -123,8 +123,9 @@ class Playout:
 
     def limit(self, fraction: float) -> None:
         """Allow every joint this fraction of its velocity limit, 0 to 1; the path stays the same."""
-        self._governor.limit(fraction)
-        self._governed = self._governor.active
+        if self._governor is not None:
+            self._governor.limit(fraction)
+            self._governed = self._governor.active
 
     @property
     def shortfall(self) -> int:
@@ -203,8 +204,8 @@ class Playout:
             self._choose_delay()
         if self._slew.moving:
             self._move()
-        if self._governed:
-            self._hold_back(before, elapsed)
+        if self._governed and self._governor is not None:
+            self._hold_back(self._governor, before, elapsed)
         now, commands = self._now, self._commands
         while len(commands) > 1 and commands[1][0] <= now:
             self._before = commands.popleft()
@@ -259,20 +260,20 @@ class Playout:
         if self._put_off:
             self._put_off = max(0, min(self._put_off, self._slew.remaining))
 
-    def _hold_back(self, before: int, elapsed: int) -> None:
+    def _hold_back(self, governor: Governor, before: int, elapsed: int) -> None:
         """Take back what of a cycle's advance the speed limit does not allow; it is made up for as a delay that is too long."""
         commands = self._commands
         if before < commands[0][0] or self._rests:
-            self._governor.restart()
+            governor.restart()
         else:
             wanted = self._now - before
-            advance = self._governor.advance(commands, wanted, elapsed, lambda step: self._target(before + step))
+            advance = governor.advance(commands, wanted, elapsed, lambda step: self._target(before + step))
             if advance < wanted:
                 self._now = before + advance
                 self._slew.remaining += wanted - advance
                 self._put_off += wanted - advance
                 self._pace = CATCH_UP
-        self._governed = self._governor.active
+        self._governed = governor.active
 
     def _target(self, stamp: int) -> Pose:
         """Return the pose at a stamp [ns] not far ahead of playout time, without moving on."""

@@ -353,7 +353,7 @@ class GatewayService:
             self._refuse_retained("control")
             return
         try:
-            control = parse_control(message.payload)
+            control = parse_control(bytes(message.payload))
         except PayloadError as error:
             self.gateway.refusals.message(error.reason, error)
             self._log(logging.WARNING, f"refused on {error.reason}", str(error))

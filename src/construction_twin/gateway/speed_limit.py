@@ -67,7 +67,7 @@ class SpeedLimit:
         """Tell whether this message, one without a `refusal`, or a later one of its session came before: a copy, or a recording."""
         number = message_number(control.id)
         session, last = self._numbered
-        if control.session == session and number <= last:
+        if number is None or (control.session == session and number <= last):
             return True
         self._numbered = control.session, number
         return False

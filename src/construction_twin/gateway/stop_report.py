@@ -1,4 +1,7 @@
-"""What a stop does: the way to rest, stated when braking begins, and what it was in the end. Standard library only; rad, m, s."""
+"""What a stop does: the distance to rest, stated when braking begins, and what it was in the end.
+
+Standard library only; rad, m, s.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +19,17 @@ class Braking:
     follower : Follower
     measured : tuple of float, shape (n,)
         Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when it does not do what the follower does,
-        or is not known: then the way is the follower's.
+        or is not known: then the distance is the follower's.
     """
 
     def __init__(self, follower: Follower, measured: tuple[float, ...]):
-        ways, cycles = follower.braking()
+        distances, cycles = follower.braking()
         #: Where the arm was when it began [rad], [m].
         self.start = measured or follower.position
-        #: Way of each axis to rest, what it is behind included [rad], [m].
-        self.distance = tuple([way + abs(q - at) for way, q, at in zip(ways, follower.position, self.start)])
+        #: Distance of each axis to rest, including what it is behind [rad], [m].
+        self.distance = tuple(
+            [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self.start)]
+        )
         #: Time until the corrections rest [s].
         self.time = cycles * CYCLE_NS / NANOSECONDS
         #: What it has taken so far [ns].
@@ -44,7 +49,7 @@ class StopReport:
         self._linear = linear
         #: What the gateway braked for: ``silence``, ``refused``, ``stop``, ``speed_limit``, ``drift``; "" before the first stop.
         self.cause = ""
-        #: Way of each axis and time to rest, as stated when braking began [rad], [m]; [s].
+        #: Distance of each axis and time to rest, as stated when braking began [rad], [m]; [s].
         self.distance: tuple[float, ...] = ()
         self.time = 0.0
         #: The same as it was in the end, from where the arm was to where it is told to rest; empty and None until then.
@@ -53,26 +58,26 @@ class StopReport:
         self._braking: Braking | None = None
 
     def begin(self, cause: str, follower: Follower, measured: tuple[float, ...], begun: Braking | None = None) -> None:
-        """State the way to rest; call it when braking begins, or with what has `begun` before anybody called it a stop."""
+        """State the distance to rest; call it when braking begins, or with what has `begun` before anybody called it a stop."""
         braking = begun or Braking(follower, measured)
         self.cause, self._braking = cause, braking
         self.distance, self.time = braking.distance, braking.time
         self.moved, self.took = (), None
         if begun and follower.at_rest:
-            self.end(follower)
+            self._end(braking, follower)
 
     def advance(self, follower: Follower, elapsed: int) -> None:
         """Take note of a step of braking that took `elapsed` [ns] of the controller's time."""
-        if self.took is not None:
+        braking = self._braking
+        if self.took is not None or braking is None:
             return
-        self._braking.elapsed += elapsed
+        braking.elapsed += elapsed
         if follower.at_rest:
-            self.end(follower)
+            self._end(braking, follower)
 
-    def end(self, follower: Follower) -> None:
-        """The arm is at rest."""
-        self.moved = tuple([abs(end - start) for start, end in zip(self._braking.start, follower.position)])
-        self.took = self._braking.elapsed / NANOSECONDS
+    def _end(self, braking: Braking, follower: Follower) -> None:
+        self.moved = tuple([abs(end - start) for start, end in zip(braking.start, follower.position)])
+        self.took = braking.elapsed / NANOSECONDS
 
     def report(self) -> dict:
         """Return what the status says: deg, mm for linear axes, and s."""
@@ -84,9 +89,9 @@ class StopReport:
             "took_s": self.took,
         }
 
-    def _for_people(self, ways: tuple[float, ...]) -> list[float]:
+    def _for_people(self, distances: tuple[float, ...]) -> list[float]:
         # rounded up: what is stated is never less than what it stands for
         return [
-            math.ceil(1e6 * (1e3 * way if slides else math.degrees(way))) / 1e6
-            for way, slides in zip(ways, self._linear)
+            math.ceil(1e6 * (1e3 * distance if linear else math.degrees(distance))) / 1e6
+            for distance, linear in zip(distances, self._linear)
         ]

@@ -327,7 +327,7 @@ class Gate:
     def watch(self, now: int) -> None:
         """Close an open gate when feedback has gone stale, give up on a closed one: also while nobody sends theta_next."""
         if self.state is SyncState.IN_SYNC:
-            if self.settings.compares and not self._fresh(now):
+            if self.settings.compares and not self._fresh(now) and self._heard is not None:
                 age = (now - self._heard) / NANOSECONDS
                 self._close(SyncEvent.FEEDBACK_STALE, f"last comparable feedback is {age:.3f} s old", now)
         elif self.state in HELD_STATES and now - self._closed_at > self.settings.give_up_time * NANOSECONDS:
@@ -382,7 +382,10 @@ class Gate:
         if late > LATEST:
             self._obstacle = f"theta_next is late; {_TOO_LATE}"
             return
-        held = self.comparison.twin.latest[1] if self.state is SyncState.WAITING else self._check.position
+        latest = self.comparison.twin.latest
+        if latest is None:
+            return
+        held = latest[1] if self.state is SyncState.WAITING else self._check.position
         try:
             trial = MotionCheck(self._limits, self._codec.decimals)
             trial.start(stamp - CYCLE_NS, self._codec.quantise(held))

@@ -46,8 +46,8 @@ class ReplanGoals:
         self, plan_id: str, goal: Sequence[float], velocity_use: Sequence[float], acceleration_use: Sequence[float]
     ) -> None:
         """Take a plan that was offered; its use of the limits per joint, as measured by the planner."""
-        fractions = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
-        self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), *fractions)
+        speed, acceleration = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
+        self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), speed, acceleration)
         played = self._execution[0]
         old = [known for known in self._goals if known not in (played, plan_id)]
         for known in old[: max(len(old) - KEPT, 0)]:
@@ -66,5 +66,6 @@ class ReplanGoals:
         """
         played, playing, seen = self._execution
         found = self._goals.get(played) if playing else None
-        moves = found is not None and found.speed_scale > 0.0 and found.acceleration_scale > 0.0
-        return replace(found, seen=seen) if moves else None
+        if found is None or found.speed_scale <= 0.0 or found.acceleration_scale <= 0.0:
+            return None
+        return replace(found, seen=seen)

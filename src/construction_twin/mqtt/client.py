@@ -15,6 +15,7 @@ from typing import Any
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.core.errors import ConfigurationError
@@ -124,7 +125,7 @@ def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[object], None]) -> None:
+def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[ReasonCode], None]) -> None:
     """Call `on_refused` with the reason code when the broker's access rules refuse one message that was just published.
 
     For one message only: a callback for every published message would cost time with each command. MQTT 3.1.1 has no such answer.

@@ -197,9 +197,18 @@ class FastClient(PlainClient):
             self._send_rest(packet, sent)
 
     def _send_rest(self, packet: bytes, sent: int) -> None:
-        record = {"command": paho.PUBLISH, "mid": 0, "qos": 0, "packet": packet, "info": paho.MQTTMessageInfo(0)}
         # before what other threads have queued since: a packet that was begun is sent to its end first
-        self._out_packet.appendleft({**record, "pos": sent, "to_process": len(packet) - sent})
+        self._out_packet.appendleft(
+            {
+                "command": paho.PUBLISH,
+                "mid": 0,
+                "qos": 0,
+                "pos": sent,
+                "to_process": len(packet) - sent,
+                "packet": packet,
+                "info": paho.MQTTMessageInfo(0),
+            }
+        )
         # a callback must not find the connection lost while paho calls it; the loop goes on then
         if self._in_callback_mutex.acquire(False):
             self._in_callback_mutex.release()
@@ -219,18 +228,21 @@ class FastClient(PlainClient):
 
     def _packet_read(self) -> MQTTErrorCode:
         """Take the next packet in one piece where it is a joint string; otherwise nothing was taken, and paho reads it."""
-        sock = self._sock
-        # bytes of TLS can not be looked at in advance
-        in_tcp = type(sock) is socket.socket and self._protocol == MQTTProtocolVersion.MQTTv5
-        if self._in_packet["command"] or not in_tcp:
+        sock: object = self._sock
+        # only a TCP socket shows bytes without taking them; a TLS socket does not
+        if (
+            type(sock) is not socket.socket
+            or self._protocol != MQTTProtocolVersion.MQTTv5
+            or self._in_packet["command"]
+        ):
             return super()._packet_read()
         try:
             ahead = sock.recv(_AHEAD, socket.MSG_PEEK)
         except OSError:
             return super()._packet_read()
         span = whole_publish(ahead)
-        plain = read_plain(ahead[span[0] : span[1]]) if span else None
-        if plain is None:
+        plain = read_plain(ahead[span[0] : span[1]]) if span is not None else None
+        if span is None or plain is None:
             return super()._packet_read()
         try:
             sock.recv(span[1])
@@ -246,7 +258,7 @@ class FastClient(PlainClient):
         header = self._in_packet["command"]
         plain = None
         if self._protocol == MQTTProtocolVersion.MQTTv5 and not header & 0x0E:
-            plain = read_plain(self._in_packet["packet"])
+            plain = read_plain(bytes(self._in_packet["packet"]))
         if plain is None:
             return super()._handle_publish()
         self._deliver(plain, bool(header & 1))
@@ -259,7 +271,8 @@ class FastClient(PlainClient):
             callback(payload, properties.UserProperty, retained)
             return
         message = paho.MQTTMessage(topic=topic)
-        message.retain, message.properties, message.payload = retained, properties, payload
+        message.retain, message.payload = retained, payload
+        message.properties = properties  # type: ignore[assignment]  # has what paho's users read of it: UserProperty
         self._handle_on_message(message)
 
 

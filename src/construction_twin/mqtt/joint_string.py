@@ -111,7 +111,7 @@ class JointStringCodec:
         if not all(map(math.isfinite, q)):
             raise PayloadError("values", f"joint values {tuple(q)} are not all finite numbers")
         if self._mapping:
-            q = [sign * value + offset for value, (sign, offset) in zip(q, self._mapping)]
+            q = tuple([sign * value + offset for value, (sign, offset) in zip(q, self._mapping)])
         if self._fields is None:
             text = self._template % degrees(q)
         else:

@@ -100,8 +100,8 @@ class PolledClient:
                 self.client.loop_read(1)
             self.client.loop_misc()
         wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if self.client.want_write() else 0)
-        if self.client.socket() is self._registered and wanted != self._events:
-            self._selector.modify(self._registered, wanted, self)
+        if self.client.socket() is sock and wanted != self._events:
+            self._selector.modify(sock, wanted, self)
             self._events = wanted
 
     def _decrypted(self) -> bool:
@@ -114,7 +114,7 @@ class PolledClient:
         sock = self.client.socket()
         # paho closes its socket at once; with an answer still unread the broker would see a reset, and could lose our last words.
         # Of a TLS socket the TCP socket below is kept: what comes in is not read, only waited for
-        line = socket.fromfd(sock.fileno(), sock.family, sock.type) if sock is not None else None
+        line = socket.fromfd(sock.fileno(), sock.family, sock.type) if isinstance(sock, socket.socket) else None
         self.client.disconnect()
         deadline = time.monotonic() + 1.0
         while self.client.want_write() and time.monotonic() < deadline:

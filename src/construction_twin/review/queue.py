@@ -140,11 +140,12 @@ class ReviewDesk:
         ------
         ReviewError
         """
-        self.check(plan_id, plan_hash, reviewer)
-        return self.clear()
+        plan = self.check(plan_id, plan_hash, reviewer)
+        self.clear()
+        return plan
 
-    def check(self, plan_id: str, plan_hash: str, reviewer: str) -> None:
-        """Raise ReviewError when a verdict on this plan by this reviewer cannot be taken."""
+    def check(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
+        """Return the named plan; raise ReviewError when a verdict on it by this reviewer cannot be taken."""
         if not reviewer.strip():
             raise ReviewError("a verdict needs the reviewer's name")
         if plan_id in self._decided:
@@ -156,10 +157,13 @@ class ReviewDesk:
             raise ReviewError(f"plan {plan_id} is not under review; {waiting}")
         if plan_hash and plan_hash != self.plan.hash:
             raise ReviewError(f"plan {plan_id} has hash {self.plan.hash}, not {plan_hash}; look at it again")
+        return self.plan
 
     def check_scene(self) -> None:
         """Raise ReviewError when the plan on the desk must not be executed: no scene is known, or it was made for another."""
         plan = self.plan
+        if plan is None:
+            raise ReviewError("no plan is under review")
         if not self.scene:
             raise ReviewError(
                 f"plan {plan.id} cannot be approved: no scene is known yet; check that the scene node runs"

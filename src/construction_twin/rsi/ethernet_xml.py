@@ -248,11 +248,12 @@ def _section(root: ElementTree.Element, name: str, where: str) -> ElementTree.El
 
 def _text(config: ElementTree.Element, name: str, where: str) -> str:
     found = config.findall(name)
-    if len(found) != 1 or not (found[0].text or "").strip():
+    texts = [(element.text or "").strip() for element in found]
+    if len(texts) != 1 or not texts[0]:
         raise EthernetXmlError(
             where, f"CONFIG/{name}", [element.text for element in found] or None, "one, with a value"
         )
-    return found[0].text.strip()
+    return texts[0]
 
 
 def _port(config: ElementTree.Element, where: str) -> int:

@@ -98,7 +98,7 @@ class RobotDecoder:
         TelegramError
             With the reason (see `telegram`) when anything read is not as the protocol says.
         """
-        known = self._shape and self._of_shape(data)
+        known = self._of_shape(self._shape, data) if self._shape is not None else None
         if known:
             return known
         found = find_children(read_document(data, "Rob"), self._wanted)
@@ -118,13 +118,13 @@ class RobotDecoder:
     def _learn(self, data: bytes, telegram: RobotTelegram) -> None:
         self._look_in = LOOK_AGAIN
         self._shape = TelegramShape.of(data, self._in_shape)
-        if self._shape and self._of_shape(data) != telegram:
+        if self._shape is not None and self._of_shape(self._shape, data) != telegram:
             # the same words stand elsewhere too, e.g. in an element of an element
             self._shape = None
 
-    def _of_shape(self, data: bytes) -> RobotTelegram | None:
+    def _of_shape(self, shape: TelegramShape, data: bytes) -> RobotTelegram | None:
         """Read a telegram that looks like the last one; None when it does not, or when it is to be refused."""
-        found = self._shape.read(data)
+        found = shape.read(data)
         if found is None:
             return None
         ipoc, (*texts, delay) = found
@@ -140,11 +140,11 @@ class RobotDecoder:
         return tuple([float(text) * factor - zero for text, (factor, zero) in zip(texts, self._scale)])
 
     def _positions(self, found: dict, blocks: tuple[str, ...]) -> tuple[float, ...] | None:
-        elements = [found.get(block) for block in blocks]
-        if None in elements:
-            if elements.count(None) == len(elements):
+        elements = [found[block] for block in blocks if block in found]
+        if len(elements) != len(blocks):
+            if not elements:
                 return None
-            missing = blocks[elements.index(None)]
+            missing = next(block for block in blocks if block not in found)
             raise TelegramError("element", f"the telegram has no {missing}, but another block of the same kind")
         texts = [elements[block].get(axis) for block, axis in self._slots]
         for text in texts:

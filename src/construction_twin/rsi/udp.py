@@ -49,7 +49,7 @@ def address_of(host: str, option: str) -> str:
         When the name is not known, or stands for several addresses.
     """
     try:
-        found = {entry[4][0] for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
+        found = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
     except (OSError, ValueError) as error:
         expected = f"an IPv4 address, or a name that this machine can look up ({error})"
         raise ConfigurationError(option, host, expected) from error

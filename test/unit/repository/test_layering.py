@@ -96,7 +96,7 @@ def undocumented(path: Path) -> list[str]:
     tree = ast.parse(path.read_text())
     missing = [] if ast.get_docstring(tree) or not tree.body else ["module"]
 
-    def look(node, prefix: str) -> None:
+    def visit(node, prefix: str) -> None:
         for child in node.body:
             if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or child.name.startswith(
                 "_"
@@ -105,9 +105,9 @@ def undocumented(path: Path) -> list[str]:
             if not ast.get_docstring(child):
                 missing.append(prefix + child.name)
             if isinstance(child, ast.ClassDef):
-                look(child, prefix + child.name + ".")
+                visit(child, prefix + child.name + ".")
 
-    look(tree, "")
+    visit(tree, "")
     return missing
 
 
@@ -116,11 +116,11 @@ def test_every_public_name_has_a_docstring(path):
     assert undocumented(path) == []
 
 
-#: The functions that may catch every exception, one handler each. - The gateway's: after it the last resort answers RSI, and no
-#: command is taken any more. Without it an error in a status message would end the answers, and the controller would stop the
-#: arm dead from full speed. - The subscriber's: rospy would log what a callback did not foresee and go on with the next
-#: message, in a node that has lost its way. The handler hands every exception to `threading.excepthook`, which ends the
-#: process; it swallows nothing.
+#: The functions that may catch every exception, one handler each.
+#: - The gateway's: after it the last resort answers RSI, and no command is taken any more. Without it an error in a status message
+#:   would end the answers, and the controller would stop the arm dead from full speed.
+#: - The subscriber's: rospy would log what a callback did not foresee and go on with the next message, in a node whose state nobody
+#:   knows. The handler hands every exception to `threading.excepthook`, which ends the process; it swallows nothing.
 BROAD = {
     "src/construction_twin/gateway/service.py": "guarded",
     "src/construction_twin/ros/transport/subscriber.py": "_receive",

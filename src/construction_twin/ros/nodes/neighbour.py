@@ -11,7 +11,7 @@ import rospy
 from construction_twin.coordination.conflict import braking_horizon
 from construction_twin.coordination.path_judge import Judgement, Others, PathJudge
 from construction_twin.coordination.plan_book import PlanUnknownError
-from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
@@ -32,9 +32,13 @@ class NeighbourNode:
 
     def __init__(self):
         settings = neighbour_settings()
+        if settings is None:
+            raise ConfigurationError(
+                rospy.resolve_name("neighbour"), None, "config/neighbour.yaml, as launch/twin.launch loads it"
+            )
         robot = robot_from_parameters()
         self._settings = settings
-        self._state = (WARN, "nothing to watch yet", {})
+        self._state: tuple[int, str, dict] = (WARN, "nothing to watch yet", {})
         self._looks, self._longest = 0, 0.0
         self._failure = ""
         self._said: dict[str, tuple[bool, bool]] = {}
@@ -71,12 +75,12 @@ class NeighbourNode:
         verdicts: dict[str, Judgement] = {}
         if followed is not None:
             verdict = self._verdict(
-                others and (lambda: self._judge.followed(followed, scene, others, started, self._poses()))
+                others, lambda known: self._judge.followed(followed, scene, known, started, self._poses())
             )
             verdicts[followed.id] = verdict
             self._publish(followed.id, verdict, stamp)
         if waiting is not None:
-            verdict = self._verdict(others and (lambda: self._judge.waiting(waiting, scene, others)))
+            verdict = self._verdict(others, lambda known: self._judge.waiting(waiting, scene, known))
             verdicts[waiting.id] = verdict
             # one that has begun meanwhile is the next look's: what may not start yet need not stop
             if not (verdict.blocked and self._has_begun(waiting.id)):
@@ -101,11 +105,11 @@ class NeighbourNode:
             return None
         return Others(obstacles, self._other.claim, self._other.unknown, self._other.complete)
 
-    def _verdict(self, judge: Callable[[], Judgement] | None) -> Judgement:
+    def _verdict(self, others: Others | None, judge: Callable[[Others], Judgement]) -> Judgement:
         """Judge a plan; one that cannot be judged must not start, or not go on."""
-        if judge is not None:
+        if others is not None:
             try:
-                return judge()
+                return judge(others)
             except ConstructionTwinError as error:
                 self._failure = f"a plan cannot be compared with {self._settings.name}: {error}"
         return Judgement(True, 0.0, self._failure)

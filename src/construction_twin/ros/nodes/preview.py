@@ -133,7 +133,7 @@ class PreviewNode:
         self._drawn = name
         markers = [Marker(ns="plan", action=Marker.DELETEALL)]
         if plan is not None:
-            markers += plan_markers(picture(plan, lambda q: self._chain.forward(q).position), self._frame)
+            markers += plan_markers(picture(plan, lambda q: self._chain.forward(tuple(q)).position), self._frame)
         self._markers.publish(MarkerArray(markers=markers))
 
     def _report(self) -> tuple[int, str, dict]:

@@ -88,7 +88,7 @@ class SceneNode:
         self._busy = threading.Lock()
         self._touching: dict[tuple[str, str], None] = {}
         self._shown: set[str] = set()
-        self._state = (WARN, "the twin's present pose is not known yet", {})
+        self._state: tuple[int, str, dict] = (WARN, "the twin's present pose is not known yet", {})
         self._edits = 0
         self._diagnostics = NodeDiagnostics(self._robot.name, lambda: self._state)
         self._tf = tf2_ros.Buffer()

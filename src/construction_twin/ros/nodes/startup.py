@@ -67,7 +67,15 @@ class StartupNode:
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        seen = Seen(**words, **{name: True for name in self._came})
+        came = self._came
+        seen = Seen(
+            link=words.get("link"),
+            sync=words.get("sync"),
+            execution=words.get("execution"),
+            feedback="feedback" in came,
+            twin="twin" in came,
+            scene="scene" in came,
+        )
         for line in self._startup.update(seen, time.monotonic()):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)

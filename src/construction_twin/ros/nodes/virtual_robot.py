@@ -80,7 +80,8 @@ class VirtualRobotNode:
     def _on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         with self._lock:
             if self._robot.mirrors:
-                if self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp)):
+                follows = self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp))
+                if follows and self._robot.pose is not None:
                     self._twin.publish(stamp, self._robot.pose)
             elif self._robot.take_over(q):
                 rospy.loginfo("took over the physical arm's pose")

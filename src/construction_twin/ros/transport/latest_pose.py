@@ -68,8 +68,9 @@ class LatestPose:
             self._news.wait_for(lambda: self._looks > looks, NEXT_MESSAGE)
             if not self._news.wait_for(lambda: self._age() <= oldest, patience):
                 raise PoseUnknownError(self._subscriber.resolved_name, self._age(), oldest)
-            _, message = self._newest
-        return joint_values(JointState().deserialize(message._buff), self._names)
+            newest = self._newest
+        assert newest is not None  # its age was finite
+        return joint_values(JointState().deserialize(newest[1]._buff), self._names)
 
     def close(self) -> None:
         """Listen no longer."""

@@ -8,6 +8,7 @@ once. On the wire it is the same message. One that looks different (other names 
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -91,7 +92,7 @@ def _between(names: tuple[str, ...]) -> bytes:
     return bytes(4) + count + b"".join(struct.pack("<I", len(name)) + name for name in encoded) + count
 
 
-def _received_class(kind: type, read) -> type:
+def _received_class(kind: Any, read) -> type:
     class Received(kind):
         def __init__(self):
             self.content = self._data = None
@@ -120,7 +121,7 @@ def _received_class(kind: type, read) -> type:
     return Received
 
 
-def _sent_class(kind: type, write) -> type:
+def _sent_class(kind: Any, write) -> type:
     class Sent(kind):
         # rospy writes a message's number here, under its topic's lock, right before it has the message written
         header = Header()
