@@ -96,10 +96,10 @@ class Site:
             raise ConfigurationError(
                 "--broker-folder", self.folder, "a path without spaces: mosquitto.conf cannot hold them"
             )
-        names = [account.name for account in self.accounts()]
-        if len(set(names)) != len(names):
+        accounts = [account.name for account in self.accounts()]
+        if len(set(accounts)) != len(accounts):
             raise ConfigurationError(
-                "--robot and --tablet", sorted(names), "names that give every account a name of its own"
+                "--robot and --tablet", sorted(accounts), "names that give every account a name of its own"
             )
 
     def accounts(self) -> list[SiteAccount]:

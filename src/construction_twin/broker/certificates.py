@@ -67,9 +67,9 @@ class Authority:
         if not key.exists():
             make_key(key)
         hosts = tuple(hosts)
-        extensions = (*_END, f"extendedKeyUsage={'serverAuth' if hosts else 'clientAuth'}")
+        extensions = [*_END, f"extendedKeyUsage={'serverAuth' if hosts else 'clientAuth'}"]
         if hosts:
-            extensions += (f"subjectAltName={','.join(map(_alternative_name, hosts))}",)
+            extensions.append(f"subjectAltName={','.join(map(_alternative_name, hosts))}")
         signer = ("-CA", self.certificate, "-CAkey", self._key)
         write_private(certificate, _sign(name, key, days, extensions, signer))
 
@@ -89,12 +89,12 @@ def expiry(certificate: Path) -> datetime:
 
 
 def make_key(path: Path) -> None:
-    """Write a new private key; nobody but the owner may read it."""
+    """Write a new private key, readable by its owner only."""
     write_private(path, openssl("genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256"))
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder that nobody but the owner may look into."""
+    """Make a folder that only its owner may open."""
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
 
 

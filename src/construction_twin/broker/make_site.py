@@ -26,7 +26,7 @@ DAYS = 825
 
 
 class SiteFolder:
-    """The files of a site: `ca/`, `broker/` for the broker, `accounts/<name>/` for whoever has that account, `site.json`.
+    """The files of a site: `ca/`, `broker/` for the broker, `accounts/<name>/` for the holder of that account, `site.json`.
 
     Parameters
     ----------

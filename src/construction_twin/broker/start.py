@@ -59,14 +59,14 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _owner() -> str:
-    """Return mosquitto's line that keeps root root: as user mosquitto it could not read the keys of whoever made them."""
+    """Return the line by which mosquitto stays root when root starts it: as user mosquitto it could not read its keys."""
     return f"\nuser {pwd.getpwuid(os.geteuid()).pw_name}\n"
 
 
 def _in_memory(text: str) -> str:
     """Return the path of a file in memory with a whole configuration.
 
-    With ``-p`` for the listener mosquitto would warn that nobody else can connect.
+    The listener is not given with ``-p``: mosquitto would warn that only local clients can connect.
     """
     file = os.memfd_create("mosquitto.conf", 0)  # without MFD_CLOEXEC: mosquitto inherits it
     os.write(file, text.encode())

@@ -1,4 +1,4 @@
-"""A source of speed limits that must repeat itself: who falls silent is taken to ask for less, never for more.
+"""A source of speed limits that must repeat itself: its silence counts as a lower limit, never as a higher one.
 
 Pure: times are arguments, in ns on a clock that nobody sets. Standard library only.
 """

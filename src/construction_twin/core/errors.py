@@ -144,7 +144,7 @@ class SiteError(ConstructionTwinError):
 
 
 class PoseUnknownError(ConstructionTwinError):
-    """Nobody tells where the robot is, or not any more.
+    """The robot's pose is not published, or not any more.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class RequestRefused(ConstructionTwinError):
 
 
 class SilenceError(ConstructionTwinError):
-    """Nobody answers: the system is not running, or not under this name.
+    """There is no answer: the system is not running, or not under this name.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Files that somebody else names: read whole, or refused before they can do harm."""
+"""Files from outside: read whole, or refused before they can do harm."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def read_file(path: str | Path, most: int) -> bytes:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file in one step: whoever reads it meanwhile sees the old text or the new one, never a part.
+    """Write a text file in one step: a reader sees the old text or the new one, never a part.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 One step per controller cycle. A target that the limits allow is met exactly; any other is chased inside the limits until it
 is met again (`settling`). Whatever comes in, every output lies inside the range, within velocity, and within acceleration
-plus the format's allowance (design, law 3). Standard library only; rad and rad per cycle, m for linear joints.
+plus the format's allowance (docs/architecture.md, law 3). Standard library only; rad and rad per cycle, m for linear joints.
 """
 
 from __future__ import annotations
@@ -92,12 +92,12 @@ class Follower:
         return self.position
 
     def braking(self) -> tuple[tuple[float, ...], int]:
-        """Return the way of each joint to rest [rad] and how many cycles it takes, if `brake` is called in each from now on.
+        """Return the distance of each joint to rest [rad] and the number of cycles, if `brake` is called in each from now on.
 
         Near the end of a joint's range it may be less, never more.
         """
-        ways = tuple([braking_distance(abs(step), budget) for step, budget in zip(self._step, self._budget)])
-        return ways, max(math.ceil(abs(step) / budget) for step, budget in zip(self._step, self._budget))
+        distances = tuple([braking_distance(abs(step), budget) for step, budget in zip(self._step, self._budget)])
+        return distances, max(math.ceil(abs(step) / budget) for step, budget in zip(self._step, self._budget))
 
     def rest(self) -> None:
         """Take the arm to be standing at the present position, because it was not told to move on."""
@@ -125,7 +125,7 @@ class Follower:
             return False
         if step != drift and not self._can_stop_with(index, step, drift):
             return False
-        # rounding can make a step look faster than the motion is; the wide budget takes that out in the first braking cycle
+        # rounding can make a step larger than the motion's; the wide budget takes that out in the first braking cycle
         speed = abs(step) - self._rounding[index]
         room = upper - goal if step > 0.0 else goal - lower
         return speed <= 0.0 or braking_distance(speed, self._budget[index]) <= room + RANGE_SLACK
@@ -148,7 +148,7 @@ class Follower:
         drift = goal - self._target[index]
         behind = self._target[index] - last
         if drift * behind > 0.0:
-            # a target that runs ahead may brake as hard as the joint can: who counts on its present speed shoots past its end
+            # a target that runs ahead may brake as hard as the joint can: a chase that expects its present speed to last overshoots
             ahead = abs(behind) + abs(drift) + braking_distance(abs(drift), budget)
             wanted = math.copysign(braking_step(ahead, budget), behind)
         else:

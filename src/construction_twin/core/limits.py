@@ -111,7 +111,8 @@ class MotionCheck:
     """Checks each setpoint of a stream against the one before: range, velocity, acceleration, room to brake.
 
     A step may be anything between standing still and the previous step, widened by one cycle's acceleration budget: slowing
-    down harder than the limits is the follower's to absorb (design, law 3), speeding up or turning round harder is refused.
+    down harder than the limits is the follower's to absorb (docs/architecture.md, law 3), speeding up or turning round harder is
+    refused.
     The budget includes what rounding to the wire's decimals adds.
 
     Parameters

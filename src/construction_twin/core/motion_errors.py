@@ -51,7 +51,7 @@ class PoseRangeError(JointRangeError):
     Attributes
     ----------
     joint : str
-        The joint in the way, in the solution that is out of range by least.
+        The joint that prevents it, in the solution that is out of range by least.
     value, lower, upper : float
         What it would have to be, and its range [rad] ([m] for a linear joint).
     """
@@ -260,7 +260,7 @@ class SceneChangedError(PlanningError):
 
 
 class NeighbourUnknownError(PlanningError):
-    """Nobody tells where the other arm is or what it is about to do; it is never taken to be absent.
+    """Where the other arm is, or goes, is not published; it is never taken to be absent.
 
     Attributes
     ----------

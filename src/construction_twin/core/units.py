@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-#: Length of a controller cycle [s] (`#IPO_FAST`, rsi.md section 1).
+#: Length of a controller cycle [s] (`#IPO_FAST`, docs/rsi.md, section 1).
 CYCLE = 0.004
 #: The same in nanoseconds: stamps are integers so that a grid of them stays exact.
 CYCLE_NS = 4_000_000
@@ -56,7 +56,7 @@ def last_digit(decimals: int, linear: bool = False) -> float:
 def format_allowance(decimals: int, linear: bool = False) -> float:
     """Return what rounding to `decimals` can add to an acceleration measured per cycle.
 
-    Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (design, law 3):
+    Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (docs/architecture.md, law 3):
     125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a linear joint.
 
     Parameters

@@ -18,7 +18,7 @@ SCENE_DELAY = NANOSECONDS
 
 
 class Approval:
-    """The only way to an execution: nothing is carried out that could not be recorded before.
+    """The only way to start an execution: a verdict is carried out only after it was recorded.
 
     Recording waits for a disk, so it happens outside of the lock that the executor's loop takes every 4 ms.
 

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
 
-#: A verdict holds this long after the poses that it goes by were read [ns]; the watch repeats it at its `rate`. Five looks:
-#: fewer would stop a sound arm whenever a busy machine leaves a few out. It is part of the braking horizon.
+#: A verdict holds this long after the poses that it goes by were read [ns]; the watch repeats it at its `rate`. Five periods:
+#: with fewer, a busy machine that leaves a few out would stop a sound arm. It is part of the braking horizon.
 VERDICT_TIMEOUT = NANOSECONDS // 2
 #: How far a verdict's stamp may lie ahead of our clock [ns]: both nodes run on one machine, whose clock may be corrected
 #: in between.
 AHEAD = NANOSECONDS // 100
 #: Plans that verdicts are kept of: one under review, one being played, and those just before.
 _KEPT = 4
+
+
+@dataclass(frozen=True)
+class _Known:
+    """A verdict: of when its poses are [ns], and what is against the plan; empty: nothing."""
+
+    at: int
+    problem: str
 
 
 class NeighbourWatch:
@@ -33,7 +43,7 @@ class NeighbourWatch:
     def __init__(self, name: str = ""):
         self.name = name
         self.now = 0
-        self._verdicts: dict[str, tuple[int, str]] = {}
+        self._verdicts: dict[str, _Known] = {}
 
     def on_verdict(self, plan_id: str, problem: str, now: int, age: int = 0) -> None:
         """Take a verdict on one of our plans.
@@ -42,7 +52,7 @@ class NeighbourWatch:
         ----------
         plan_id : str
         problem : str
-            Why it must not start, or not go on; empty: its way is free.
+            Why it must not start, or not go on; empty: its path is free.
         now : int
             [ns]
         age : int, optional
@@ -60,7 +70,7 @@ class NeighbourWatch:
                 f"{VERDICT_TIMEOUT / NANOSECONDS:g} s, is this machine overloaded, or was its clock set?",
             )
         self._verdicts.pop(plan_id, None)
-        self._verdicts[plan_id] = now - max(0, age), problem
+        self._verdicts[plan_id] = _Known(now - max(0, age), problem)
         while len(self._verdicts) > _KEPT:
             del self._verdicts[next(iter(self._verdicts))]
 
@@ -68,11 +78,11 @@ class NeighbourWatch:
         """Return why a plan must not start, or not go on, as one sentence; empty: nothing is against it."""
         if not self.name:
             return ""
-        at, problem = self._verdicts.get(plan_id, (None, ""))
+        known = self._verdicts.get(plan_id)
         hint = "is the node `neighbour` running?"
-        if at is None:
-            return f"its way was not checked against {self.name} yet; {hint}"
-        age = self.now - at
+        if known is None:
+            return f"its path was not checked against {self.name} yet; {hint}"
+        age = self.now - known.at
         if age > VERDICT_TIMEOUT:
-            return f"its way was last checked against {self.name} {age / NANOSECONDS:.1f} s ago; {hint}"
-        return problem
+            return f"its path was last checked against {self.name} {age / NANOSECONDS:.1f} s ago; {hint}"
+        return known.problem

@@ -1,6 +1,6 @@
 """The executor: one setpoint per cycle, from an approved plan or, idle, the twin's pose.
 
-Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on a clock that nobody sets, but
+Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on the monotonic clock, but
 for `stop` and `restart`: these are compared with when a plan was made, on the clock of the stamps.
 """
 
@@ -74,7 +74,7 @@ class Executor:
     lag : float
         How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
     neighbour : NeighbourWatch
-        Says whether another arm stands in the way of a plan; by default there is none.
+        Says whether another arm blocks the path of a plan; by default there is none.
     limit : PlayRate, set by `limit_rate`
     cause, reason : str
         Why the state was entered; and the same with what the speed limit makes of it now.
@@ -338,7 +338,7 @@ class Executor:
         if twin is None:
             self._on(ExecutorEvent.TWIN_LOST, "the twin's pose is not known")
             return None
-        # until the twin has executed the last setpoint it is still on the way there; repeating its pose would step back
+        # until the twin has executed the last setpoint it has not arrived; repeating its pose would step back
         if twin.stamp >= self._setpoint_stamp:
             self._setpoint = twin.q
         return self._setpoint

@@ -25,14 +25,14 @@ HALVINGS = 10
 #: Fraction of the jerk limits that a ramp may use; a plan uses all of it without a ramp.
 JERK_FRACTION = 1.5
 #: Fraction of the acceleration limits that a ramp may use: what rounding can add stays far below the rest.
-ACCELERATION_SHARE = 1.0 - 1e-9
+ACCELERATION_FRACTION = 1.0 - 1e-9
 #: Lengths of a ramp that are tried [cycles], from 32 ms to 3 s.
 RAMP_CYCLES = (8, 10, 12, 15, 19, 24, 30, 37, 46, 58, 72, 90, 112, 140, 175, 220, 275, 340, 425, 530, 660, 750)
-#: Longest smooth ramp up and down [cycles]: who pauses does not want to arrive.
+#: Longest smooth ramp up and down [cycles]: a person who pauses a plan expects it to rest soon.
 LONGEST_RAMP, LONGEST_PAUSE = 750, 90
 #: Most by which the rate, and its slope, change from one cycle to the next where no smooth ramp exists.
 LARGEST_CHANGE = 0.05
-LARGEST_BEND = 0.005
+LARGEST_CURVATURE = 0.005
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Progress:
 
     def __init__(self, trajectory: Trajectory, acceleration: Sequence[float], jerk: Sequence[float]):
         self.trajectory = trajectory
-        self._bend_limit = np.array(acceleration) * CYCLE**2
+        self._difference_limit = np.array(acceleration) * CYCLE**2
         self._jerk_limit = np.array(jerk) * CYCLE**3
         # in nanoseconds, because whole cycles of them are exact
         self._elapsed = 0.0
@@ -77,7 +77,7 @@ class Progress:
 
     @property
     def at_rest(self) -> bool:
-        """True when it stands still and nothing is under way that would change that."""
+        """True when it stands still and no ramp is left that would change that."""
         return self._now.step == 0.0 and not self._ramp
 
     @property
@@ -101,13 +101,13 @@ class Progress:
         return not self._ramp and self._now.rate == self._goal
 
     def copy(self) -> Progress:
-        """Return an independent copy, to look ahead on."""
+        """Return an independent copy, to forecast with."""
         other = copy(self)
         other._ramp = self._ramp.copy()
         return other
 
     def rest_at(self, elapsed: float) -> None:
-        """Stand still at a time along the trajectory [ns], as somebody else did: the joints rest there from now on."""
+        """Stand still at a time along the trajectory [ns]: the gate has brought the joints to rest there."""
         self._elapsed, self._now, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
         self._ramp.clear()
         pose = self._ahead(0.0)
@@ -172,13 +172,13 @@ class Progress:
         """Return the next step [ns], as far towards `target` as acceleration limits and a gentle change of the slope allow."""
         rest, slope = (target - self._now.step) / CYCLE_NS, self._now.slope
         speed = np.abs(self.trajectory.sample(self.elapsed)[1]) * CYCLE
-        bend = min(LARGEST_BEND, float((self._jerk_limit / np.maximum(speed, 1e-12)).min()))
-        if abs(rest) <= bend:
+        curvature = min(LARGEST_CURVATURE, float((self._jerk_limit / np.maximum(speed, 1e-12)).min()))
+        if abs(rest) <= curvature:
             return self._nearest_allowed(target)
-        # the largest change that can still be taken back, by `bend` in each cycle, until the target is reached
-        most = (math.sqrt(bend * bend + 8.0 * bend * abs(rest)) - bend) / 2
+        # the largest change that can still be taken back, by `curvature` in each cycle, until the target is reached
+        most = (math.sqrt(curvature * curvature + 8.0 * curvature * abs(rest)) - curvature) / 2
         wanted = math.copysign(min(most, LARGEST_CHANGE), rest)
-        change = min(max(wanted, slope - bend), slope + bend)
+        change = min(max(wanted, slope - curvature), slope + curvature)
         return self._nearest_allowed(min(max(self._now.step + change * CYCLE_NS, 0.0), float(CYCLE_NS)))
 
     def _nearest_allowed(self, step: float) -> float:
@@ -193,8 +193,8 @@ class Progress:
 
     def _allowed(self, step: float) -> bool:
         """Tell whether every joint may go there in one cycle: the same second difference that gate and gateway measure."""
-        bend = self._ahead(step) - 2.0 * self._poses[2] + self._poses[1]
-        return bool((np.abs(bend) <= self._bend_limit).all())
+        difference = self._ahead(step) - 2.0 * self._poses[2] + self._poses[1]
+        return bool((np.abs(difference) <= self._difference_limit).all())
 
     # -- ramps
 
@@ -235,7 +235,7 @@ class Progress:
         """Tell whether the setpoints that these steps [ns] lead to stay inside the limits, from the last three on."""
         elapsed = (self._elapsed + np.cumsum(steps)) / NANOSECONDS
         poses = np.vstack((*self._poses, self.trajectory.sample_many(np.minimum(elapsed, self.trajectory.duration))[0]))
-        bends = np.diff(poses, 2, axis=0)[1:]
-        if (np.abs(bends) > ACCELERATION_SHARE * self._bend_limit).any():
+        differences = np.diff(poses, 2, axis=0)[1:]
+        if (np.abs(differences) > ACCELERATION_FRACTION * self._difference_limit).any():
             return False
         return bool((np.abs(np.diff(poses, 3, axis=0)) <= JERK_FRACTION * self._jerk_limit).all())

@@ -62,11 +62,11 @@ class Playback:
 
     @property
     def at_rest(self) -> bool:
-        """True when it stands still and nothing is under way that would change that."""
+        """True when it stands still and no ramp is left that would change that."""
         return self._progress.at_rest
 
     def advance(self, stamp: int, rate: float) -> tuple[float, ...]:
-        """Return the setpoint [rad] for a cycle; on the way to `rate` it changes smoothly, see `Progress.advance`."""
+        """Return the setpoint [rad] for a cycle; the rate changes smoothly to `rate`, see `Progress.advance`."""
         if self.start == 0:
             self.start = stamp
             setpoint = self._progress.begin(rate)
@@ -96,7 +96,7 @@ class Playback:
             self.goal_stamp = stamp
 
     def braking(self, lag: float) -> Braking:
-        """Return what is needed to look ahead at a stop that begins now; nothing is computed yet.
+        """Return what is needed to forecast a stop that begins now; nothing is computed yet.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class Playback:
 
 
 class Braking:
-    """A stop, looked ahead at: on a copy, so that it needs no lock and holds up no cycle.
+    """The forecast of a stop, on a copy: it needs no lock and holds up no cycle.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Braking:
         self._lag = lag
 
     def forecast(self, pause: Callable[[], None] = lambda: None) -> StoppingForecast:
-        """Brake the copy to rest; return the way it took. The execution itself takes the same, unless it is held before.
+        """Brake the copy to rest; return the distance it took. The execution itself takes the same, unless it is held before.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """The speed limit: at which fraction of the planned speed may be moved, as a source on a topic says, or because it says nothing.
 
-Pure; times are arguments, in ns on a clock that nobody sets. Not safety rated: it slows a motion down so that less often a safety
+Pure; times are arguments, in ns on the monotonic clock. Not safety rated: it slows a motion down so that less often a safety
 function must stop it.
 """
 
@@ -22,7 +22,7 @@ class LimitState(Enum):
 
 
 class SpeedLimit:
-    """One source's limit, with a deadline: who falls silent is taken to ask for less, never for more.
+    """One source's limit, with a deadline: a source that falls silent is taken to ask for less, never for more.
 
     Parameters
     ----------

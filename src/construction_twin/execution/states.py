@@ -53,7 +53,7 @@ class Guard(Enum):
 
 
 class Action(Enum):
-    """What is done on the way to the next state; values are the words of the documentation."""
+    """What is done before the next state is entered; values are the words of the documentation."""
 
     NOTHING = ""
     START_FROM_TWIN = "the setpoint begins at the twin's pose"
@@ -114,7 +114,7 @@ TABLE: tuple[Row, ...] = (
     # it is in IDLE for a moment: there the event is taken again
     *_rows(ACTIVE, _E.NEW_SESSION, Action.DROP, _S.IDLE),
     *_rows([_S.IDLE], _E.APPROVED, Action.PLAY, _S.PLAYING),
-    # a stop, by a person, a changed scene, or another arm in the way
+    # a stop, by a person, a changed scene, or another arm on the path
     *_rows([_S.PLAYING, _S.PAUSING], _E.STOP, Action.BRAKE, _S.STOPPING, Guard.BEGUN),
     *_rows([_S.PLAYING, _S.PAUSING], _E.STOP, Action.STOP, _S.IDLE),
     *_rows(RESTING, _E.STOP, Action.STOP, _S.IDLE),

@@ -15,12 +15,12 @@ from construction_twin.robot.description import RobotModel
 
 @dataclass(frozen=True)
 class StoppingPath:
-    """The way to rest.
+    """How far the joints move until they rest.
 
     Attributes
     ----------
     joints : tuple of float, length n
-        Way of each joint, there and back both counted [rad], [m].
+        Distance of each joint, there and back both counted [rad], [m].
     time : float
         [s]
     """
@@ -29,18 +29,18 @@ class StoppingPath:
     time: float
 
     def text(self, robot: RobotModel) -> str:
-        """Return time and way of the joints that move most, one turning and one linear, for people: deg and mm."""
-        ways = []
+        """Return time and distance of the joints that move most, one revolute and one prismatic, for people: deg and mm."""
+        distances = []
         for linear, scale, unit in ((False, math.degrees(1.0), "deg"), (True, 1000.0, "mm")):
             joints = [index for index, one in enumerate(robot.linear) if one is linear]
             if joints:
                 most = max(joints, key=lambda index: self.joints[index])
-                ways.append(f"{self.joints[most] * scale:.3f} {unit} of {robot.joint_names[most]}")
-        return f"{self.time:.3f} s and at most {', '.join(ways)}"
+                distances.append(f"{self.joints[most] * scale:.3f} {unit} of {robot.joint_names[most]}")
+        return f"{self.time:.3f} s and at most {', '.join(distances)}"
 
 
 def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
-    """Return the way along setpoints that follow each other by one cycle.
+    """Return the distance along setpoints that follow each other by one cycle.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
     last = next(poses)
     joints, cycles = [0.0] * len(last), 0
     for pose in poses:
-        joints = [way + abs(b - a) for way, a, b in zip(joints, last, pose)]
+        joints = [moved + abs(b - a) for moved, a, b in zip(joints, last, pose)]
         last, cycles = pose, cycles + 1
     return StoppingPath(tuple(joints), cycles * CYCLE)
 
@@ -65,7 +65,7 @@ class StoppingForecast:
     setpoints : StoppingPath
         From the last setpoint before the stop to rest.
     arm : StoppingPath
-        What the arm does from the moment of the stop: the same, and the setpoints before it that are still on their way.
+        What the arm does from the moment of the stop: the same, and the setpoints before it that it has not reached yet.
     lag : float
         How long the arm was taken to trail the setpoints [s].
     """

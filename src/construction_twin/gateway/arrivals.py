@@ -22,9 +22,9 @@ _FAR = 1 << 63
 class Arrivals:
     """Observes how far the newest command is ahead of the controller's clock, as every telegram finds it.
 
-    The difference of two clocks that run on, so only its changes mean anything. At its largest a command came by the
-    quickest way; at its smallest one came late, after a stall or after lost ones. A stream that has ended did not come late:
-    the smallest counts when a command follows.
+    This is the difference of two clocks, so only its changes mean anything. At its largest value a command travelled fastest; at
+    its smallest one came late, after a stall or after lost ones. The end of a stream is not lateness: the smallest value counts
+    only once a command follows.
 
     Parameters
     ----------

@@ -107,10 +107,10 @@ class CommandStream:
         return PayloadError("reordered", f"{text}: a newer one came first")
 
     def _check_age(self, stamp: int, now: int) -> None:
-        late = self._travel_time.excess(stamp, now) / NANOSECONDS
+        # a command that is late leaves the reference as it is, so it may be taken before it is judged
+        late = self._travel_time.take(stamp, now) / NANOSECONDS
         if late > self._config.max_age:
             raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
-        self._travel_time.take(stamp, now)
 
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.

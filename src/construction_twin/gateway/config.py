@@ -43,7 +43,7 @@ class GatewayConfig:
     properties : bool
         Whether commands carry the MQTT 5 properties session, seq and stamp.
     start_tolerance : float
-        A stream may begin this close to the held pose [rad]: axes that turn.
+        A stream may begin this close to the held pose [rad]: revolute axes.
     start_tolerance_linear : float
         The same for linear axes [m].
     playout_delay : float

@@ -53,7 +53,7 @@ class Gateway:
         self.correction: tuple[float, ...] = ()
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
-        #: What was refused, and why; whoever stands before the gateway refuses here too.
+        #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
         self.refusals = Refusals(self.counters)
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
         self.fault = False
@@ -107,7 +107,7 @@ class Gateway:
     @property
     def session(self) -> str:
         """Id of the session that may command; "" for none."""
-        return self._stream.session
+        return "" if self._machine.state is State.FAILED else self._stream.session
 
     # -- the controller's side
 
@@ -371,7 +371,7 @@ class Gateway:
         if refusal := self.speed.refusal(control, self.session):
             return self._refuse("speed_limit", refusal)
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
-        # a lower limit counts however old it looks: its source may count anew, and a recording of it can only slow the arm
+        # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
             why = f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
             return self._refuse("repeated", why)[0], ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from construction_twin.core.errors import TelegramError
 from construction_twin.core.units import NANOSECONDS
@@ -13,6 +14,24 @@ from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 DRAIN_LIMIT = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A telegram that is to be answered.
+
+    Attributes
+    ----------
+    telegram : RobotTelegram
+    source : tuple
+        Address and port of the sender.
+    arrived : int
+        Time of arrival [ns].
+    """
+
+    telegram: RobotTelegram
+    source: tuple
+    arrived: int
 
 
 class TelegramInbox:
@@ -45,13 +64,14 @@ class TelegramInbox:
         self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
         self._timeout = round(gateway.config.timeout * NANOSECONDS)
 
-    def newest(self) -> tuple[RobotTelegram, tuple, int] | None:
-        """Read until nothing waits; return the newest telegram, its source and its time of arrival [ns].
+    def newest(self) -> Arrival | None:
+        """Read until nothing waits; return the newest telegram.
 
-        An answer to any other would come too late (rsi.md, section 4). Whatever is no telegram is dropped here, so that it cannot
-        take the place of one; nor can a copy of an older one that the network brings last.
+        An answer to any other would come too late (docs/rsi.md, section 4). Whatever is no telegram is dropped here, so that it
+        cannot take the place of one; nor can a copy of an older one that the network brings last.
         """
-        newest, counters = None, self._gateway.counters
+        newest: Arrival | None = None
+        counters = self._gateway.counters
         for _ in range(DRAIN_LIMIT):
             try:
                 data, arrived, source = self._receive()
@@ -65,12 +85,12 @@ class TelegramInbox:
             if telegram is None:
                 continue
             if newest is not None:
-                behind = (newest[0].ipoc - telegram.ipoc) * IPOC_NS
-                if source == newest[1] and 0 <= behind <= self._timeout:
+                behind = (newest.telegram.ipoc - telegram.ipoc) * IPOC_NS
+                if source == newest.source and 0 <= behind <= self._timeout:
                     counters["telegrams_repeated"] += 1
                     continue
                 counters["telegrams_skipped"] += 1
-            newest = telegram, source, arrived
+            newest = Arrival(telegram, source, arrived)
         return newest
 
     def _read(self, data: bytes, source: tuple) -> RobotTelegram | None:
@@ -91,7 +111,7 @@ class TelegramInbox:
             return None
 
     def _tell_of(self, stranger: str) -> None:
-        """Say, while there is no controller, that somebody else sends: once, whoever else does after that."""
+        """Say, while there is no controller, that another address sends: once, however many addresses follow."""
         gateway = self._gateway
         if gateway.state is State.NO_CONTROLLER and gateway.reason != self._told:
             gateway.add_reason(f"datagrams from {stranger} are not read, because --controller is {self._controller}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from logging.handlers import QueueHandler, QueueListener
 from queue import SimpleQueue
 
@@ -36,7 +37,7 @@ class BoundedQueueHandler(QueueHandler):
 
 
 def log_beside_the_loop() -> QueueListener:
-    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (design, law 1).
+    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (docs/architecture.md, law 1).
 
     Returns
     -------
@@ -52,8 +53,16 @@ def log_beside_the_loop() -> QueueListener:
     return listener
 
 
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """When a line was written last [ns], and how many of its kind were left out since."""
+
+    at: int
+    left_out: int = 0
+
+
 class LineLimiter:
-    """At most one line per reason and period: whoever sends rubbish must not fill the disk, nor hide what else is said.
+    """At most one line per reason and period: a sender of rubbish must neither fill the disk nor hide other lines.
 
     Parameters
     ----------
@@ -63,8 +72,7 @@ class LineLimiter:
 
     def __init__(self, period: int = NANOSECONDS):
         self._period = period
-        # by reason: when a line was written last [ns], and how many were not since
-        self._lines: dict[str, tuple[int, int]] = {}
+        self._lines: dict[str, _Written] = {}
 
     def note(self, reason: str, now: int) -> str | None:
         """Take a line that is to be written at `now` [ns].
@@ -81,9 +89,9 @@ class LineLimiter:
         note : str or None
             What to append to the line, "" or how many like it were left out before; None when it must not be written.
         """
-        written, left_out = self._lines.get(reason, (now - self._period, 0))
-        if now - written < self._period:
-            self._lines[reason] = written, left_out + 1
+        last = self._lines.get(reason, _Written(now - self._period))
+        if now - last.at < self._period:
+            self._lines[reason] = _Written(last.at, last.left_out + 1)
             return None
-        self._lines[reason] = now, 0
-        return f" ({left_out} more like this since the last such line)" if left_out else ""
+        self._lines[reason] = _Written(now)
+        return f" ({last.left_out} more like this since the last such line)" if last.left_out else ""

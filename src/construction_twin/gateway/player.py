@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 
 from construction_twin.core.follower import Follower
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
@@ -11,6 +12,15 @@ from construction_twin.gateway.playout import Playout, PlayoutBounds
 from construction_twin.gateway.smoothing import Smoother
 from construction_twin.gateway.speed_governor import Governor
 from construction_twin.gateway.stop_report import Braking
+
+
+@dataclass(frozen=True, slots=True)
+class _Stall:
+    """A stream that was given up: whose, how late its next command was then [ns], and when [ns]."""
+
+    session: str
+    shortfall: int
+    since: int
 
 
 class Player:
@@ -29,7 +39,7 @@ class Player:
         self._playout = Playout(PlayoutBounds.of(config), Governor(config.limits, config.decimals))
         self._smoother = Smoother(config.smoothing_cycles) if config.smoothing_cycles else None
         self._longest_hole = round(config.silence * NANOSECONDS)
-        self._stalled: tuple[str, int, int] | None = None
+        self._stalled: _Stall | None = None
         self._smoothing_ms = config.smoothing_cycles * CYCLE_NS / 1e6
         #: Fraction of the velocity limits at which the arm may move.
         self.fraction = 1.0
@@ -119,7 +129,7 @@ class Player:
 
     def give_up(self, session: str, now: int) -> None:
         """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
-        self._stalled = session, self._playout.shortfall, now
+        self._stalled = _Stall(session, self._playout.shortfall, now)
 
     def learn_from_stall(self, session: str | None, now: int) -> None:
         """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
@@ -133,10 +143,10 @@ class Player:
         now : int
             [ns]
         """
-        if self._stalled is None or session not in (None, self._stalled[0]):
+        stall = self._stalled
+        if stall is None or session not in (None, stall.session):
             return
-        _, shortfall, since = self._stalled
-        self._playout.learn(shortfall + now - since)
+        self._playout.learn(stall.shortfall + now - stall.since)
         self._stalled = None
 
     def report(self) -> dict:

@@ -1,9 +1,10 @@
 """Playout: from stamped commands that arrive when they arrive to one target per controller cycle.
 
-Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (design, law 1). It stays a delay
-behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole cycles: a cycle of a
-stream on the 4 ms grid is then played exactly on a command's stamp, except while the delay is being changed. Clock drift shows as a
-delay that grows or shrinks, and is taken out in the same way. Standard library only; stamps in ns, angles in rad.
+Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (docs/architecture.md, law 1).
+It stays a delay behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole
+cycles: a cycle of a stream on the 4 ms grid is then played exactly on a command's stamp, except while the delay is being changed.
+Clock drift shows as a delay that grows or shrinks, and is corrected in the same way. Standard library only; stamps in ns, angles in
+rad.
 """
 
 from __future__ import annotations
@@ -244,7 +245,7 @@ class Playout:
         cycles = round((at_end - wanted) / CYCLE_NS)
         if cycles < 0 or cycles >= (1 if self._rests else SLACK_CYCLES):
             if not slew.moving or cycles <= -SLACK_CYCLES:
-                # a move that has begun is not slowed down to another pace: it would shoot past
+                # a move that has begun is not slowed down to another pace: it would overshoot
                 self._pace = URGENT if cycles <= -SLACK_CYCLES else CALM
             slew.remaining += cycles * CYCLE_NS
             at_end -= cycles * CYCLE_NS
@@ -252,7 +253,7 @@ class Playout:
 
     def _move(self) -> None:
         if self._rests:
-            # moving the time of what stands still moves nothing
+            # at rest every stamp has the same pose: playout time can be set at once
             self._now += self._slew.remaining
             self._slew.clear()
         else:
@@ -289,7 +290,7 @@ class Playout:
         return interpolate(stamp, start, commands[index + 1], before, after)
 
     def _skip_rest(self) -> None:
-        """Go through a rest that has been put off at once: moving the time of what stands still moves nothing."""
+        """Skip a rest that has been put off: while every stamp has the same pose, playout time can be set without a motion."""
         commands = self._commands
         while self._put_off and len(commands) > 2 and self._before is not None and self._now >= commands[0][0]:
             if not self._before[1] == commands[0][1] == commands[1][1] == commands[2][1]:

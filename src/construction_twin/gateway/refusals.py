@@ -77,7 +77,7 @@ class Ownership:
         return True
 
     def knows(self, session: str) -> bool:
-        """Return whether a session has had its turn; what still comes from it was on its way."""
+        """Return whether a session has had its turn; what still comes from it was sent before its end."""
         return session in self._had_their_turn
 
     def refuse(self, session: str) -> None:

@@ -12,7 +12,7 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.rsi.gateway_codec import RobotTelegram
 
-#: IPOC counts milliseconds (rsi.md, section 4).
+#: IPOC counts milliseconds (docs/rsi.md, section 4).
 IPOC_NS = 1_000_000
 #: A controller that was heard this recently is alive, and its session its own [ns].
 ALIVE = NANOSECONDS // 10
@@ -75,12 +75,12 @@ class ControllerSession:
         return source == self._source or not (self.alive and now - self.heard_at <= ALIVE)
 
     def is_repeated(self, ipoc: int, source: object) -> bool:
-        """Tell whether the network brought a telegram twice, or behind a newer one: it was answered, or it is too late to."""
+        """Return whether a telegram came twice, or behind a newer one: it was answered, or an answer comes too late."""
         behind = (self.ipoc - ipoc) * IPOC_NS
         return self.alive and 0 <= behind <= self._timeout and source == self._source
 
     def is_silent(self, now: int) -> bool:
-        """Tell whether the controller has been silent for its timeout."""
+        """Return whether the controller has been silent for its timeout."""
         return self.alive and now - self.heard_at > self._timeout
 
     def hear(
@@ -145,7 +145,7 @@ class ControllerSession:
             Why this session must not be answered; "" when it may be.
         """
         if telegram.measured is None and telegram.setpoint is None and not self._empty_telegrams:
-            # RSI up to 2.3 opens a session with a telegram that holds only IPOC (rsi.md, section 2)
+            # RSI up to 2.3 opens a session with a telegram that holds only IPOC (docs/rsi.md, section 2)
             self._empty_telegrams += 1
             return ""
         if telegram.measured is None or telegram.setpoint is None:

@@ -174,7 +174,7 @@ class GatewayService:
             return None
 
     def on_thread_failure(self, arguments: threading.ExceptHookArgs) -> None:
-        """Take an exception that ended another thread, as `threading.excepthook`; the loop looks after it in its next turn."""
+        """Take an exception that ended another thread, as `threading.excepthook`; the loop takes it in its next turn."""
         if arguments.exc_value is not None:
             self._thread_failure = arguments.exc_value
         # to stderr as well: the thread that has ended may be the one that writes the log
@@ -298,13 +298,13 @@ class GatewayService:
         newest = self._inbox.newest()
         if newest is None:
             return False
-        telegram, source, arrived = newest
+        telegram, source = newest.telegram, newest.source
         correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
         if correction is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
             self._answer(self._encoder.encode(correction, telegram.ipoc, stop), source)
             self._last_resort.sent(telegram.ipoc, source, correction)
-            self.reply_time.add((time.time_ns() - arrived) / 1e3)
+            self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True
 
@@ -369,7 +369,7 @@ class GatewayService:
         verb = control.verb if control.verb in VERBS else "unknown verb"
         kind = verb if ok else f"refused {verb}"
         self._log(logging.INFO if ok else logging.WARNING, kind, f"session {control.session}: {reason}")
-        # the state first: whoever reads the answer must not act on an older status
+        # the status first: a reader of the answer must not act on an older status
         self._publish_status()
         answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
         self._mqtt.client.publish(self._topics.control_ack, json.dumps(answer), qos=1)

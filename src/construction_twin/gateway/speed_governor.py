@@ -1,7 +1,7 @@
 """Playing more slowly, on the same path: how far playout time may advance so that no joint exceeds its fraction of the speed.
 
 Time is slowed for all joints together, never a joint by itself. Its rate changes only so fast that the joints' acceleration limits
-hold on the way. Standard library only; stamps in ns, positions in rad (m for linear joints).
+hold meanwhile. Standard library only; stamps in ns, positions in rad (m for linear joints).
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 
 #: Fraction of the acceleration limits for slowing time down; what the motion itself needs of it counts.
-BRAKING_SHARE = 0.95
+BRAKING_FRACTION = 0.95
 #: The same for letting it run again.
-RISING_SHARE = 0.5
+RISING_FRACTION = 0.5
 #: However hard the motion itself brakes, time may be slowed with this fraction.
-LEAST_SHARE = 0.1
+LEAST_FRACTION = 0.1
 #: Largest growth of the rate per second.
 LARGEST_RISE = 1.0
 #: Halvings with which a cycle's advance is brought into the acceleration limits.
 HALVINGS = 5
 #: What a step may be larger than its fraction of the speed because of the wire's rounding, as a fraction of that.
-ROUNDING_SHARE = 0.1
+ROUNDING_FRACTION = 0.1
 
 
 class Governor:
@@ -42,14 +42,14 @@ class Governor:
         self._acceleration = limits.acceleration
         self._digit = limits.last_digits(decimals)
         allowances = limits.allowances(decimals)
-        self._bend = tuple((a + extra) * CYCLE * CYCLE for a, extra in zip(limits.acceleration, allowances))
+        self._largest_change = tuple((a + extra) * CYCLE * CYCLE for a, extra in zip(limits.acceleration, allowances))
         self._steps: tuple[float, ...] = ()
         self.fraction = 1.0
         self.restart()
 
     def restart(self) -> None:
         """Begin with another stream, at rest; the fraction stays."""
-        #: False while time need not be looked at.
+        #: False while the rate of time needs no control.
         self.active = self.fraction < 1.0
         #: Rate of playout time in the last cycle; None: whatever it would be without a limit.
         self.rate: float | None = None
@@ -114,8 +114,8 @@ class Governor:
             limit, own = self._acceleration[j], 0.0
             if q1 is not None:
                 own = math.copysign(rate * rate * 4.0, end - start) * (end - 2.0 * q1[j] + start) / (span * span)
-            fall = min(fall, max(LEAST_SHARE * limit, BRAKING_SHARE * limit + own) * period / speed)
-            rise = min(rise, max(0.0, RISING_SHARE * limit - own) * period / speed)
+            fall = min(fall, max(LEAST_FRACTION * limit, BRAKING_FRACTION * limit + own) * period / speed)
+            rise = min(rise, max(0.0, RISING_FRACTION * limit - own) * period / speed)
         return goal, fall, rise if moves else math.inf
 
     def _fit(self, step: int, last: float, fall: float, elapsed: int, target: Callable[[int], Pose]) -> int:
@@ -126,22 +126,23 @@ class Governor:
         cycles = elapsed / CYCLE_NS
         excess = 1.0
         for new, old, allowed, digit in zip(target(step), targets[-1], self._steps, self._digit):
-            allowed = (allowed + min(digit, ROUNDING_SHARE * allowed)) * cycles
+            allowed = (allowed + min(digit, ROUNDING_FRACTION * allowed)) * cycles
             if allowed and abs(new - old) > excess * allowed:
                 excess = abs(new - old) / allowed
         if excess > 1.0:
             step = min(step, max(math.floor(step / excess), math.ceil((last - fall) * elapsed) if fall < last else 0))
-        if len(targets) < 2 or self._bends_within(target(step)):
+        if len(targets) < 2 or self._changes_within(target(step)):
             return step
         refused, accepted = step, round(last * elapsed)
         for _ in range(HALVINGS):
             middle = (refused + accepted) // 2
-            if self._bends_within(target(middle)):
+            if self._changes_within(target(middle)):
                 accepted = middle
             else:
                 refused = middle
         return accepted
 
-    def _bends_within(self, new: Pose) -> bool:
+    def _changes_within(self, new: Pose) -> bool:
+        """Return whether the second differences of the last two targets and `new` keep the acceleration limits."""
         before, last = self._targets
-        return all([abs(c - 2.0 * b + a) <= most for a, b, c, most in zip(before, last, new, self._bend)])
+        return all([abs(c - 2.0 * b + a) <= most for a, b, c, most in zip(before, last, new, self._largest_change)])

@@ -6,6 +6,7 @@ Pure: time is an argument [ns]. Standard library only.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 from construction_twin.core.deadline import SpeedLimitSource
 from construction_twin.core.units import NANOSECONDS
@@ -14,6 +15,14 @@ from construction_twin.mqtt.messages import Control, message_number
 
 #: Limits that are remembered inside the grace; with more of them the oldest, which are the higher ones, count no longer.
 REMEMBERED = 64
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """A fraction of the velocity limits, and since when it was given [ns]."""
+
+    since: int
+    fraction: float
 
 
 class SpeedLimit:
@@ -45,8 +54,8 @@ class SpeedLimit:
         self.fraction = 1.0
         # session and number of the last message that was taken
         self._numbered: tuple[str, int] = ("", -1)
-        # (when it came, fraction): fractions fall from left to right, so the first is the highest
-        self._recent: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
+        # fractions fall from left to right, so the first is the highest
+        self._recent: deque[_Given] = deque(maxlen=REMEMBERED)
 
     @staticmethod
     def refusal(control: Control, session: str) -> str:
@@ -64,7 +73,7 @@ class SpeedLimit:
         return ""
 
     def is_repeated(self, control: Control) -> bool:
-        """Tell whether this message, one without a `refusal`, or a later one of its session came before: a copy, or a recording."""
+        """Return whether this message (one without a `refusal`) or a later one of its session came before: a copy, a recording."""
         number = message_number(control.id)
         session, last = self._numbered
         if number is None or (control.session == session and number <= last):
@@ -89,9 +98,9 @@ class SpeedLimit:
         if silent:
             self.source = "silence"
             self._take(self._source.fraction_when_silent, now)
-        while len(recent) > 1 and now - recent[1][0] >= self._grace:
+        while len(recent) > 1 and now - recent[1].since >= self._grace:
             recent.popleft()
-        self.fraction = recent[0][1]
+        self.fraction = recent[0].fraction
         return silent
 
     def _take(self, fraction: float, now: int) -> None:
@@ -99,14 +108,14 @@ class SpeedLimit:
         recent = self._recent
         if not recent:
             # before the first one there was none
-            recent.append((now, 1.0))
-        if fraction == recent[-1][1]:
+            recent.append(_Given(now, 1.0))
+        if fraction == recent[-1].fraction:
             return
         since = now
-        while recent and recent[-1][1] <= fraction:
+        while recent and recent[-1].fraction <= fraction:
             # what was lower is no higher than this: the grace began there
-            since = recent.pop()[0]
-        recent.append((since, fraction))
+            since = recent.pop().since
+        recent.append(_Given(since, fraction))
 
     def report(self) -> dict:
         """Return what the status says: the fraction in force, the one given last, and by whom."""

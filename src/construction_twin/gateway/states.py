@@ -45,7 +45,7 @@ class State(Enum):
     READY = "ready"  # origin captured, holding; waits for `arm`
     ARMED = "armed"  # holding; the session's stream may begin
     FOLLOWING = "following"  # the stream is played
-    BRAKING = "braking"  # on the way to rest
+    BRAKING = "braking"  # the arm is being brought to rest
     HOLDING = "holding"  # at rest after a fault or a stop; waits for `reset`
     FAILED = "failed"  # the program itself has failed; the last resort brakes and answers, until a person starts the gateway anew
 
@@ -75,7 +75,7 @@ class Guard(Enum):
     ANSWERS = "the controller expects answers"
     READS_ONLY = "ONLYSEND"
     HAS_ORIGIN = "the origin is known"
-    MAY_ARM = "no fault; the arm is where it is held; the session has not had its turn"
+    MAY_ARM = "the origin is known; no fault; the arm is where it is held; the session has not had its turn"
     SAME_SESSION = "from the armed session"
     MAY_RESET = "the origin is known; the arm is at rest"
     OWNER_MAY_RESET = "from the commanding session; the arm is at rest"
@@ -93,7 +93,7 @@ class Action(Enum):
     BRAKE_TO_FAULT = "brake; drop the command session; fault until `reset`"
     FAULT = "fault until `reset`"
     RESET = "drop the command session; clear the fault; with no correction take the origin anew"
-    LAST_RESORT = "drop the command session; fault; the last resort brakes and answers"
+    LAST_RESORT = "fault; the last resort brakes and answers"
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,11 +173,17 @@ CAUSES = {
 
 
 def rows() -> list[tuple[str, str, str, str, str]]:
-    """Return the table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
-    return [
-        (row.state.value, row.event.value, row.guard.value, row.action.value, row.target.value if row.target else "")
-        for row in TABLE
-    ]
+    """Return the table in words, for the documentation: states, event, guard, action, next state ("" where it stays).
+
+    Rows that differ in their state only are one.
+    """
+    grouped: dict[tuple[str, str, str, str], list[str]] = {}
+    for row in TABLE:
+        target = row.target.value if row.target else ""
+        key = (row.event.value, row.guard.value, row.action.value, target)
+        grouped.setdefault(key, []).append(row.state.value)
+    everywhere = [state.value for state in _LIVE]
+    return [("any but failed" if states == everywhere else ", ".join(states), *key) for key, states in grouped.items()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +209,7 @@ class Occasion:
 
 
 class Machine:
-    """The present state, and the way it changes.
+    """The present state, and how it changes.
 
     Parameters
     ----------
@@ -218,7 +224,7 @@ class Machine:
     reason : str
         Why it was entered.
     changed : bool
-        True after every change of state or reason; whoever reports it resets it.
+        True after every change of state or reason, until the change is reported.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ _KEYS = ("plan_id", "plan_hash", "verdict", "reviewer")
 _MAX_TEXT = {"plan_id": 64, "plan_hash": 64, "verdict": 16, "reviewer": 64, "reason": 500}
 #: Longest text of a plan that is shown whole.
 _MAX_SHOWN = 200
-#: Decimals of what a person only looks at: 0.1 mm.
+#: Decimals of lengths that are only displayed: 0.1 mm.
 _DECIMALS = 4
 
 Point = tuple[float, float, float]

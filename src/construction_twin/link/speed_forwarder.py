@@ -12,7 +12,7 @@ PERIOD = NANOSECONDS // 5
 class SpeedForwarder:
     """Forwards what the source of `speed_limit` says, and nothing that it does not say.
 
-    A message is forwarded at most once, except to a session that began after it: the deadline of who listens then runs from
+    A message is forwarded at most once, except to a session that began after it: the receiver's deadline then runs from
     where the source's own silence began.
 
     Parameters
@@ -29,7 +29,9 @@ class SpeedForwarder:
         #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.
         self.number = 0
         self._unsent = False
-        self._sent: tuple[float, str] | None = None
+        # what was sent last, and to which session
+        self._sent_limit = 1.0
+        self._sent_session = ""
         self._sent_at = 0
 
     def on_limit(self, limit: float, source: str, now: int) -> None:
@@ -51,11 +53,11 @@ class SpeedForwarder:
             # silence is silence, also for a session that begins meanwhile
             self._unsent = False
             return None
-        is_new = self._sent is None or self._sent[1] != session
+        is_new = self._sent_session != session
         self._unsent |= is_new
-        due = is_new or self.limit != self._sent[0] or now - self._sent_at >= PERIOD
+        due = is_new or self.limit != self._sent_limit or now - self._sent_at >= PERIOD
         if not (self._unsent and due):
             return None
-        self._unsent, self._sent, self._sent_at = False, (self.limit, session), now
+        self._unsent, self._sent_limit, self._sent_session, self._sent_at = False, self.limit, session, now
         self.number += 1
         return self.limit

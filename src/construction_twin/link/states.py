@@ -122,7 +122,7 @@ TABLE = (
     Row(_ANY, LinkEvent.HALTED, None, Action.NOTE_HALT, LinkState.NEEDS_RESET),
     Row(_ANY, LinkEvent.MIRROR_ASKED, None, Action.BEGIN_MIRROR, LinkState.MIRROR),
     Row(_ANY, LinkEvent.RESET_ASKED, None, Action.BEGIN_ASKED_SESSION, LinkState.RESYNC),
-    # nothing is missing: who may command?
+    # nothing is missing: which side may command?
     Row(_ANY, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
     Row((LinkState.ARMED,), LinkEvent.PRESENT, Guard.SESSION_ENDED, Action.TELL_GATEWAY, LinkState.NEEDS_RESET),
     Row(_RESYNC, LinkEvent.PRESENT, Guard.FAULT_UNASKED, Action.TELL_STOP, LinkState.NEEDS_RESET),

@@ -199,7 +199,7 @@ class PoseComparison:
     def __init__(self, settings: ComparisonSettings):
         self.twin = TwinHistory()
         self.last: Comparison | None = None
-        # seen at the present moment the arm trails by the whole way to it and back
+        # compared with the present pose, the arm trails by the whole round trip
         self._lags = {mode: LagEstimate(settings.lag_allowance) for mode in (ALIGNED, INSTANT)}
         self.configure(settings)
 

@@ -1,6 +1,6 @@
 """The gate: Algorithm 1 in the command path. Nothing reaches either robot that has not passed here.
 
-Pure: `now` is an argument everywhere, in ns on a clock that nobody sets (the monotonic one): on the wall clock a step back would
+Pure: `now` is an argument everywhere, in ns on the monotonic clock, which is never set: on the wall clock a step back would
 put off every time-out. Stamps are on a clock of their own. Angles in rad, linear joints in m.
 """
 
@@ -39,7 +39,7 @@ class GateSettings:
     Attributes
     ----------
     threshold, threshold_linear : float
-        Agreement at rest of joints that turn [rad], and of linear ones [m].
+        Agreement at rest of revolute joints [rad], and of prismatic ones [m].
     thresholds : mapping of str to float
         Other values for single joints, by joint name.
     aligned : bool
@@ -98,7 +98,7 @@ class GateSettings:
 class Gate:
     """Passes theta_next, or holds theta_virtual.
 
-    theta_virtual is the twin's present pose. A command that is still on its way to the twin counts as executed: holding anything
+    theta_virtual is the twin's present pose. A command that has not reached the twin yet counts as executed: holding anything
     older would send both robots a step backwards.
 
     Parameters
@@ -325,7 +325,7 @@ class Gate:
         return self._check.position or None
 
     def watch(self, now: int) -> None:
-        """Close an open gate when feedback has gone stale, give up on a closed one: also while nobody sends theta_next."""
+        """Close an open gate when feedback has gone stale, give up on a closed one: also while no theta_next comes."""
         if self.state is SyncState.IN_SYNC:
             if self.settings.compares and not self._fresh(now) and self._heard is not None:
                 age = (now - self._heard) / NANOSECONDS

@@ -26,7 +26,7 @@ class LagEstimate:
     Parameters
     ----------
     most : float
-        Largest lag that is believed [s]: a joint that stands still must not look like one that is late.
+        Largest lag that is believed [s]: a joint at rest must not be taken for one that is late.
     """
 
     def __init__(self, most: float):

@@ -24,7 +24,7 @@ class ReplanGoal:
     speed_scale, acceleration_scale : float
         Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands still.
     seen : int
-        When the executor was last known to play it [ns]; 0: never. What a person stopped later must not be taken up again.
+        When the executor was last known to play it [ns]; 0: never. A plan that a person stopped later must not be taken up again.
     """
 
     plan_id: str
@@ -54,7 +54,7 @@ class ReplanGoals:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, playing: bool, stamp: int) -> None:
-        """Take what the executor did at `stamp` [ns]: whether it played that plan, and nobody had told it to stop or to pause."""
+        """Take what the executor did at `stamp` [ns]: whether it played that plan, and was not told to stop or to pause."""
         self._execution = plan_id, playing, stamp
 
     @property

@@ -76,7 +76,7 @@ TABLE: dict[SyncState, dict[SyncEvent, SyncState]] = {
         SyncEvent.POSE_DIFFERS: SyncState.HOLDING,
         SyncEvent.REPLAN_ASKED: SyncState.REPLANNING,
     },
-    # whoever sent what no robot can execute is not asked for a new plan
+    # a source of setpoints that no robot can execute is not asked for a new plan
     SyncState.FAULT: _ANEW | _END,
     # a person has to see to it: only a new command session leads out
     SyncState.STOPPED: {SyncEvent.NEW_SESSION: SyncState.WAITING, SyncEvent.CONFIGURED: SyncState.STOPPED},
@@ -93,7 +93,7 @@ class Transition:
     Attributes
     ----------
     at : int
-        When, on the clock of whoever caused it [ns]: the gate's own, until the monitor reports it in ROS time.
+        When [ns], on the gate's own clock, until the monitor reports it in ROS time.
     source, target : SyncState
     event : SyncEvent
     reason : str
@@ -117,7 +117,7 @@ class Transition:
 
 
 class SyncMachine:
-    """The present state, and the way it changes.
+    """The present state, and how it changes.
 
     Attributes
     ----------

@@ -29,9 +29,9 @@ log = logging.getLogger("construction_twin.mqtt")
 TESTED_VERSIONS = ("2.2.0",)
 _USER_PROPERTY = 0x26
 _LENGTH = struct.Struct("!H")
-#: How much of what has come in is looked at before it is taken; what is longer is paho's [bytes].
+#: How much of what has come in is read before it is taken from the socket; a longer packet is left to paho [bytes].
 _AHEAD = 2048
-#: The loop looks after a connection that another thread has found lost at least this often [s].
+#: The loop notices a connection that another thread has found lost within this time [s].
 _LOOP_TIMEOUT = 0.1
 
 
@@ -83,7 +83,7 @@ def read_plain(packet: bytes) -> tuple[bytes, UserProperties, bytes] | None:
     Returns
     -------
     parts : tuple or None
-        None when there is anything in it but at most 127 bytes of user properties in printable ASCII: paho may look at it.
+        None when there is anything in it but at most 127 bytes of user properties in printable ASCII: it is left to paho.
     """
     start = 2 + int.from_bytes(packet[:2], "big")
     if start >= len(packet) or packet[start] > 127 or start + 1 + packet[start] > len(packet):
@@ -188,7 +188,7 @@ class FastClient(PlainClient):
             try:
                 sent = sock.send(packet)
             except OSError:
-                # full, or lost: paho finds the same below, and looks after it
+                # full, or lost: paho finds the same below, and handles it
                 sent = 0
             if sent == len(packet):
                 with self._msgtime_mutex:
@@ -287,8 +287,8 @@ class DirectClient(FastClient):
         self._server: threading.Thread | None = None
 
     def _loop_rc_handle(self, rc: MQTTErrorCode) -> MQTTErrorCode:
-        # a lost connection is looked after by the thread that serves it, which finds it, too: who sends would call `on_disconnect`
-        # with paho's locks in another order, and after the next connection is there
+        # the thread that serves the connection finds a loss too, and handles it: a sending thread would call `on_disconnect` with
+        # paho's locks in another order, and maybe after the next connection is there
         return super()._loop_rc_handle(rc) if threading.current_thread() is self._server else rc
 
     def loop_start(self) -> MQTTErrorCode:

@@ -66,11 +66,11 @@ class JointStringCodec:
         self.decimals = decimals
         self._mapping = mapping if mapping and any(entry != (1, 0.0) for entry in mapping) else None
         order = sorted(range(joints), key=lambda joint: axes[joint]) if axes else list(range(joints))
-        slides = [bool(linear and linear[joint]) for joint in order]
+        is_linear = [bool(linear and linear[joint]) for joint in order]
         # None: the paper's string, whose fields are the joints; the common case stays as quick as it can be
-        self._fields = list(zip(order, slides)) if any(slides) or order != sorted(order) else None
-        self._places = [(order.index(joint), slides[order.index(joint)]) for joint in range(joints)]
-        self._digits = [LINEAR_DIGITS if linear else DIGITS for linear in slides]
+        self._fields = list(zip(order, is_linear)) if any(is_linear) or order != sorted(order) else None
+        self._places = [(order.index(joint), is_linear[order.index(joint)]) for joint in range(joints)]
+        self._digits = [LINEAR_DIGITS if linear else DIGITS for linear in is_linear]
         self.length = sum(digits + 2 + decimals for digits in self._digits) + joints - 1
         self._template = ",".join(f"%+0{digits + 2 + decimals}.{decimals}f" for digits in self._digits)
         self._zeros = [f"+{'0' * digits}.{'0' * decimals}" for digits in sorted(set(self._digits))]
@@ -116,7 +116,7 @@ class JointStringCodec:
             text = self._template % degrees(q)
         else:
             text = self._template % tuple(
-                [1e3 * q[joint] if slides else math.degrees(q[joint]) for joint, slides in self._fields]
+                [1e3 * q[joint] if linear else math.degrees(q[joint]) for joint, linear in self._fields]
             )
         # a huge angle in rad is infinite in degrees, and "+0000inf" would have the right length
         if len(text) != self.length or "inf" in text:
@@ -152,8 +152,8 @@ class JointStringCodec:
         else:
             axes = tuple(
                 [
-                    float(fields[place]) / 1e3 if slides else math.radians(float(fields[place]))
-                    for place, slides in self._places
+                    float(fields[place]) / 1e3 if linear else math.radians(float(fields[place]))
+                    for place, linear in self._places
                 ]
             )
         if self._mapping:

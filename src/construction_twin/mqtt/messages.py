@@ -25,7 +25,7 @@ MAX_CONTROL_BYTES = 2048
 
 @dataclass(frozen=True)
 class Topics:
-    """Topic names of one robot, ``<prefix>/<robot>/...`` (design, section 4)."""
+    """Topic names of one robot, ``<prefix>/<robot>/...`` (docs/interface.md)."""
 
     prefix: str
     robot: str
@@ -130,7 +130,7 @@ def _number(name: str, text: str) -> int:
 
 
 def is_session(text: str) -> bool:
-    """Tell whether a text can be a session's id beside a command: 1 to 64 letters, digits, - and _."""
+    """Return whether a text can be a session's id beside a command: 1 to 64 letters, digits, - and _."""
     return _SESSION.fullmatch(text) is not None
 
 

@@ -8,7 +8,7 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.robot.plan import Plan
 
 APPROVED, REJECTED, REFUSED, WITHDRAWN = "approved", "rejected", "refused", "withdrawn"
-#: Who decides where no person does: a plan is withdrawn because something that it depends on has changed.
+#: The reviewer where no person decides: a plan is withdrawn because something that it depends on has changed.
 EXECUTOR = "executor"
 
 
@@ -68,7 +68,7 @@ class ReviewDesk:
     scene : str
         Hash of the present scene; empty while none is known.
     scene_alive : bool
-        Whether somebody is there who would tell that the scene changes.
+        Whether the scene's publisher is there, which would tell that the scene changes.
     """
 
     def __init__(self):

@@ -1,8 +1,8 @@
 """The review record: a file of verdicts and of what became of them, one JSON object per line, each chained to the one before.
 
-Every line carries the SHA-256 of the line before it in `previous`, so that an edited, removed or moved line breaks the chain.
-The last line has no successor: compare its hash with one that was noted elsewhere, to find what was cut off, added or changed
-at the end. Durations in s, distances in m.
+Every line carries the SHA-256 of the line before it in `previous`, so that an edited, removed or moved line breaks the chain. The
+last line has no successor: compare its hash with one that was noted elsewhere, to find what was cut off, added or changed there.
+Durations in s, distances in m.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """RSI telegrams as the controller writes and reads them: for the mock and the tests.
 
-Rad and m on this side, degrees and millimetres on the other, as in `codec`. Standard library only.
+Rad and m on this side, degrees and millimetres on the other, as in `gateway_codec`. Standard library only.
 """
 
 from __future__ import annotations
@@ -10,15 +10,19 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.rsi.channels import (
+from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit
+from construction_twin.rsi.telegram import (
+    SensorTelegram,
     attribute_template,
     axis_units,
     check_axis_names,
     check_values,
     correction_channels,
+    find_children,
+    read_document,
+    read_ipoc,
+    read_number,
 )
-from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit
-from construction_twin.rsi.telegram import SensorTelegram, find_children, read_document, read_ipoc, read_number
 
 #: Blocks of a packet that hold an axis each, with the axes in them.
 AXIS_BLOCKS = {"AIPos": ROBOT_AXES, "ASPos": ROBOT_AXES, "EIPos": EXTERNAL_AXES, "ESPos": EXTERNAL_AXES}
@@ -38,7 +42,7 @@ class RobotEncoder:
     send : tuple of str, optional
         Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
 
     Raises
     ------
@@ -129,7 +133,7 @@ class SensorDecoder:
     receive : tuple of str, optional
         Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
     """
 
     def __init__(

@@ -24,7 +24,7 @@ from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLay
 
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024
-#: INTERNAL elements of SEND that gateway and mock know, with their TYPE (rsi.md, section 2).
+#: INTERNAL elements of SEND that gateway and mock know, with their TYPE (docs/rsi.md, section 2).
 INTERNAL = {
     "DEF_RIst": "DOUBLE", "DEF_RSol": "DOUBLE", "DEF_AIPos": "DOUBLE", "DEF_ASPos": "DOUBLE", "DEF_EIPos": "DOUBLE",
     "DEF_ESPos": "DOUBLE", "DEF_Delay": "LONG",

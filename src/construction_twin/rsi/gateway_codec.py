@@ -13,19 +13,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from construction_twin.core.errors import TelegramError
-from construction_twin.rsi.channels import (
-    attribute_template,
-    axis_units,
-    check_names,
-    check_values,
-    correction_channels,
-)
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, parse_sensor
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, AxisUnit, RsiLayout
 from construction_twin.rsi.telegram import (
     MAX_TELEGRAM,
     RobotTelegram,
     SensorTelegram,
+    attribute_template,
+    axis_units,
+    check_names,
+    check_values,
+    correction_channels,
     find_children,
     is_number,
     is_number_in_bytes,
@@ -41,11 +39,11 @@ __all__ = [
     "SensorTelegram", "parse_robot", "parse_sensor",
 ]  # fmt: skip
 
-#: Decimals of a degree or mm in a correction, as every known driver sends them (rsi.md section 3).
+#: Decimals of a degree or mm in a correction, as every known driver sends them (docs/rsi.md, section 3).
 CORRECTION_DECIMALS = 6
-#: Telegrams between two looks for a shape. One whose text changes from telegram to telegram has none, and looking costs as
-#: much as reading it.
-LOOK_AGAIN = 250
+#: Telegrams between two attempts to learn a shape. A telegram whose text changes every time has none, and an attempt costs as much
+#: as reading it.
+RELEARN_AFTER = 250
 
 
 class RobotDecoder:
@@ -56,7 +54,7 @@ class RobotDecoder:
     axes : tuple of str, length n
         Axes to read, in the order wanted.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
     """
 
     def __init__(self, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()):
@@ -75,7 +73,7 @@ class RobotDecoder:
         ]
         self._in_shape = (*positions, ("Delay", "D"))
         self._shape: TelegramShape | None = None
-        self._look_in = 0
+        self._relearn_in = 0
         self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
 
     def parse(self, data: bytes) -> RobotTelegram:
@@ -109,21 +107,21 @@ class RobotDecoder:
             self._positions(found, self._setpoint_blocks),
             None if delay is None else read_count(delay.get("D"), "Delay D", "number"),
         )
-        if self._look_in:
-            self._look_in -= 1
+        if self._relearn_in:
+            self._relearn_in -= 1
         else:
             self._learn(data, telegram)
         return telegram
 
     def _learn(self, data: bytes, telegram: RobotTelegram) -> None:
-        self._look_in = LOOK_AGAIN
+        self._relearn_in = RELEARN_AFTER
         self._shape = TelegramShape.of(data, self._in_shape)
         if self._shape is not None and self._of_shape(self._shape, data) != telegram:
             # the same words stand elsewhere too, e.g. in an element of an element
             self._shape = None
 
     def _of_shape(self, shape: TelegramShape, data: bytes) -> RobotTelegram | None:
-        """Read a telegram that looks like the last one; None when it does not, or when it is to be refused."""
+        """Read a telegram of the same shape as the last one; None when it does not, or when it is to be refused."""
         found = shape.read(data)
         if found is None:
             return None
@@ -172,7 +170,7 @@ class SensorEncoder:
     receive : tuple of str, optional
         Channels in the order of the Ethernet XML, see `RsiLayout`; default: `AK` and `EK`, no `Stop`.
     units : tuple of AxisUnit, length n, optional
-        Default: every axis turns, and is in the controller's own units.
+        Default: every axis is revolute, and in the controller's own units.
 
     Raises
     ------
@@ -229,7 +227,7 @@ class SensorEncoder:
 
 
 def parse_robot(data: bytes, axes: tuple[str, ...]) -> RobotTelegram:
-    """Read one controller packet of a robot whose axes all turn; `RobotDecoder` is for every cycle."""
+    """Read one controller packet of a robot whose axes are all revolute; `RobotDecoder` is for every cycle."""
     return RobotDecoder(axes).parse(data)
 
 

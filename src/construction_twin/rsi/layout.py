@@ -68,7 +68,7 @@ class AxisUnit:
     """How one axis is written in RSI: ``feedback = feedback_scale * unit * (sign * x + offset)``.
 
     `unit` is degrees per rad, or mm per m for a linear axis. A correction has no offset and a scale of its own: a controller
-    that reports an axis in another unit need not take it in that unit (rsi.md, section 11).
+    that reports an axis in another unit need not take it in that unit (docs/rsi.md, section 11).
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: What values may consist of, all of them together, so that they cannot change what is around them.
 _is_plain = re.compile(rb"[-+.0-9A-Za-z]*").fullmatch
-#: Whole numbers that need no look at their size.
+#: Whole numbers that fit into 64 bits whatever their digits.
 is_count = re.compile(rb"[0-9]{1,19}").fullmatch
 _TAG = re.compile(rb"<([A-Za-z]\w*)")
 _ATTRIBUTE = re.compile(rb"\s([A-Za-z]\w*)=$").search

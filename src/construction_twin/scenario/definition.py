@@ -22,7 +22,7 @@ _NotNegative = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
 #: Topics whose states a step can wait for, and an event can name.
 STATES = ("sync", "link", "execution")
 #: Services that a step can call: those of a person, of the cell, and of the arm's controller.
-CALLS = ("stop", "halt", "pause", "resume", "reset", "mqtt_bridge/arm", "mock_rsi/restart")
+Call = Literal["stop", "halt", "pause", "resume", "reset", "mqtt_bridge/arm", "mock_rsi/restart"]
 #: A pose has been reached when every joint is this close [deg], 1e-5 rad: rounding to 3 decimals leaves 5e-4.
 FINAL_ERROR_DEG = 5.7e-4
 
@@ -37,7 +37,7 @@ class Injection(_Model):
     `end` in place of `on`: in YAML `on` is a boolean.
     """
 
-    fault: Literal[tuple(KINDS)]
+    fault: Literal[tuple(KINDS)]  # type: ignore[valid-type]  # the names are those of the mock's table
     joint: str = ""
     value: list[pydantic.FiniteFloat] = []
     value_deg: list[pydantic.FiniteFloat] = []
@@ -70,7 +70,7 @@ class Step(_Model):
     after : float
         So long after that moment [s].
     move, approve, inject, call
-        Exactly one of them: plan (and have it started), approve the plan on the desk, a fault, a service of `CALLS`.
+        Exactly one of them: plan (and have it started), approve the plan on the desk, a fault, a service of `Call`.
     """
 
     when: Annotated[str, pydantic.Field(pattern=r"^(now|motion|rest|(sync|link|execution) [A-Z_]+)$")] = "now"
@@ -78,7 +78,7 @@ class Step(_Model):
     move: Move | None = None
     approve: Literal[True] | None = None
     inject: Injection | None = None
-    call: Literal[CALLS] | None = None
+    call: Call | None = None
 
     @pydantic.model_validator(mode="after")
     def _one_action(self) -> Step:
@@ -90,7 +90,7 @@ class Step(_Model):
         if self.inject:
             subject = self.inject.joint or self.inject.direction
             return f"{self.inject.fault} {subject}".strip() + (" ends" if self.inject.end else "")
-        return "move" if self.move else "approve" if self.approve else self.call
+        return "move" if self.move else "approve" if self.approve else str(self.call)
 
 
 class StopBound(_Model):

@@ -7,8 +7,9 @@ what the servo lag explains is left in; where it does not (the gateway brakes or
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -53,8 +54,8 @@ class Verdict:
     checks : tuple of Check
     measured : dict
         Figures for the table: ``did``, ``detection_s``, ``detection_samples``, ``worst_error_deg``, ``worst_joint``,
-        ``velocity_share``, ``acceleration_share`` (of the corrections), ``arm_velocity_share``,
-        ``arm_acceleration_share`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``;
+        ``velocity_fraction``, ``acceleration_fraction`` (of the corrections), ``arm_velocity_fraction``,
+        ``arm_acceleration_fraction`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``;
         None where there is none.
     """
 
@@ -106,7 +107,7 @@ def judge(scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: Mot
 
 
 def _begun(scenario: Scenario, run: Run) -> list[Check]:
-    """Whether the controller said of every fault that it was on; what would pass without its fault tells nothing."""
+    """Whether the controller reported every fault as on: a run that passes without its fault shows nothing."""
     checks = []
     injected = {step.inject.fault for step in scenario.steps if step.inject and not step.inject.end}
     wanted = {name for name in injected if KINDS[name].lasting}
@@ -143,7 +144,7 @@ def _order(expected: Sequence[str], found: Sequence[str]) -> Check:
     return Check("states of the gate", " ".join(expected), " ".join(found), matches(expected, found))
 
 
-def _finals(run: Run, final: dict) -> list[Check]:
+def _finals(run: Run, final: Mapping[Any, str]) -> list[Check]:
     return [Check(f"final {topic}", value, run.last(topic), run.last(topic) == value) for topic, value in final.items()]
 
 
@@ -165,16 +166,19 @@ def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
     """How soon the gate closed: from the fault, and in samples from the first one over the threshold."""
     fault = _fault(scenario, run)
     closing = next((c for c in run.closings if fault is not None and c.stamp >= max(fault.stamp, run.start)), None)
-    seconds = samples = crossing = None
-    if closing is not None:
+    seconds: float | None = None
+    samples: int | None = None
+    checks = []
+    if fault is not None and closing is not None:
         seconds = (closing.stamp - fault.stamp) / NANOSECONDS
         crossing = _crossing(run, closing, fault.stamp)
-        samples = crossing and crossing.samples
+        if crossing is not None:
+            samples = crossing.samples
+            if fault.value == "stall":
+                injections = [step.inject for step in scenario.steps if step.inject]
+                stalled = next(injection.joint for injection in injections if injection.fault == "stall")
+                checks.append(_growth(run, closing, crossing, stalled))
     measured |= {"detection_s": seconds, "detection_samples": samples}
-    checks = []
-    if crossing is not None and fault.value == "stall":
-        stalled = next(step.inject.joint for step in scenario.steps if step.inject and step.inject.fault == "stall")
-        checks.append(_growth(run, closing, crossing, stalled))
     for name, bound, found in (
         ("detection_s", scenario.expect.detection_s, seconds),
         ("detection_samples", scenario.expect.detection_samples, samples),
@@ -197,11 +201,14 @@ class _Crossing:
         Over the threshold until the gate closed.
     within : int
         Stamp of the command that the last sample within the threshold was compared with [ns].
+    last : int
+        Stamp of the last sample of the recording [ns].
     """
 
     joint: int
     samples: int
     within: int
+    last: int
 
 
 def _crossing(run: Run, closing: SyncMoment, begin: int) -> _Crossing | None:
@@ -223,7 +230,12 @@ def _crossing(run: Run, closing: SyncMoment, begin: int) -> _Crossing | None:
     first = int(within[-1]) + 1 if len(within) else 0
     feedback = run.recording.feedback
     sample = np.searchsorted(feedback.stamps, aligned.stamps[max(0, first - 1)])
-    return _Crossing(column, len(over) - first, int(feedback.command_stamps[sample] - _lag(closing)))
+    return _Crossing(
+        joint=column,
+        samples=len(over) - first,
+        within=int(feedback.command_stamps[sample] - _lag(closing)),
+        last=int(feedback.stamps[-1]),
+    )
 
 
 def _lag(closing: SyncMoment) -> float:
@@ -231,10 +243,10 @@ def _lag(closing: SyncMoment) -> float:
 
 
 def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) -> Check:
-    """Whether a stalled joint's error grew only for as long as its news and the commands under way took.
+    """Whether a stalled joint's error grew only while its feedback and the commands that were sent before travelled.
 
-    From the command of the last sample within the threshold until the gate closed, which is the commands' way to the arm, the
-    sample's way back and the detection, the error grows at the joint's speed at most; then nothing is sent that increases it.
+    From the command of the last sample within the threshold until the gate closed the error grows at most at the joint's speed:
+    that time is the commands' travel to the arm, the sample's travel back, and the detection. Then nothing sent increases it.
     """
     joint = crossing.joint
     name = run.recording.joint_names[joint]
@@ -248,8 +260,10 @@ def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) ->
     speed = float(speeds.max(initial=0.0))
     delay = (closing.stamp - crossing.within) / NANOSECONDS
     released = run.first("fault_end", since=closing.stamp)
-    end = released.stamp if released else int(run.recording.feedback.stamps[-1])
+    end = released.stamp if released else crossing.last
     aligned = align_lag_removed(run.recording, Window(crossing.within, end, end, False), _lag(closing))
+    if aligned is None:
+        return Check("error of the stalled joint", "poses after it stalled", "none that can be compared", False)
     worst = float(np.abs(aligned.errors[:, joint]).max())
     bound = threshold + speed * delay
     sentence = f"{math.degrees(threshold):.3f} deg and {delay * 1e3:.1f} ms at {math.degrees(speed):.1f} deg/s"
@@ -281,6 +295,8 @@ def _worst_errors(run: Run) -> np.ndarray:
     if aligned is not None:
         worst = aligned.maximum
     feedback = recording.feedback
+    if feedback is None:
+        return np.degrees(worst)
     present = window.contains(feedback.stamps) & (feedback.command_stamps == 0)
     if present.any():
         path = TwinPath(recording.twin, window.start)
@@ -297,7 +313,7 @@ def _corrections(trace: Sequence[TraceEntry], limits: MotionLimits, decimals: in
         return [Check("corrections inside the limits", "a trace of the gateway", "an empty one", False)]
     excesses = trace_excesses(trace, limits, decimals)
     velocity, acceleration = limit_usage(*trace_arrays(trace), limits, decimals)
-    measured |= {"velocity_share": float(velocity.max()), "acceleration_share": float(acceleration.max())}
+    measured |= {"velocity_fraction": float(velocity.max()), "acceleration_fraction": float(acceleration.max())}
     found = "; ".join(map(str, excesses[:3])) or f"{len(trace)} replies inside"
     return [Check("corrections inside the limits", "every reply", found, not excesses)]
 
@@ -306,7 +322,7 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
     """What the arm did with its sound joints; the cycles of a missed reply, which stops it dead, are only reported."""
     names = [name for name in limits.names if name not in scenario.faulted]
     if not names:
-        measured |= {"arm_velocity_share": None, "arm_acceleration_share": None}
+        measured |= {"arm_velocity_fraction": None, "arm_acceleration_fraction": None}
         return []
     breaks = np.zeros(len(run.arm), dtype=bool)
     breaks[0] = True
@@ -318,7 +334,7 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
     velocity, acceleration = limit_usage(run.arm, breaks, limits, decimals)
     columns = [limits.names.index(name) for name in names]
     v, a = float(velocity[columns].max()), float(acceleration[columns].max())
-    measured |= {"arm_velocity_share": v, "arm_acceleration_share": a}
+    measured |= {"arm_velocity_fraction": v, "arm_acceleration_fraction": a}
     missed = np.zeros(len(run.arm), dtype=bool)
     for cycle in np.searchsorted(run.arm_stamps, run.missed_at):
         missed[max(0, cycle - _MISSED) : cycle + _MISSED + 1] = True
@@ -331,10 +347,10 @@ def _gateway_stops(scenario: Scenario, run: Run, limits: MotionLimits) -> list[C
     """No sound joint goes further than the gateway stated when it began to brake."""
     sound = [index for index, name in enumerate(limits.names) if name not in scenario.faulted]
     checks = []
-    for cause, stated, moved in run.stops:
-        further = max((moved[index] - stated[index] for index in sound), default=0.0)
-        expected = f"no joint further than the gateway stated, {max(stated):.4f} deg for the one that moves most"
-        checks.append(Check(f"way after {cause}", expected, f"{further:+.4f} deg", further <= STATED_DEG))
+    for stop in run.stops:
+        further = max((stop.moved[index] - stop.stated[index] for index in sound), default=0.0)
+        expected = f"no joint further than the gateway stated, {max(stop.stated):.4f} deg for the one that moves most"
+        checks.append(Check(f"distance after {stop.cause}", expected, f"{further:+.4f} deg", further <= STATED_DEG))
     return checks
 
 
@@ -343,7 +359,8 @@ def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) ->
     measured |= {"stop_distance_deg": None, "stop_time_s": None}
     if bound is None:
         return []
-    event = run.first(*bound.event.split(" ", 1), since=run.start)
+    topic, value = bound.event.split(" ", 1)
+    event = run.first(topic, value, since=run.start)
     if event is None:
         return [
             Check("stop distance", f"at most {bound.distance_deg:g} deg after {bound.event}", "no such event", False)

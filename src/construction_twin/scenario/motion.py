@@ -43,11 +43,11 @@ def limit_usage(
     steps[breaks] = 0.0
     before = np.vstack([np.zeros_like(steps[:1]), steps[:-1]])
     before[breaks] = 0.0
-    bends = steps - before
+    changes = steps - before
     if left_out is not None:
-        steps[left_out] = bends[left_out] = 0.0
+        steps[left_out] = changes[left_out] = 0.0
     velocity = np.abs(steps).max(axis=0) / CYCLE / (np.array(limits.velocity) + allowance * CYCLE / 2)
-    acceleration = np.abs(bends).max(axis=0) / CYCLE**2 / (np.array(limits.acceleration) + allowance)
+    acceleration = np.abs(changes).max(axis=0) / CYCLE**2 / (np.array(limits.acceleration) + allowance)
     return velocity, acceleration
 
 
@@ -60,8 +60,8 @@ def trace_arrays(entries: Sequence[TraceEntry]) -> tuple[np.ndarray, np.ndarray]
     sessions = np.array([entry.session for entry in entries])
     ipocs = np.array([entry.ipoc for entry in entries])
     breaks = np.concatenate([[True], sessions[1:] != sessions[:-1]])
-    positions_before = np.diff(ipocs, prepend=ipocs[:1])
-    standing = (positions_before > _STANDSTILL_MS) & ~breaks
+    pauses = np.diff(ipocs, prepend=ipocs[:1])
+    standing = (pauses > _STANDSTILL_MS) & ~breaks
     # from rest, but a step is still a step: the one before is taken out by repeating the position
     rows = np.flatnonzero(standing)
     positions = np.insert(positions, rows, positions[rows - 1], axis=0)
@@ -70,7 +70,7 @@ def trace_arrays(entries: Sequence[TraceEntry]) -> tuple[np.ndarray, np.ndarray]
 
 
 def distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: int) -> tuple[np.ndarray, float]:
-    """Return how far each joint was from where it stood at `begin`, until `end`, and when the arm came to rest.
+    """Return the largest distance of each joint from its position at `begin`, until `end`, and when the arm came to rest.
 
     Parameters
     ----------
@@ -94,6 +94,6 @@ def distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: i
     if not len(inside):
         return np.zeros(positions.shape[1]), 0.0
     part = positions[inside]
-    moved = np.flatnonzero(np.abs(np.diff(part, axis=0)).max(axis=1) > 1e-9) if len(part) > 1 else []
+    moved = np.flatnonzero(np.abs(np.diff(part, axis=0)).max(axis=1, initial=0.0) > 1e-9)
     rest = max(0.0, (stamps[inside[moved[-1] + 1]] - begin) / 1e9) if len(moved) else 0.0
     return np.abs(part - part[0]).max(axis=0), float(rest)

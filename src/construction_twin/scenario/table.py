@@ -90,11 +90,11 @@ def _row(name: str, runs: list[dict]) -> Iterable[str]:
     yield _span([m["detection_s"] for m in measured], 3)
     yield _span([m["detection_samples"] for m in measured], 0)
     yield f"{worst['worst_error_deg']:.3f} ({worst['worst_joint']})"
-    for fraction in ("velocity_share", "acceleration_share"):
+    for fraction in ("velocity_fraction", "acceleration_fraction"):
         yield f"{max(m[fraction] for m in measured):.3f}"
     yield _span([m["missed_replies"] for m in measured], 0)
     # None: no joint is sound
-    fractions = [m["arm_acceleration_share"] for m in measured if m["arm_acceleration_share"] is not None]
+    fractions = [m["arm_acceleration_fraction"] for m in measured if m["arm_acceleration_fraction"] is not None]
     yield f"{max(fractions):.3f}" if fractions else "–"
     yield _span([m["stop_distance_deg"] for m in measured], 3)
     yield f"{sum(run['passed'] for run in runs)} of {len(runs)}"

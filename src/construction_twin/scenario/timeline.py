@@ -11,7 +11,7 @@ from construction_twin.evaluation.recording import Recording
 
 @dataclass(frozen=True)
 class Change:
-    """Something changed, or somebody did something.
+    """A change of a state, or something that was done.
 
     Attributes
     ----------
@@ -54,6 +54,23 @@ class SyncMoment:
 
 
 @dataclass(frozen=True)
+class GatewayStop:
+    """A stop as the gateway reported it at its end.
+
+    Attributes
+    ----------
+    cause : str
+        ``silence``, ``refused``, ``stop``, ``speed_limit`` or ``drift``.
+    stated, moved : tuple of float, shape (n,)
+        Distance of each joint to rest: as stated when braking began, and as the arm went [deg], [mm] where linear.
+    """
+
+    cause: str
+    stated: tuple[float, ...]
+    moved: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Run:
     """One recorded run of a scenario.
 
@@ -74,11 +91,9 @@ class Run:
         When it said so [ns].
     failure : str
         Why the run was not carried out to its end; empty when it was.
-    stops : tuple of (str, tuple, tuple)
-        Of each stop that the gateway reported to its end: cause, the way of each joint that it stated when it began, and the
-        way that the arm went [deg], [mm] where linear.
+    stops : tuple of GatewayStop
     stated : tuple of float
-        Way of each axis to rest, as the controller stated it when an emergency stop began [deg]; empty without one.
+        Distance of each axis to rest, as the controller stated it when an emergency stop began [deg]; empty without one.
     """
 
     recording: Recording
@@ -89,7 +104,7 @@ class Run:
     missed: int
     missed_at: np.ndarray
     failure: str = ""
-    stops: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = ()
+    stops: tuple[GatewayStop, ...] = ()
     stated: tuple[float, ...] = ()
 
     @property

@@ -11,7 +11,7 @@ from construction_twin.core.units import CYCLE_NS
 
 #: Decimals of a measured pose whose rounding is no motion of its own: the format's default.
 DECIMALS = 3
-#: The way of more cycles than this is not made up for at once [cycles]: 0.25 s.
+#: The motion of more cycles than this is not made up for at once [cycles]: 0.25 s.
 MOST_CYCLES = 62
 
 

@@ -12,7 +12,8 @@ from construction_twin.core.limits import MotionLimits, outside_tolerance
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.twin.mirror import MirrorTwin
 
-#: The first command may differ this much from the pose taken over (design, law 5): joints that turn [rad], linear ones [m].
+#: The first command may differ this much from the pose taken over (docs/architecture.md, law 5): revolute
+#: joints [rad], prismatic ones [m].
 START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
 #: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
 SILENCE = NANOSECONDS // 4
@@ -74,7 +75,7 @@ class VirtualRobot:
         """Execute a command; return whether it was executed.
 
         Refused is a command while no pose is held, one that is not newer than the last, and a first one away from the pose taken
-        over: it belongs to the stream before the restart, still on its way.
+        over: it belongs to the stream before the restart.
         """
         if self.pose is None or stamp <= self.stamp or self._mirror is not None:
             return False

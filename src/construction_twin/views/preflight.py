@@ -1,6 +1,7 @@
 """Checks the arguments of a launch before anything starts: what cannot work, or must not be left to a default, is one sentence.
 
-Standard library only. Called by bringup.launch as ``preflight name:=value ...``; whether a port is free finds out who opens it.
+Standard library only. Called by bringup.launch as ``preflight name:=value ...``. A port that is taken is reported by the program
+that opens it.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ def _unsafe(given: Mapping[str, str], is_anonymous: Callable[[str], bool]) -> st
         anonymous = f"broker_config:={given['broker_config']}"
     if anonymous:
         return (
-            f"{anonymous} with arm:=real: the broker lets in everybody, and who is on it can command the arm; make a site with "
+            f"{anonymous} with arm:=real: the broker lets in everybody, and every client can command the arm; make a site with "
             "make_site and give its accounts and its broker_config, or give anonymous_broker_is_meant:=true"
         )
     return ""
@@ -147,6 +148,6 @@ def _lets_in_everybody(path: str) -> bool:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
         return True
-    # of several the last one counts, and without one mosquitto 2 with a listener lets in nobody
+    # of several lines the last one counts; without one mosquitto 2 refuses clients without an account
     permitted = [line.split()[1:] for line in lines if line.split()[:1] == ["allow_anonymous"]]
     return bool(permitted) and permitted[-1] == ["true"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-#: Something is reported as waited for when it has been missing this long [s]: what comes up by itself is no news.
+#: Something is reported as waited for when it has been missing this long [s]: a part that starts within it is not reported.
 PATIENCE = 1.0
 
 

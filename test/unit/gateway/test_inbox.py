@@ -44,7 +44,7 @@ class Line:
         """Put these in and read; return the IPOC of what is answered, its source and which datagram it was."""
         self.waiting.extend(thing if isinstance(thing, tuple) else (thing, HERE) for thing in things)
         found = self.inbox.newest()
-        return found and (found[0].ipoc, found[1], found[2])
+        return found and (found.telegram.ipoc, found.source, found.arrived)
 
     def counted(self) -> dict:
         return dict(self.gateway.counters)
@@ -116,7 +116,8 @@ def test_good_telegrams_leave_the_last_refusal_alone():
 def test_while_a_controller_is_alive_nobody_else_is_read():
     line = Line()
     line.waiting.append((1000, HERE))
-    read, source, _ = line.inbox.newest()
+    found = line.inbox.newest()
+    read, source = found.telegram, found.source
     line.gateway.on_telegram(read, source, 10**9)
     assert line.newest((1004, THERE)) is None
     assert line.counted()["telegram_refused_source"] == 1
@@ -140,7 +141,8 @@ def test_another_address_is_no_news_in_a_session_and_news_again_after_it():
     line = Line("192.168.1.20")
     line.newest((1000, ("10.0.0.1", 1)))
     line.waiting.append((1000, HERE))
-    read, source, _ = line.inbox.newest()
+    found = line.inbox.newest()
+    read, source = found.telegram, found.source
     line.gateway.on_telegram(read, source, 10**9)
     line.gateway.take_change()
     line.newest((1004, ("10.0.0.1", 1)))

@@ -70,7 +70,7 @@ def test_a_new_session_is_told_what_still_holds_and_nothing_old():
 
 
 @pytest.mark.parametrize("limit", [-0.001, 1.001, math.nan, math.inf])
-def test_what_is_no_share_is_not_taken(limit):
+def test_what_is_no_fraction_is_not_taken(limit):
     forwarder = SpeedForwarder(0.5)
     with pytest.raises(PayloadError, match="from 0 to 1"):
         forwarder.on_limit(limit, "/source", 0)

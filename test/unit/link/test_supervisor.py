@@ -201,7 +201,7 @@ class TestWhileArmed:
 
 
 class TestRun:
-    """The gateway is started again; its retained status, or the last one on its way, is still the former run's."""
+    """The gateway is started again; its retained status, or the last one under way, is still the former run's."""
 
     def started_again(self, bench, control, run):
         """What a gateway of this run does with an `arm` that may name another one: it tells its status before it answers."""

@@ -196,7 +196,7 @@ class TestStop:
 
 
 class TestFault:
-    """What stopped the gateway is remembered there, whoever was here to see it."""
+    """The gateway remembers what stopped it, also for a bridge that was not there then."""
 
     def test_a_restarted_bridge_does_not_begin_by_itself(self, bench):
         bench.set_gateway("ready", "new RSI session", fault=True)

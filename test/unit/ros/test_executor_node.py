@@ -8,11 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Link, Scene, SpeedLimit, Sync
+from construction_twin.msg import Conflict, Link, Scene, SpeedLimit, Sync
 from construction_twin.srv import ReviewPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.execution.conflict_verdicts import NeighbourWatch
 from construction_twin.review.queue import Verdict
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
@@ -28,6 +29,7 @@ class World:
         self.said: list[tuple[str, object]] = []
         self.logged: list[tuple[str, str]] = []
         self.services: dict[str, object] = {}
+        self.refused: list[tuple[str, str]] = []
         self.cycles = 0
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
@@ -45,7 +47,7 @@ class World:
         settings = module.Settings(arm="mock", review_file=str(tmp_path / "reviews.jsonl"), **limits)
         patch(module, "read_parameters", lambda model: settings)
         patch(module, "robot_from_parameters", lambda: ROBOT)
-        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
+        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *said: self.refused.append(said)))
         patch(module, "JointSubscriber", lambda *_, **__: None)
         patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
         patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
@@ -101,6 +103,19 @@ def limit(fraction: float) -> SpeedLimit:
     message = SpeedLimit(limit=fraction, reason="somebody is near")
     message._connection_header = {"callerid": "/sensor"}
     return message
+
+
+@pytest.mark.parametrize("age, refused", [(0.2, 0), (0.6, 1), (-0.5, 1)])
+def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age, refused):
+    watch, taken = NeighbourWatch("b"), []
+    on_verdict = watch.on_verdict
+    monkeypatch.setattr(watch, "on_verdict", lambda *given: taken.append(given[3]) or on_verdict(*given))
+    world.node._executor.neighbour = watch
+    message = Conflict(plan_id="p1", conflict=False, reason="its path is free")
+    message.header.stamp = to_time(world.wall) - rospy.Duration(age)
+    world.node._on_conflict(message)
+    assert [reason for reason, _ in world.refused] == ["conflict_age"] * refused
+    np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
 
 
 class TestCycle:

@@ -14,7 +14,6 @@ from construction_twin.coordination.path_judge import Judgement
 from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
-from construction_twin.ros.nodes import executor as executor_node
 from construction_twin.ros.nodes import neighbour as neighbour_node
 from construction_twin.ros.nodes import planner as planner_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
@@ -23,7 +22,7 @@ from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
 from construction_twin.scene.objects import Scene, SceneObject
 
 EMPTY = Scene((), 0.0)
-FREE = Judgement(False, -1.0, "its way is free")
+FREE = Judgement(False, -1.0, "its path is free")
 STAMP = rospy.Time(100, 5)
 
 
@@ -31,15 +30,23 @@ class Bench:
     """The node without its topics; notes in order what it does."""
 
     def __init__(self, monkeypatch):
-        monkeypatch.setattr(neighbour_node.rospy.Time, "now", staticmethod(self._now))
         self.did: list = []
-        self.node = node = object.__new__(NeighbourNode)
-        node._settings = SimpleNamespace(name="b", max_pose_age=0.5, rate=10.0)
-        node._horizon, node._looks, node._longest, node._said, node._failure = 2.9, 0, 0.0, {}, ""
-        node._own = SimpleNamespace(plans=self.plans, scene=EMPTY, poses=lambda _: (AWAY, AWAY))
-        node._other = SimpleNamespace(occupied=self.occupied, claim=None, unknown="", complete=True)
-        node._judge = SimpleNamespace(followed=self.followed, waiting=self.waiting, forget=lambda _: None)
-        node._publisher = SimpleNamespace(publish=self.did.append)
+        settings = SimpleNamespace(name="b", max_pose_age=0.5, rate=10.0, watch_padding=0.1, own_step=0.1)
+        own = SimpleNamespace(plans=self.plans, scene=EMPTY, poses=lambda _: (AWAY, AWAY))
+        there = SimpleNamespace(occupied=self.occupied, claim=None, unknown="", complete=True, robot=None)
+        judge = SimpleNamespace(followed=self.followed, waiting=self.waiting, forget=lambda _: None)
+        patch = monkeypatch.setattr
+        patch(neighbour_node.rospy.Time, "now", staticmethod(self._now))
+        patch(neighbour_node.rospy, "loginfo", lambda *_: None)
+        patch(neighbour_node, "neighbour_settings", lambda: settings)
+        patch(neighbour_node, "robot_from_parameters", lambda: SimpleNamespace(name="a"))
+        patch(neighbour_node, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
+        patch(neighbour_node, "OtherArm", lambda *_, **__: there)
+        patch(neighbour_node, "ArmListener", lambda *_, **__: own)
+        patch(neighbour_node, "braking_horizon", lambda *_: 2.9)
+        patch(neighbour_node, "PathJudge", lambda *_: judge)
+        patch(neighbour_node, "Publisher", lambda *_, **__: SimpleNamespace(publish=self.did.append))
+        self.node = NeighbourNode()
 
     def _now(self):
         self.did.append("time")
@@ -49,7 +56,7 @@ class Bench:
         return plan(CLEAR, NEAR, "played"), 5, plan(CLEAR, NEAR, "waiting")
 
     def occupied(self, horizon):
-        assert horizon == self.node._horizon
+        assert horizon == 2.9
         self.did.append("read")
         return other().between(AWAY, AWAY)
 
@@ -61,8 +68,8 @@ class Bench:
         self.did.append("judge waiting")
         return FREE
 
-    def look(self) -> dict[str, Conflict]:
-        self.node.look()
+    def check(self) -> dict[str, Conflict]:
+        self.node.check()
         return {item.plan_id: item for item in self.did if isinstance(item, Conflict)}
 
 
@@ -72,7 +79,7 @@ def bench(monkeypatch) -> Bench:
 
 
 def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_judged(bench):
-    bench.look()
+    bench.check()
     names = [item.plan_id if isinstance(item, Conflict) else item for item in bench.did]
     assert names == ["time", "read", "judge played", "played", "judge waiting", "waiting"]
     assert bench.node._state[0] == OK
@@ -82,13 +89,13 @@ def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_othe
     waiting, calls = plan(CLEAR, NEAR, "waiting"), iter(range(9))
     bench.node._own.plans = lambda: (None, 0, waiting) if next(calls) % 2 == 0 else (waiting, 5, None)
     bench.node._judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its way has been checked so far")
-    assert not bench.look()
+    assert not bench.check()
     bench.node._own.plans = lambda: (None, 0, waiting)
-    assert bench.look()["waiting"].conflict
+    assert bench.check()["waiting"].conflict
 
 
 def test_a_verdict_bears_the_time_before_the_poses_were_read(bench):
-    assert {message.header.stamp for message in bench.look().values()} == {STAMP}
+    assert {message.header.stamp for message in bench.check().values()} == {STAMP}
 
 
 def test_a_load_that_cannot_be_used_blocks_its_plan_and_is_an_error_on_diagnostics(bench):
@@ -96,13 +103,13 @@ def test_a_load_that_cannot_be_used_blocks_its_plan_and_is_an_error_on_diagnosti
         raise SceneError("mesh", "/gone.stl", "a readable file")
 
     bench.node._judge.waiting = broken
-    verdicts = bench.look()
+    verdicts = bench.check()
     assert not verdicts["played"].conflict
     assert verdicts["waiting"].conflict and "/gone.stl" in verdicts["waiting"].reason
     level, sentence, _ = bench.node._state
     assert level == ERROR and "/gone.stl" in sentence
     bench.node._judge.waiting = lambda *_: FREE
-    assert not bench.look()["waiting"].conflict
+    assert not bench.check()["waiting"].conflict
     assert bench.node._state[0] == OK
 
 
@@ -111,14 +118,14 @@ def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostic
         raise NeighbourUnknownError("b", "what it carries cannot be used")
 
     bench.node._other.occupied = unknown
-    verdicts = bench.look()
+    verdicts = bench.check()
     assert all(message.conflict and "cannot be used" in message.reason for message in verdicts.values())
     assert set(verdicts) == {"played", "waiting"} and bench.node._state[0] == ERROR
 
 
 def test_an_arm_of_unknown_pose_is_a_warning(bench):
     bench.node._other.unknown = "where b is, is not known"
-    bench.look()
+    bench.check()
     assert bench.node._state[:2] == (WARN, "where b is, is not known")
 
 
@@ -224,23 +231,6 @@ def test_without_knowing_what_it_carries_nobody_knows_how_far_it_reaches(poses):
     foreign = SceneObject("pole", "box", (0.1, 0.1, 4.0), (0.0, 0.0, 2.0), link="no_such_link")
     with pytest.raises(NeighbourUnknownError, match="what it carries cannot be used: .*no_such_link"):
         arm(poses, scene=Scene((foreign,), 0.0)).occupied()
-
-
-@pytest.mark.parametrize("age, refused", [(0.2, 0), (0.6, 1), (-0.5, 1)])
-def test_the_executor_counts_a_verdict_by_its_stamp(monkeypatch, age, refused):
-    node = object.__new__(executor_node.ExecutorNode)
-    reasons, taken = [], []
-    node._lock = executor_node.threading.Lock()
-    node._executor = SimpleNamespace(neighbour=executor_node.NeighbourWatch("b"))
-    node._diagnostics = SimpleNamespace(refuse=lambda reason, _: reasons.append(reason))
-    on_verdict = node._executor.neighbour.on_verdict
-    node._executor.neighbour.on_verdict = lambda *given: taken.append(given[3]) or on_verdict(*given)
-    monkeypatch.setattr(executor_node.rospy.Time, "now", staticmethod(lambda: STAMP))
-    message = Conflict(plan_id="p1", conflict=False, reason="its way is free")
-    message.header.stamp = STAMP - rospy.Duration(age)
-    node._on_conflict(message)
-    assert reasons == ["conflict_age"] * refused
-    np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
 
 
 def planner(unknown: str) -> planner_node.PlannerNode:

@@ -1,4 +1,4 @@
-"""An error that nobody foresaw ends a node's process with a code that roslaunch respawns on, in whatever thread it occurs.
+"""An unforeseen error ends a node's process with a code that roslaunch respawns on, in whatever thread it occurs.
 
 Each kind in a process of its own, without a master: what is injected goes through rospy's own code.
 """

@@ -150,11 +150,11 @@ def test_where_no_shape_fits_it_is_seldom_looked_for(monkeypatch, change):
     of = TelegramShape.of
     monkeypatch.setattr(codec.TelegramShape, "of", lambda *content: looked.append(content) or of(*content))
     decoder, plain = RobotDecoder(AXES), telegram()
-    for number in range(2 * codec.LOOK_AGAIN):
+    for number in range(2 * codec.RELEARN_AFTER):
         decoder.parse(plain.replace(b"<IPOC>", (change % number).encode() + b"<IPOC>"))
     assert len(looked) == 2
     # and a shape that fits is found again
-    for _ in range(codec.LOOK_AGAIN + 2):
+    for _ in range(codec.RELEARN_AFTER + 2):
         assert decoder.parse(plain) == RobotDecoder(AXES).parse(plain)
     assert decoder._shape.read(plain)
 

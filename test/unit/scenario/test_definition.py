@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from mock_cell import Cell
 
 from construction_twin.core.errors import ScenarioError
 from construction_twin.core.units import from_wire
@@ -103,8 +104,6 @@ def test_shipped_scenarios_are_valid_fit_the_robot_and_are_documented(path):
 
 
 def board():
-    from test_mock_controller import Cell
-
     return FaultBoard(Cell().mock, 0)
 
 

@@ -19,7 +19,7 @@ from construction_twin.scenario.definition import make_scenario
 from construction_twin.scenario.judge import judge, matches
 from construction_twin.scenario.motion import distance_after, limit_usage, trace_arrays
 from construction_twin.scenario.table import BEGIN, END, markdown_table, put_into, read_verdicts
-from construction_twin.scenario.timeline import Change, Run, SyncMoment
+from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 ROOT = Path(__file__).resolve().parents[3]
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -118,8 +118,8 @@ def test_a_sound_run_passes():
     assert verdict.measured["worst_error_deg"] == pytest.approx(0.0, abs=1e-9)
     # the largest velocity of the quintic: 15/8 of the mean
     fraction = math.radians(20.0) / 3.2 * 15 / 8 / LIMITS.velocity[2]
-    assert verdict.measured["velocity_share"] == pytest.approx(fraction, rel=1e-3)
-    assert verdict.measured["arm_velocity_share"] == pytest.approx(fraction, rel=1e-3)
+    assert verdict.measured["velocity_fraction"] == pytest.approx(fraction, rel=1e-3)
+    assert verdict.measured["arm_velocity_fraction"] == pytest.approx(fraction, rel=1e-3)
     assert verdict.measured["detection_s"] is None
 
 
@@ -171,11 +171,11 @@ def test_a_stalled_joint_s_error_may_grow_until_the_gate_closes_and_no_further()
     assert failed(verdict_of(stall_expectation(), bad)) == [GROWTH]
 
 
-@pytest.mark.parametrize("joint, further, fails", [(0, 0.0, []), (0, 0.01, ["way after silence"]), (2, 0.01, [])])
+@pytest.mark.parametrize("joint, further, fails", [(0, 0.0, []), (0, 0.01, ["distance after silence"]), (2, 0.01, [])])
 def test_no_sound_joint_goes_further_than_the_gateway_stated(joint, further, fails):
     stated, moved = [1.0] * 6, [1.0] * 6
     moved[joint] += further
-    run = dataclasses.replace(stalled_run(), stops=(("silence", tuple(stated), tuple(moved)),))
+    run = dataclasses.replace(stalled_run(), stops=(GatewayStop("silence", tuple(stated), tuple(moved)),))
     # A3 is the joint that stalls
     assert failed(verdict_of(stall_expectation(), run)) == fails
 
@@ -217,15 +217,15 @@ def test_an_error_over_the_bound_fails():
 
 def test_the_stop_distance_is_measured_until_the_arm_may_move_again():
     run = stalled_run()
-    way = np.degrees(np.abs(run.arm[480:] - run.arm[480])[:, 2].max())
+    distance = np.degrees(np.abs(run.arm[480:] - run.arm[480])[:, 2].max())
     event = Change(at(480), "call", "stop")
     run = dataclasses.replace(run, changes=(*run.changes[:3], event, *run.changes[3:]))
-    stop = {"event": "call stop", "distance_deg": way * 1.3}
+    stop = {"event": "call stop", "distance_deg": distance * 1.3}
     verdict = verdict_of(stall_expectation(stop=stop), run)
     assert verdict.passed, verdict.checks
-    assert verdict.measured["stop_distance_deg"] == pytest.approx(way, rel=0.1)
+    assert verdict.measured["stop_distance_deg"] == pytest.approx(distance, rel=0.1)
     assert verdict.measured["stop_time_s"] == pytest.approx(20 * CYCLE, abs=2 * CYCLE)
-    assert failed(verdict_of(stall_expectation(stop=stop | {"distance_deg": way * 0.5}), run)) == ["stop distance"]
+    assert failed(verdict_of(stall_expectation(stop=stop | {"distance_deg": distance * 0.5}), run)) == ["stop distance"]
     assert failed(verdict_of(stall_expectation(stop=stop | {"event": "call reset"}), run)) == ["stop distance"]
 
 
@@ -249,7 +249,7 @@ def test_corrections_and_sound_joints_outside_the_limits_fail():
     # a missed reply explains it, so it is reported only; one at another time does not
     excused = verdict_of(expectation(), make_run(arm=jump, missed=[at(601)]))
     assert "sound joints inside the limits" not in failed(excused)
-    assert excused.measured["arm_acceleration_share"] > 1.0
+    assert excused.measured["arm_acceleration_fraction"] > 1.0
     assert "sound joints inside the limits" in failed(verdict_of(expectation(), make_run(arm=jump, missed=[at(300)])))
     # the next cycles of a process that was late come later, and are the missed reply's all the same
     late = make_run(arm=jump, missed=[at(598)])

@@ -1,7 +1,8 @@
-"""scenario: runs one scenario on a running cell with the mock, records it, judges it, ends."""
+"""scenario: runs one scenario on a running cell with the mock, records and judges it; with options it judges recorded runs."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
 import sys
@@ -9,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import pydantic
 import rospy
@@ -22,15 +23,16 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import from_wire
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.transport.persistent_service import PersistentService
-from construction_twin.scenario.definition import STATES, Move, Scenario, Step, make_scenario
+from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
 from construction_twin.scenario.judge import Verdict, judge
-from construction_twin.scenario.table import print_verdict
+from construction_twin.scenario.table import markdown_table, print_verdict, put_into, read_verdicts
 from construction_twin.scenario.timeline import Change
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
 
@@ -39,6 +41,8 @@ _READY = 60.0
 #: The arm counts as at rest when no joint left this band [rad] for this time [s].
 _REST_BAND, _REST_TIME = 1e-6, 0.4
 _POLL = 0.005
+#: Of the recorded robot, where no option names another.
+XACRO, DESCRIPTION = "urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"
 
 
 class ScenarioSettings(pydantic.BaseModel):
@@ -121,7 +125,7 @@ class ScenarioDriver:
 
     # -- steps
 
-    def _carry_out(self, step: Step, deadline: int) -> None:
+    def _carry_out(self, step: Step, deadline: float) -> None:
         begin = self._moment(step.when, deadline)
         due = begin + round(step.after * 1e9)
         self._wait(lambda: rospy.Time.now().to_nsec() >= due, f"{step}", deadline)
@@ -133,8 +137,8 @@ class ScenarioDriver:
         elif step.approve:
             self._approve(deadline)
         elif step.inject:
-            self._inject(step)
-        else:
+            self._inject(step.inject, f"{step}")
+        elif step.call:
             self._note("call", step.call)
             service = self._stop if step.call == "stop" else rospy.ServiceProxy(step.call, Trigger)
             self._check(step.call, service())
@@ -172,27 +176,27 @@ class ScenarioDriver:
         self._check("plan_to_joints", answer)
 
     def _approve(self, deadline: float) -> None:
-        self._wait(lambda: self._plan and self._plan.id != self._approved, "a plan to approve", deadline)
-        plan, answers = self._plan, []
+        plan = self._wait(self._new_plan, "a plan to approve", deadline)
+        review = rospy.ServiceProxy("review_plan", ReviewPlan)
 
-        def answered() -> bool:
+        def answered():
             # the plan travels to the executor on a topic of its own
-            answers.append(
-                rospy.ServiceProxy("review_plan", ReviewPlan)(plan.id, plan.hash, True, "scenario", self._scenario.name)
-            )
-            return answers[-1].success or "is not under review" not in answers[-1].message
+            answer = review(plan.id, plan.hash, True, "scenario", self._scenario.name)
+            return answer if answer.success or "is not under review" not in answer.message else None
 
-        self._wait(answered, "the executor to know the plan", min(deadline, time.monotonic() + 2.0))
+        answer = self._wait(answered, "the executor to know the plan", min(deadline, time.monotonic() + 2.0))
         self._approved = plan.id
         self._note("approve", plan.id)
-        self._check("review_plan", answers[-1])
+        self._check("review_plan", answer)
 
-    def _inject(self, step: Step) -> None:
-        fault = step.inject
+    def _new_plan(self) -> Plan | None:
+        return self._plan if self._plan is not None and self._plan.id != self._approved else None
+
+    def _inject(self, fault: Injection, what: str) -> None:
         answer = rospy.ServiceProxy("mock_rsi/inject", InjectFault)(
             fault.fault, fault.joint, fault.values, fault.direction, fault.duration, not fault.end
         )
-        self._check(f"{step}", answer)
+        self._check(what, answer)
         if fault.fault in ("restart_at", "jog"):
             self._note("fault", fault.fault)
 
@@ -203,14 +207,16 @@ class ScenarioDriver:
     def _note(self, topic: str, value: str) -> None:
         self.actions.append(Change(rospy.Time.now().to_nsec(), topic, value))
 
-    def _wait(self, condition: Callable[[], object], what: str, deadline: float) -> None:
-        while not condition():
+    def _wait(self, condition: Callable[[], Any], what: str, deadline: float) -> Any:
+        """Return what `condition` returns as soon as it is true; ScenarioError after the deadline [s]."""
+        while not (found := condition()):
             if time.monotonic() > deadline:
                 states = ", ".join(f"{topic} {self.now(topic)}" for topic in STATES)
                 raise ScenarioError(f"waited in vain for {what}; {states}: {self._reasons()}")
             if rospy.is_shutdown():
                 raise ScenarioError("interrupted")
             time.sleep(_POLL)
+        return found
 
     def _reasons(self) -> str:
         return "; ".join(c.reason for topic in STATES for c in [c for c in self.seen if c.topic == topic][-1:])
@@ -282,12 +288,59 @@ def judge_folder(folder: Path, scenario: Scenario, robot: RobotModel, decimals: 
     return verdict
 
 
+def command(arguments: list[str]) -> int:
+    """Judge a recorded run again, or make the table of many, without a ROS master; return the exit code.
+
+    0; 1 when a scenario failed or something cannot be read.
+    """
+    options = _parser().parse_args(arguments)
+    console = Console(highlight=False, markup=False)
+    try:
+        if options.judge:
+            return _judge(options, console)
+        verdicts = read_verdicts(options.table)
+        table = markdown_table(verdicts)
+        print(table)
+        if options.into:
+            options.into.write_text(put_into(options.into.read_text(), table, str(options.into)))
+    except (ConstructionTwinError, OSError) as error:
+        print(f"scenario: {error}", file=sys.stderr)
+        return 1
+    return 0 if all(run["passed"] for runs in verdicts.values() for run in runs) else 1
+
+
+def _judge(options: argparse.Namespace, console: Console) -> int:
+    robot = read_robot_files(
+        options.robot_xacro or package_file(XACRO), options.robot_config or package_file(DESCRIPTION)
+    )
+    name = options.judge.resolve().name
+    scenario = read_scenario(options.scenario or package_file(f"config/scenarios/{name}.yaml"))
+    verdict = judge_folder(options.judge, scenario, robot, options.decimals, None)
+    print_verdict(verdict, console)
+    return 0 if verdict.passed else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scenario", description="Judge recorded scenarios; without options it is the node of scenario.launch."
+    )
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--table", type=Path, metavar="DIR", help="print the table of all verdicts below DIR")
+    what.add_argument("--judge", type=Path, metavar="DIR", help="judge the recording in DIR again")
+    parser.add_argument("--into", type=Path, metavar="FILE", help="also put the table between the marks in FILE")
+    parser.add_argument(
+        "--scenario", type=Path, metavar="FILE", help="scenario YAML (default: the shipped one of DIR's name)"
+    )
+    parser.add_argument("--decimals", type=int, default=3, help="decimals of a degree on the wire [3]")
+    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro (default: {XACRO})")
+    parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")
+    return parser
+
+
 def main() -> int:
-    """Run the node; return the process's status: 0 when the scenario passed, else 1. With options see `scenario_cli`."""
+    """Run the node, or with options `command`; return the process's status: 0 when the scenario passed, else 1."""
     arguments = rospy.myargv()[1:]
     if arguments:
-        from construction_twin.ros.commands.scenario_cli import main as command
-
         return command(arguments)
     rospy.init_node("scenario")
     console = Console(highlight=False, markup=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from construction_twin.core.errors import EvaluationError
 from construction_twin.ros.commands.bag import open_bag, read_recording
-from construction_twin.scenario.timeline import Change, Run, SyncMoment
+from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 BAG, NOTES, TRACE, VERDICT = "scenario.bag", "run.json", "gateway.trace", "verdict.json"
 ARM, MOCK = "mock_rsi/joint_states", "mock_rsi/status"
@@ -116,12 +116,12 @@ def _faults(reports: list[dict]) -> Iterator[Change]:
         before = now
 
 
-def _stops(messages: list) -> Iterator[tuple[str, tuple, tuple]]:
+def _stops(messages: list) -> Iterator[GatewayStop]:
     for message in messages:
         told = {pair.key: pair.value for pair in message.gateway_counters}
         if told.get("stop_took_s"):
-            ways = (tuple(map(float, told[f"stop_{name}_deg"].split())) for name in ("distance", "moved"))
-            yield told["stop_cause"], *ways
+            stated, moved = (tuple(map(float, told[f"stop_{name}_deg"].split())) for name in ("distance", "moved"))
+            yield GatewayStop(told["stop_cause"], stated, moved)
 
 
 def _transitions(messages: list) -> Iterator[Change]:

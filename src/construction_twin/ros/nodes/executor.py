@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import pydantic
 import rospy
@@ -39,11 +39,11 @@ from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanRespo
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
 SYNC_TIMEOUT = NANOSECONDS // 2
-#: How often records that nobody waits for are written, and a plan is looked for that may approve itself [s].
+#: How often deferred records are written, and a plan is checked for that may be approved by itself [s].
 BACKGROUND_PERIOD = 0.05
-#: Between two looks at the twin [s]: its pose is needed where it rests, and counts as known for much longer.
+#: Between two reads of the twin's pose [s]: its pose is needed where it rests, and counts as known for much longer.
 TWIN_PAUSE = 0.02
-#: How long who computes a forecast leaves the processor to the cycle, every few setpoints [s].
+#: How long the forecast of a stop leaves the processor to the cycle, every few setpoints [s].
 PAUSE = 0.0005
 
 
@@ -57,6 +57,18 @@ class Settings(NodeSettings):
     speed_limit_deadline: float = pydantic.Field(gt=0)
     speed_limit_silent: float = pydantic.Field(ge=0, le=1)
     speed_limit_required: bool
+
+
+class Said(NamedTuple):
+    """What is reported of the executor in one message: made in every cycle, so that a change is noticed."""
+
+    state: ExecutorState
+    reason: str
+    plan_start: int
+    outcome: str
+    steady: bool
+    #: A limit that follows a sensor changes all the time: a hundredth is worth a message, none of it a line in the log.
+    limit: float
 
 
 class ExecutorNode:
@@ -81,7 +93,7 @@ class ExecutorNode:
         self._auto_approve = settings.auto_approve
         self._session: str | None = None
         self._sync_at = 0
-        self._reported: tuple = ()
+        self._reported: Said | None = None
         self._told: tuple = ()
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._next = JointPublisher("next/joint_states", robot.joint_names)
@@ -177,7 +189,7 @@ class ExecutorNode:
                     raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
                 self._executor.offer(plan)
             except ReviewError as error:
-                # whoever shows it as waiting takes it away
+                # displays that show it as waiting take it away
                 self._executor.turn_down(plan, str(error))
                 self._diagnostics.refuse("plan", str(error))
 
@@ -210,7 +222,7 @@ class ExecutorNode:
         with self._lock:
             sentence = self._executor.stop(now_ns())
             braking = self._executor.braking()
-        # it brakes already; looking ahead takes some cycles' time, and must not hold up a setpoint
+        # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
             sentence = f"{sentence}; {braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)}"
         self._said.add(rospy.logwarn, "stop: %s", sentence)
@@ -279,28 +291,33 @@ class ExecutorNode:
         executor = self._executor
         with self._lock:
             events = executor.take_events()
-            state = (executor.state, executor.reason, executor.plan_start, executor.outcome)
-            # a limit that follows a sensor changes all the time: a hundredth is worth a message, none of it a line in the log
-            change = (*state, executor.steady, round(self._limit.limit, 2))
+            said = Said(
+                executor.state,
+                executor.reason,
+                executor.plan_start,
+                executor.outcome,
+                executor.steady,
+                round(self._limit.limit, 2),
+            )
             told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
-            limit = self._limit.state, self._limit.limit, self._limit.reason
+            limit, limit_state, limit_reason = self._limit.limit, self._limit.state, self._limit.reason
             plan, rate = executor.plan, executor.rate
-            # with the state: whoever goes by this report must not seem to know of a stop that came after it
+            # with the state: a stop that comes after this stamp is not known to the report
             stamp = now_ns()
-        if change != self._reported:
-            self._reported = change
-            self._execution.publish(_execution(state, plan, rate, limit[1], stamp))
+        if said != self._reported:
+            self._reported = said
+            self._execution.publish(_execution(said, plan, rate, limit, stamp))
         for event in events:
             self._log.defer(event)
             if isinstance(event, Verdict):
                 self._publish_verdict(event)
-        if limit[0] is not self._limit_state:
-            self._limit_state = limit[0]
-            warns = limit[0] in (LimitState.SILENT, LimitState.MISSING)
-            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", limit[2])
+        if limit_state is not self._limit_state:
+            self._limit_state = limit_state
+            warns = limit_state in (LimitState.SILENT, LimitState.MISSING)
+            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", limit_reason)
         if told != self._told:
             self._told = told
-            self._said.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
+            self._said.add(rospy.loginfo, "%s: %s", said.state.name, said.reason)
 
     def _report(self) -> tuple[int, str, dict]:
         executor, log = self._executor, self._log
@@ -320,15 +337,20 @@ class ExecutorNode:
         return level, f"{executor.state.name}: {executor.reason}", values
 
 
-def _execution(state: tuple, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
-    """Return the message of a state, reason, start and outcome, all of the moment `stamp` [ns]."""
+def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:
+    """Return the message of what is said at the moment `stamp` [ns]."""
     message = Execution(
-        state=state[0].value, text=state[0].name, reason=state[1], outcome=state[3], rate=rate, speed_limit=limit
+        state=said.state.value,
+        text=said.state.name,
+        reason=said.reason,
+        outcome=said.outcome,
+        rate=rate,
+        speed_limit=limit,
     )
     message.header.stamp = to_time(stamp)
     if plan is not None:
         message.plan_id = plan.id
-        message.plan_start = to_time(state[2])
+        message.plan_start = to_time(said.plan_start)
         message.duration = plan.trajectory.duration
     return message
 

@@ -82,7 +82,7 @@ class MockRsiNode:
         due = self._cycle % _STATUS_CYCLES == 0 or state != self._reported
         self._cycle += 1
         self._reported = state
-        # whoever reacts to the packet may be quicker than this thread
+        # a node that reacts to the packet may be quicker than this thread
         stamp = now_ns() - (time.monotonic_ns() - mock.left)
         self._outbox.put((stamp, self._controller.true, self._snapshot(stamp) if due else None))
 
@@ -110,7 +110,7 @@ class MockRsiNode:
         }
 
     def _ramp(self) -> dict | None:
-        """Return the last emergency stop's way and time to rest; None before one, and in the next session."""
+        """Return the last emergency stop's distance and time to rest; None before one, and in the next session."""
         ramp = self._controller.ramp
         if ramp is None:
             return None

@@ -25,7 +25,6 @@ from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
-from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     CommandProperties,
@@ -35,6 +34,7 @@ from construction_twin.mqtt.messages import (
     parse_status,
     read_state_properties,
 )
+from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Feedback, Link, SpeedLimit
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.gateway_config import config_from_parameters
@@ -96,7 +96,7 @@ class MqttBridge:
         As the gateway should run it.
     codec : JointStringCodec
     broker : Broker
-    client : FastClient
+    client : PlainClient
         Not connected yet.
     outputs : Outputs
     diagnostics : callable
@@ -112,7 +112,7 @@ class MqttBridge:
         config: GatewayConfig,
         codec: JointStringCodec,
         broker: Broker,
-        client: FastClient,
+        client: PlainClient,
         outputs: Outputs,
         diagnostics: Callable[[Callable[[], tuple[int, str, dict]]], NodeDiagnostics],
         mirrors: bool = False,
@@ -145,10 +145,10 @@ class MqttBridge:
         client.on_disconnect = self.on_disconnect
         client.on_stream(self._topics.state, self.on_state)
         client.message_callback_add(
-            self._topics.status, lambda _client, _data, message: self.on_status(message.payload)
+            self._topics.status, lambda _client, _data, message: self.on_status(bytes(message.payload))
         )
         client.message_callback_add(
-            self._topics.control_ack, lambda _client, _data, message: self.on_answer(message.payload)
+            self._topics.control_ack, lambda _client, _data, message: self.on_answer(bytes(message.payload))
         )
         client.connect_async(self._broker.host, self._broker.port, self._broker.keepalive)
         client.loop_start()
@@ -432,7 +432,7 @@ def start() -> MqttBridge:
             Publisher("link", Link, queue_size=10, latch=True),
         ),
         functools.partial(NodeDiagnostics, robot.name),
-        # no private parameter: those are what somebody set, and this is what somebody asked for while it ran
+        # not a private parameter: those hold settings, and this was asked for while the bridge ran
         mirrors=rospy.get_param(MIRROR_MODE, False) is True,
     )
     bridge.connect()

@@ -16,8 +16,8 @@ import rospy
 from construction_twin.core.errors import PayloadError
 from construction_twin.link.remote_review import PlanBoard, PlanView, RemoteReview, parse_review, review_answer
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
-from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Link, Plan, Review
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, report_of
@@ -51,7 +51,7 @@ class MqttReview:
     robot : str
         Name in the MQTT topics.
     broker : Broker
-    client : FastClient
+    client : PlainClient
         Not connected yet.
     review_plan : rospy.ServiceProxy
         The executor's service.
@@ -64,7 +64,7 @@ class MqttReview:
         settings: Settings,
         robot: str,
         broker: Broker,
-        client: FastClient,
+        client: PlainClient,
         review_plan: rospy.ServiceProxy,
         diagnostics: Callable[[Callable[[], tuple[int, str, dict]]], NodeDiagnostics],
     ):
@@ -90,10 +90,10 @@ class MqttReview:
         client.on_connect = self.on_connect
         client.on_disconnect = self.on_disconnect
         client.message_callback_add(
-            self._topics.review, lambda _client, _data, message: self.on_review(message.payload, message.retain)
+            self._topics.review, lambda _client, _data, message: self.on_review(bytes(message.payload), message.retain)
         )
         client.message_callback_add(
-            self._topics.plan, lambda _client, _data, message: self.on_own_plan(message.payload)
+            self._topics.plan, lambda _client, _data, message: self.on_own_plan(bytes(message.payload))
         )
         client.connect_async(self._broker.host, self._broker.port, self._broker.keepalive)
         client.loop_start()
@@ -124,7 +124,7 @@ class MqttReview:
         self._publish_plan()
 
     def on_verdict(self, message: Review) -> None:
-        """Take a plan away that somebody has judged."""
+        """Take a plan away that was approved or rejected."""
         with self._lock:
             self._board.on_verdict(message.plan_id)
         self._publish_plan()
@@ -188,7 +188,7 @@ class MqttReview:
             self._answer(review, False, sentence)
 
     def carry_out(self, review: RemoteReview) -> None:
-        """Give a verdict to the executor, and its answer to whoever judged."""
+        """Give a verdict to the executor, and its answer to the reviewer."""
         try:
             rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
             answer = self._review_plan(
@@ -267,7 +267,7 @@ def start() -> MqttReview:
     settings = read_parameters(Settings)
     robot = robot_from_parameters().name
     broker = broker_of(settings)
-    # as the last will, nothing: while this node does not run nobody takes a verdict, so there is nothing to review
+    # the last will takes the plan away: while this node does not run, a verdict on it would not be heard
     client = make_client(broker, unique_id(robot, "review"), Topics(settings.prefix, robot).plan, will="")
     review_plan = rospy.ServiceProxy("review_plan", ReviewPlan)
     node = MqttReview(settings, robot, broker, client, review_plan, functools.partial(NodeDiagnostics, robot))

@@ -1,4 +1,4 @@
-"""neighbour: watches whether the other arm stands in the way of our plans (`conflict`), while they wait and while they run."""
+"""neighbour: watches whether the other arm blocks the path of our plans (`conflict`), while they wait and while they run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.transport.publisher import Publisher
 
 #: From the moment when a verdict counts no longer to the first braking setpoint, and from a pose to its reception, at most
-#: [s]: a few cycles of the executor and the way of a message, on a busy machine.
+#: [s]: a few cycles of the executor and the transport of a message, on a busy machine.
 DELAY = 0.1
 
 
@@ -39,7 +39,7 @@ class NeighbourNode:
         robot = robot_from_parameters()
         self._settings = settings
         self._state: tuple[int, str, dict] = (WARN, "nothing to watch yet", {})
-        self._looks, self._longest = 0, 0.0
+        self._checks, self._longest = 0, 0.0
         self._failure = ""
         self._said: dict[str, tuple[bool, bool]] = {}
         self._diagnostics = NodeDiagnostics(robot.name, lambda: self._state)
@@ -52,16 +52,16 @@ class NeighbourNode:
         rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, self._horizon)
 
     def run(self) -> None:
-        """Look again and again, in the main thread: what nobody foresaw ends the process, which is then started anew."""
+        """Check again and again, in the main thread: an unforeseen error ends the process, which is then started anew."""
         rate = rospy.Rate(self._settings.rate)
         while not rospy.is_shutdown():
             began = time.monotonic()
-            self.look()
-            self._looks += 1
+            self.check()
+            self._checks += 1
             self._longest = max(self._longest, time.monotonic() - began)
             rate.sleep()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Judge the plan that is played and say so, then the one that waits."""
         # a verdict is as old as what it goes by
         stamp = rospy.Time.now()
@@ -82,7 +82,7 @@ class NeighbourNode:
         if waiting is not None:
             verdict = self._verdict(others, lambda known: self._judge.waiting(waiting, scene, known))
             verdicts[waiting.id] = verdict
-            # one that has begun meanwhile is the next look's: what may not start yet need not stop
+            # a plan that has begun meanwhile is judged next time: what may not start yet need not stop
             if not (verdict.blocked and self._has_begun(waiting.id)):
                 self._publish(waiting.id, verdict, stamp)
         self._forget(verdicts)
@@ -144,11 +144,11 @@ class NeighbourNode:
             self._report(ERROR, self._failure, {"obstacles": 0})
             return
         blocked = "; ".join(verdict.sentence for verdict in verdicts.values() if verdict.blocked)
-        sentence = blocked or others.unknown or f"{self._settings.name} is in nobody's way"
+        sentence = blocked or others.unknown or f"{self._settings.name} blocks no path"
         self._report(WARN if blocked or others.unknown else OK, sentence, {"obstacles": len(others.obstacles)})
 
     def _report(self, level: int, sentence: str, values: dict) -> None:
-        known = {"looks": self._looks, "longest look": f"{self._longest:.4f}", "horizon": f"{self._horizon:.2f}"}
+        known = {"checks": self._checks, "longest check": f"{self._longest:.4f}", "horizon": f"{self._horizon:.2f}"}
         self._state = (level, sentence, known | values)
 
 

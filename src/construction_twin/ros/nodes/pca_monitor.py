@@ -199,7 +199,7 @@ class PcaMonitorNode:
 
     def _on_feedback(self, received: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
         now = time.monotonic_ns()
-        # what waited in a queue is not fresh because it is read now. Both stamps of the way here are moments apart: a clock that is
+        # what waited in a queue is not fresh because it is read now. Both stamps are taken moments apart: a clock that is
         # set makes a single pose look old, never the ones before it
         self._heard = max(self._heard, now - max(now_ns() - received, 0))
         with self._lock:
@@ -259,7 +259,7 @@ class PcaMonitorNode:
     def _note_changes(self) -> None:
         """Take over the gate's transitions; when it has just closed ask once, beside the stream, for a plan to the old goal.
 
-        Whoever holds the lock calls this before anybody can hear of a change: the executor then drops the plan.
+        To be called under the lock, before a change can be heard: the executor then drops the plan.
         """
         if not self._gate.changed:
             return
@@ -268,7 +268,7 @@ class PcaMonitorNode:
         if closed and self._gate.policy == REPLAN:
             self._ask_for_plan(changes[0])
             changes += self._gate.take_transitions()
-        # the gate's clock is nobody else's
+        # the gate's clock is its own
         to_ros_time = now_ns() - time.monotonic_ns()
         self._changes.extend(replace(change, at=change.at + to_ros_time) for change in changes)
 
@@ -313,7 +313,7 @@ class PcaMonitorNode:
     # -- reports
 
     def _publish(self, now: int) -> None:
-        # the executor waits for `sync`; nobody for the rest
+        # the executor waits for `sync`, and no node for the rest
         self._publish_sync(now)
         if self._changes:
             with self._reporting:

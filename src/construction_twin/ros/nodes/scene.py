@@ -167,7 +167,7 @@ class SceneNode:
                 self._diagnostics.refuse(type(error).__name__, str(error))
                 return response(success=False, message=str(error), hash=self._world.scene.hash)
             self._edits += 1
-            self._look()
+            self._find_contacts()
             self._publish_scene()
             if self._touching:
                 sentence += f"; in contact (padding included) at the present pose: {self._contact_text()}"
@@ -184,14 +184,14 @@ class SceneNode:
         return pose_from_transform_msg(transform.transform)
 
     def _check(self) -> None:
-        """Look at the present pose; show it where a contact begins or ends."""
+        """Check the present pose; show where a contact begins or ends."""
         with self._busy:
             before = self._touching
-            self._look()
+            self._find_contacts()
             if self._touching != before:
                 self._publish_markers()
 
-    def _look(self) -> None:
+    def _find_contacts(self) -> None:
         """Find what touches at the present pose, and what to say about it."""
         values = {"scene": self._world.scene.hash, "objects": len(self._world.scene.objects), "edits": self._edits}
         self._touching = {}

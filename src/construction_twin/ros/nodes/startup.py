@@ -17,7 +17,7 @@ from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.views.startup import Deployment, Seen, StartUp
 
-#: How often it looks [s].
+#: How often it checks [s].
 PERIOD = 0.25
 
 
@@ -61,7 +61,7 @@ class StartupNode:
             self._once.pop(name).unregister()  # one message of a 250 Hz stream is enough
         snapshot = self._listener.snapshot()
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
-        # who fell silent is not there
+        # a node that fell silent is not there
         words = {
             name: (facts.text, facts.reason)
             for name, facts in reports.items()

@@ -22,7 +22,7 @@ from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.views.sync_picture import COLOURS, Shape, headline, visual_shapes, worst_joint
 
-#: How often the picture is looked at [s]; it is published when it changes.
+#: How often the picture is made [s]; it is published when it changes.
 PERIOD = 0.2
 #: Without a report for this long the monitor's state is not known [s].
 SILENCE = 1.0

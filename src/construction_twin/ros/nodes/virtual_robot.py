@@ -19,7 +19,7 @@ from construction_twin.ros.transport.joint_stream import JointPublisher, JointSu
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.twin.virtual_robot import TwinClock, VirtualRobot
 
-#: Between two looks at the arm's stream while the twin needs nothing from it [s].
+#: Between two reads of the arm's stream while the twin needs nothing from it [s].
 PAUSE = 0.02
 
 
@@ -89,7 +89,7 @@ class VirtualRobotNode:
                     self._robot.begin_mirror(self._limits)
             if self._robot.pose is not None and not self._leads:
                 self._needs_arm.clear()
-        # rospy reads on when a bundle's last message is done with: what nobody needs is taken in bundles, which costs a fraction
+        # rospy reads on when this returns: poses that are not needed are taken in bundles, which costs a fraction
         if now_ns() - stamp < CYCLE_NS:
             self._needs_arm.wait(PAUSE)
 

@@ -38,11 +38,10 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
     """
     axes = tuple(axis.rsi for axis in robot.axes)
     settings = dict(settings)
-    layout = None
     if "ethernet_xml" in settings:
         ethernet = read_ethernet_xml(settings.pop("ethernet_xml"), "Ethernet XML")
         check_gateway(ethernet.layout, axes, ethernet.where)
-        layout = ethernet.layout
+        settings["layout"] = ethernet.layout
     ends = [
         sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
         for axis, low, high in zip(robot.axes, robot.lower, robot.upper)
@@ -56,7 +55,6 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
             velocity=robot.velocity,
             acceleration=robot.acceleration,
             linear=tuple(axis.rsi for axis, linear in zip(robot.axes, robot.linear) if linear),
-            layout=layout,
             **settings,
         )
     except TypeError as error:

@@ -1,15 +1,15 @@
 """What every node does around its own work: start, turn a typed error into one sentence, end.
 
-An error that nobody foresaw ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives
-on without one of its timers, or without its MQTT thread, is worse: it looks alive, and nobody does the work.
+An unforeseen error ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives
+on without one of its timers, or without its MQTT thread, is worse: it looks alive, and does not work.
 
 ==========================  =========================================================================================
 where                       how it comes here
 ==========================  =========================================================================================
-thread, timer, MQTT client  nobody catches it: `threading.excepthook`
+thread, timer, MQTT client  not caught: `threading.excepthook`
 subscriber's callback       rospy would log it and go on; `Subscriber` hands it to `threading.excepthook`
 service handler             rospy answers with an error; `Service` ends the process after that
-main thread                 nobody catches it: Python ends with 1
+main thread                 not caught: Python ends with 1
 ==========================  =========================================================================================
 """
 
@@ -63,9 +63,9 @@ def run_node(name: str, start: Callable[[], object]) -> None:
 
 
 def end_on_error(args: threading.ExceptHookArgs) -> None:
-    """End the process because of an error that nobody caught in a thread; while ROS shuts down, only write it down.
+    """End the process because of an error that was not caught in a thread; while ROS shuts down, only write it down.
 
-    Nothing is cleaned up: whoever failed may hold a lock, and what must not be lost is on the disk before it takes effect.
+    Nothing is cleaned up: the thread that failed may hold a lock, and what must not be lost is on the disk before it takes effect.
     """
     if args.exc_type is SystemExit:
         return
@@ -104,7 +104,5 @@ class Service(rospy.Service):
 
 def _write_down(where: str, error: BaseException | None, what_follows: str) -> None:
     trace = "".join(traceback.format_exception(error)) if error is not None else ""
-    rospy.logfatal(
-        "%s: an error that nobody foresaw in %s, %s: %r\n%s", rospy.get_name(), where, what_follows, error, trace
-    )
+    rospy.logfatal("%s: an unforeseen error in %s, %s: %r\n%s", rospy.get_name(), where, what_follows, error, trace)
     sys.stderr.flush()

@@ -20,7 +20,7 @@ from construction_twin.ros.transport.publisher import Publisher
 
 #: Transitions shown on `/diagnostics`, the newest first.
 SHOWN = 5
-#: Closed by a fault of somebody's; the rest is everyday life.
+#: Which states are worth a warning, and which an error; the others are part of normal work.
 _WARNED = (SyncState.HOLDING, SyncState.REPLANNING, SyncState.STALE)
 _SERIOUS = (SyncState.STOPPED, SyncState.FAULT)
 

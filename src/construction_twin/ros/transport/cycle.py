@@ -27,12 +27,12 @@ class Cycles:
         return time.monotonic_ns() + self._offset
 
     def reach(self, stamp: int) -> int:
-        """Never lag behind a stamp that somebody else's grid has reached [ns], on a clock that was set since; return `now`."""
+        """Never lag behind a stamp that another node's grid has reached [ns], on a clock that was set since; return `now`."""
         self._offset = max(self._offset, stamp - time.monotonic_ns())
         return self.now()
 
     def skip(self) -> None:
-        """Leave out the cycles that have passed: nobody wanted them."""
+        """Leave out the cycles that have passed."""
         self._stamp = max(self._stamp, self.now() // CYCLE_NS * CYCLE_NS)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:

@@ -14,9 +14,9 @@ from construction_twin.core.errors import PoseUnknownError
 from construction_twin.ros.transport.joint_stream import joint_values
 from construction_twin.ros.transport.subscriber import Subscriber
 
-#: Between two looks at the socket while nobody asks [s]: of what has come in the meantime only the newest is kept.
+#: Between two reads of the socket while no pose is asked for [s]: of what has come in the meantime only the newest is kept.
 PAUSE = 0.1
-#: How long somebody who asks waits for what lies in the socket, or for the stream's next message [s].
+#: How long a caller waits for what lies in the socket, or for the stream's next message [s].
 NEXT_MESSAGE = 0.01
 
 
@@ -37,7 +37,7 @@ class LatestPose:
         self._news = threading.Condition()
         self._asked = threading.Event()
         self._newest: tuple[float, rospy.AnyMsg] | None = None
-        self._looks = 0
+        self._reads = 0
         self._subscriber = Subscriber(topic, rospy.AnyMsg, self._receive, refused, queue_size=1, tcp_nodelay=True)
 
     def pose(self, oldest: float, patience: float = 0.0) -> tuple[float, ...]:
@@ -48,7 +48,7 @@ class LatestPose:
         oldest : float
             Greatest age of its message, since reception [s].
         patience : float, optional
-            How long to wait for one [s]: right after the start the first may still be on its way.
+            How long to wait for one [s]: right after the start the first may not have come yet.
 
         Returns
         -------
@@ -63,9 +63,9 @@ class LatestPose:
             If it does not hold exactly these joints with finite positions.
         """
         with self._news:
-            looks = self._looks
+            reads = self._reads
             self._asked.set()
-            self._news.wait_for(lambda: self._looks > looks, NEXT_MESSAGE)
+            self._news.wait_for(lambda: self._reads > reads, NEXT_MESSAGE)
             if not self._news.wait_for(lambda: self._age() <= oldest, patience):
                 raise PoseUnknownError(self._subscriber.resolved_name, self._age(), oldest)
             newest = self._newest
@@ -80,7 +80,7 @@ class LatestPose:
         self._asked.clear()
         with self._news:
             self._newest = time.monotonic(), message
-            self._looks += 1
+            self._reads += 1
             self._news.notify_all()
         # rospy reads on when this returns
         self._asked.wait(PAUSE)

@@ -2,7 +2,7 @@
 
 genpy goes through a message field by field, and through the joints' names one by one: in a node on the 250 Hz path that is a third
 of its work. From one message of a stream to the next only numbers change, so here they are packed between bytes that are made
-once. On the wire it is the same message. One that looks different (other names or order, velocities, a frame) is left to genpy.
+once. On the wire it is the same message. One of another form (other names or order, velocities, a frame) is left to genpy.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PoseMessage:
     ----------
     received : type
         Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; the fields of `kind`
-        are filled in where that is None, or when somebody looks at one.
+        are filled in where that is None, or when one is read.
     """
 
     def __init__(self, kind: type, names: tuple[str, ...]):
@@ -105,13 +105,13 @@ def _received_class(kind: Any, read) -> type:
             return self
 
         def _fill(self):
-            # a field is there only once it is right: another thread may look as well
+            # a field is there only once it is right: another thread may read it
             filled = kind().deserialize(self._data)
             for field in kind.__slots__:
                 setattr(self, field, getattr(filled, field))
 
         def __getattr__(self, name):
-            # a field, and nobody has filled it in: rospy's statistics ask for the header, and another subscriber of this
+            # a field that was not filled in yet: rospy's statistics ask for the header, and another subscriber of this
             # process is given the same object
             if name not in kind.__slots__ or self._data is None:
                 raise AttributeError(name)

@@ -36,8 +36,8 @@ class Publisher(rospy.Publisher):
 class DirectConnection:
     """One subscriber's connection, in place of `rospy.impl.tcpros_pubsub.QueuedConnection`.
 
-    rospy's queue hands every message to a thread of the connection, so that a slow subscriber holds nobody up. That costs two
-    thread switches per message and subscriber. Here a message is sent by whoever publishes it as long as the socket takes it
+    rospy's queue hands every message to a thread of the connection, so that a slow one holds up no other. That costs two
+    thread switches per message and subscriber. Here the publishing thread sends a message itself as long as the socket takes it
     without waiting; only what it does not take goes to a thread, which ends when the subscriber has caught up.
 
     Parameters

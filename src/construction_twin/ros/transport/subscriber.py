@@ -52,7 +52,7 @@ def caller_of(message) -> str:
 
 
 def hand_on_error() -> None:
-    """Hand the exception that is being handled to `threading.excepthook`, as if nobody had caught it in this thread."""
+    """Hand the exception that is being handled to `threading.excepthook`, as if it had not been caught in this thread."""
     threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
 
 
@@ -108,7 +108,7 @@ class Subscriber:
 
     def _receive(self, message) -> None:
         try:
-            # the header lacks the name only when somebody wrote a client of his own
+            # only a client that is none of ROS's own sends no name
             if self.publisher is None or caller_of(message) == self.publisher:
                 self._callback(message)
             else:
