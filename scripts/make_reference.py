@@ -326,7 +326,7 @@ def state_rows(module: str) -> list[tuple[str, ...]]:
     for name in ("table_cells", "table_rows", "rows"):
         if hasattr(code, name):
             rows = [tuple(row) for row in getattr(code, name)()]
-            return rows if name == "table_cells" else _shared_rows(rows)
+            return rows if any(row[0] == "any" or ", " in row[0] for row in rows) else _shared_rows(rows)
     table = [(s.name, f"`{e.value}`", t.name) for s, row in code.TABLE.items() for e, t in row.items()]
     return _shared_rows(table)
 

@@ -25,7 +25,7 @@ from gateway_cell import following
 
 from construction_twin.broker.access import PLC, ROLES
 from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.execution.states import ExecutorEvent, ExecutorState
+from construction_twin.execution.states import ExecutorEvent, ExecutorState, table_rows
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
 from construction_twin.link.remote_review import PlanView, review_answer
@@ -220,17 +220,12 @@ def test_gateway_states_and_events_are_explained():
     assert {state.value for state in State} | events <= explained
 
 
-@pytest.mark.parametrize("module", ["gateway.states", "execution.states", "monitor.states"])
-def test_rows_that_states_share_keep_the_order_in_which_guards_are_asked(module):
-    shared = make_reference.state_rows(f"construction_twin.{module}")
-    names = list(dict.fromkeys(name for row in shared for name in row[0].split(", ") if name != "any"))
-    asked = [(state, row[1], row[2:]) for row in shared for state in (names if row[0] == "any" else row[0].split(", "))]
-    code = importlib.import_module(f"construction_twin.{module}")
-    rows = getattr(code, "table_rows", getattr(code, "rows", None))
-    if rows is None:
-        pytest.skip("this table has no guards")
-    for state, event in {(row[0], row[1]) for row in rows()}:
-        expected = [tuple(row[2:]) for row in rows() if (row[0], row[1]) == (state, event)]
+def test_rows_that_states_share_keep_the_order_in_which_guards_are_asked():
+    shared = make_reference.state_rows("construction_twin.execution.states")
+    asked = [(state, row[1], row[2:]) for row in shared for state in row[0].split(", ")]
+    rows = table_rows()
+    for state, event in {(row[0], row[1]) for row in rows}:
+        expected = [tuple(row[2:]) for row in rows if (row[0], row[1]) == (state, event)]
         assert [rest for of, on, rest in asked if (of, on) == (state, event)] == expected
 
 
