@@ -1,4 +1,4 @@
-"""The dense re-check: every 4 ms sample of a trajectory against the robot's limits and the scene, whoever planned it.
+"""The dense re-check: every 4 ms sample of a trajectory against the robot's limits and the scene, for plans of every origin.
 
 What it measures is shown to the reviewer: the smallest clearance and where it is, and the largest use of each limit.
 """

@@ -1,7 +1,7 @@
 """The surroundings of the arm: obstacles, tools, workpieces. A scene is immutable: every change makes a new one with a new hash.
 
 Metres; poses in the robot's base_link, or in the link that carries the object.
-Contacts are computed in `scene.collision_world`; scenes are read from YAML in `scene.scene_file`.
+Contacts are computed in `scene.collision_world`; scenes are read from YAML in `scene.scene_yaml`.
 """
 
 from __future__ import annotations
