@@ -138,7 +138,9 @@ def test_what_nobody_foresaw_ends_the_process(bench, monkeypatch):
 
 
 def arm(poses, plans=lambda: ArmPlans(None, 0, None), scene=EMPTY) -> OtherArm:
-    return OtherArm(SimpleNamespace(poses=poses, plans=plans, scene=scene, robot=ROBOT), Neighbour("b", ROBOT, BESIDE, STEP), 0.5)
+    return OtherArm(
+        SimpleNamespace(poses=poses, plans=plans, scene=scene, robot=ROBOT), Neighbour("b", ROBOT, BESIDE, STEP), 0.5
+    )
 
 
 def here(*_):
