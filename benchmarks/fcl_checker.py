@@ -127,7 +127,7 @@ class FclChecker:
             reach.append(np.abs(turned[-1]) @ shape.half)
         found = []
         for one, two in self._pairs:
-            # boxes along the base's axes that do not meet need no closer look
+            # bodies whose axis-aligned boxes do not overlap need no exact check
             near = (np.abs(at[one] - at[two]) <= reach[one] + reach[two]).all(axis=1)
             for row in np.flatnonzero(near):
                 for index in (one, two):

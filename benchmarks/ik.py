@@ -176,7 +176,7 @@ def run(poses: int, seed: int, checks: int, tracik: bool) -> dict:
         inverse = inverse_kinematics(
             chain, IkSettings(budget_s=BUDGET_S), np.random.default_rng(seed), time.perf_counter
         )
-        measure(inverse, tasks[:20])  # a first look at code and data costs time that no later call pays
+        measure(inverse, tasks[:20])  # the first calls are slower: code and data are not in the caches yet
         figures, distances = measure(inverse, tasks)
         redundant = len(robot.joint_names) > 6
         some = max(1, round(checks * DEEP_SHARE)) if redundant else checks

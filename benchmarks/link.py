@@ -29,9 +29,9 @@ SUBJECTS = ("ours", "floor")
 PARTS = ("routes", "reply", "fleet", "smoothness")
 _HERE = Path(__file__).parent
 _NEVER = 3600.0
-#: A number of robots that the machine cannot carry never gets anywhere: longest time for it, and more per robot [s].
+#: Longest time for a number of robots, and more per robot [s]: with more than the machine can run, the measurement would not end.
 FLEET_PATIENCE, PER_ROBOT = 120.0, 15.0
-#: Fraction of late replies that a machine's own pauses make, too.
+#: Fraction of late replies that the machine's own pauses may cause.
 LATE_SHARE = 0.001
 
 
@@ -56,7 +56,7 @@ def run_worker(script: str, *options: object, timeout: float = _NEVER) -> dict |
 def measure_routes(rounds: int, seconds: float, rate_seconds: float, realtime: int) -> tuple[dict, dict]:
     """Return the routes' figures over all rounds, and those of each round.
 
-    Subjects take turns, and every other round begins with the floor, so that what changes on the machine meets both.
+    The subjects take turns, and every other round begins with the floor, so that changes of the machine affect both.
     """
     taken: dict[str, list[dict]] = {subject: [] for subject in SUBJECTS}
     for number in range(rounds):
@@ -83,7 +83,7 @@ def measure_routes(rounds: int, seconds: float, rate_seconds: float, realtime: i
 
 
 def bare_sockets(seconds: float, realtime: int) -> dict:
-    """Return how long as many wake-ups take as a round trip has, between processes that only receive and send."""
+    """Return the time of as many wake-ups as a round trip has, between processes that only receive and send."""
     taken = run_worker("link_wake.py", "--seconds", seconds, "--realtime", realtime)
     return {"hops": taken["hops"]} | spread_ms(taken["latencies"])
 

@@ -105,12 +105,12 @@ class Gates:
         self._newest = tuple(message.position)
 
     def rest(self) -> None:
-        """Stand where the last feedback saw an arm; for one robot."""
+        """Take the pose of the last feedback; for one robot."""
         self._home, self._cycle, self.moves = self._newest, 0, False
         self._due = time.monotonic_ns()
 
     def stream(self, seconds: float) -> None:
-        """Publish for a time [s]; what cannot be published in time is late, not left out."""
+        """Publish for a time [s]; a command that cannot be published in time is published late, not left out."""
         for _ in range(round(seconds / CYCLE)):
             time.sleep(max(0, self._due - time.monotonic_ns()) / 1e9)
             pose = pose_at(self._home, self._cycle)
@@ -122,7 +122,7 @@ class Gates:
 
 
 class Fleet:
-    """A number of robots, and what looks at them."""
+    """A number of robots, and the observer on their broker."""
 
     def __init__(self, world: World, count: int, realtime: int):
         self._world = world
@@ -148,7 +148,7 @@ class Fleet:
         self.gates = Gates(self.names, model.joint_names, tuple(model.home))
 
     def start(self, timeout: float) -> bool:
-        """Arm all robots and begin to move; False when not all were armed in time: then some do not move."""
+        """Arm all robots and begin to move; False if not all were armed in time."""
 
         def following() -> bool:
             self.gates.stream(0.2)
@@ -170,12 +170,12 @@ class Fleet:
         return self._pipe.recv()
 
     def dismiss(self) -> None:
-        """Send the observer home, before the broker goes."""
+        """End the observer, before the broker ends."""
         self._pipe.send(None)
         self._observer.join(5.0)
 
     def measure(self, seconds: float) -> dict:
-        """Return the figures of a time [s]."""
+        """Measure for a time [s] and return the figures."""
         self.ask("taken")
         self.gates.sent.clear()
         self.gates.received.clear()
@@ -215,7 +215,7 @@ def command_to_rsi(states: list) -> list[int]:
 
 
 def end_to_end(out: list[int], back: list[int], states: list, status: dict, reply: dict) -> dict:
-    """Return the ways from a command to the RSI packet and from there to ROS, of one robot."""
+    """Return the times from a command to the RSI packet, and from there to ROS, of one robot."""
     return {
         "command_to_rsi_packet": spread_ms(command_to_rsi(states)),
         "playout": status["playout"],

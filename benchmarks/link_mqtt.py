@@ -83,7 +83,7 @@ class MqttEnd:
         self._expect(0x90)
 
     def publish(self, packet: bytes) -> None:
-        """Send a packet of `publish_packet`; waits while the broker does not take it."""
+        """Send a packet of `publish_packet`; waits while the broker takes no more."""
         self.socket.sendall(packet)
 
     def receive(self) -> Iterator[bytes]:

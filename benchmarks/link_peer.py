@@ -1,6 +1,6 @@
 """The MQTT side of a route measurement, in a process of its own: sends states, receives commands, echoes, plays the gateway.
 
-Stamps are the monotonic clock, which both ends fraction on one machine: a message carries the time at which it was sent.
+Stamps are times of the monotonic clock, the same for both ends on one machine: a message carries the time at which it was sent.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class RosBytes:
 
 
 class FakeGateway:
-    """What the bridge needs to hear to be armed and to stay so."""
+    """What the bridge has to receive to be armed and to stay armed."""
 
     def __init__(self, topics: Topics, config_hash: str, decimals: int):
         self._topics = topics
@@ -112,7 +112,7 @@ class Heard:
 
 
 class Peer:
-    """Runs tasks that come through a pipe; between them it keeps the bridge content."""
+    """Runs tasks that come through a pipe; between them it keeps the bridge armed."""
 
     def __init__(self, port: int, topics: Topics, messages: JointStrings | RosBytes, gateway: FakeGateway | None):
         self._topics, self._messages, self._gateway = topics, messages, gateway

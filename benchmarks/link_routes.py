@@ -39,7 +39,7 @@ RATES = (500, 1000, 1500, 2000, 2500, 3000, 4000, 5000)
 #: The second sender of a duplex route is slower by this fraction: within 20 s the phase between the two takes every value four
 #: times.
 SLIDE = 1 / 1250
-#: What arrives later than this after the last one was sent is a backlog [s].
+#: A message that arrives this long after the last one was sent shows a backlog [s].
 BACKLOG = 0.1
 NAMESPACE = "kr120"
 ROUTES = ("ros_to_mqtt", "mqtt_to_ros", "round_trip", "duplex")
@@ -96,7 +96,7 @@ class Bench:
         self._end, self._pipe, self._pid = end, pipe, pid
 
     def warm_up(self, count: int = 100) -> None:
-        """Run both ways until everything is connected and armed."""
+        """Run both directions until everything is connected and armed."""
         self._begin(Task(250.0, 10_000_000))
 
         def flows() -> bool:
@@ -105,11 +105,11 @@ class Bench:
 
         wait_for(flows, 30.0, "messages in both directions")
         self._ask("result")
-        # what is still under way would count as the first route's, whose last message would then not be waited for
+        # a message that is still under way would count for the first route, which would then end before its own last message
         settle(lambda: self._peer_count() + len(self._end.heard.arrivals), sys.maxsize, 0.3)
 
     def measure(self, route: str, count: int, rate: float = RATE) -> Outcome:
-        """Run one route with `count` messages each way."""
+        """Run one route with `count` messages in each direction."""
         out, back = route != "mqtt_to_ros", route in ("mqtt_to_ros", "duplex")
         slower = rate * (1 - SLIDE) if route == "duplex" else rate
         cpu = cpu_seconds(self._pid)
@@ -208,7 +208,7 @@ def run(subject: str, seconds: float, rate_seconds: float, realtime: int = REALT
         context = multiprocessing.get_context("fork")  # rospy has no thread in here yet
         peer = context.Process(target=serve, args=(far, port, topics, subject, robot, config), daemon=True)
         peer.start()
-        far.close()  # so that the end of the peer ends the waiting for it
+        far.close()  # so that waiting for the peer ends when the peer does
         bench = Bench(RosEnd(robot.joint_names, tuple(robot.home)), near, process.pid)
         try:
             bench.warm_up()
@@ -224,7 +224,7 @@ def run(subject: str, seconds: float, rate_seconds: float, realtime: int = REALT
 
 
 def highest(bench: Bench, route: str, seconds: float) -> float:
-    """Return the highest of RATES that passes [Hz]; 0 for none. One failure may be the machine's, two in a row are not."""
+    """Return the highest of RATES that passes [Hz]; 0 for none. One failure may be due to the machine, two in a row are not."""
     best = 0.0
     for rate in RATES:
         if not any(bench.sustains(route, rate, seconds) for _ in range(2)):

@@ -1,4 +1,4 @@
-"""How long this machine takes to hand a message on: processes in a chain that do nothing but receive and send on bare sockets.
+"""The time this machine needs to hand a message on: a chain of processes that only receive and send on bare sockets.
 
 A command that goes from ROS over the bridge and the broker to its peer and back is received six times, by six processes' wake-ups.
 What six bare wake-ups take is what no bridge on this machine can go below, in whatever language it is written.
@@ -45,15 +45,15 @@ def hand_on(source: socket.socket, target: socket.socket, realtime: int) -> None
 
 def measure(hops: int, seconds: float, realtime: int) -> list[int]:
     """Return the times from the first process of the chain to its end, which is the first again [ns]."""
-    ways = [connection() for _ in range(hops)]
+    links = [connection() for _ in range(hops)]
     context = multiprocessing.get_context("fork")
     chain = [
-        context.Process(target=hand_on, args=(ways[index][1], ways[index + 1][0], realtime), daemon=True)
+        context.Process(target=hand_on, args=(links[index][1], links[index + 1][0], realtime), daemon=True)
         for index in range(hops - 1)
     ]
     for process in chain:
         process.start()
-    first, last = ways[0][0], ways[-1][1]
+    first, last = links[0][0], links[-1][1]
     request_realtime(realtime)
     times, due = [], time.monotonic_ns()
     for _ in range(round(seconds * RATE)):

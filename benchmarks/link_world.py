@@ -21,7 +21,7 @@ XACRO, ROBOT_YAML = ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """Return a port of the loopback interface that nobody uses."""
+    """Return a free port of the loopback interface."""
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
@@ -38,7 +38,7 @@ def wait_for(condition: Callable[[], object], timeout: float, what: str) -> obje
 
 
 def listens(port: int) -> bool:
-    """Return whether somebody accepts TCP connections on this port of the loopback interface."""
+    """Return whether a program accepts TCP connections on this port of the loopback interface."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
@@ -80,7 +80,7 @@ class World(ExitStack):
         return process
 
     def __exit__(self, *details):
-        """End all programs, at once: one after the other a machine that is too busy for them would take minutes."""
+        """End all programs at once: one after the other would take minutes on a machine that is too busy."""
         end(self._processes)
         return super().__exit__(*details)
 
@@ -112,7 +112,7 @@ def end_in_order() -> None:
 
 
 def end(processes: Sequence[subprocess.Popen], patience: float = 5.0) -> None:
-    """Interrupt processes, the last one first; kill those which that does not end within `patience` [s]."""
+    """Interrupt processes, the last one first; kill those that do not end within `patience` [s]."""
     for process in reversed(processes):
         process.send_signal(signal.SIGINT)
     deadline = time.monotonic() + patience

@@ -32,7 +32,7 @@ from construction_twin.planning.timing import minimum_duration
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.objects import load_scene
+from construction_twin.scene.scene_yaml import load_scene
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,6 +1,6 @@
 """The planning benchmark's problems: joint vectors in three scenes, fixed in benchmarks/problems/.
 
-`generate` made them: start and goal free of contact in random poses, in the scene's own way (see `KINDS`), each solved by
+`generate` made them: start and goal free of contact in random poses, by rules of the scene (see `KINDS`), each solved by
 the project's planner in a long run. Joints that can turn more than once are kept within half a turn to either side,
 except in the free scene.
 """
@@ -72,7 +72,7 @@ class _Draw:
         self._edges = MotionValidator(world, levers(chain), STEP)
 
     def pair(self, hard: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return a free start and goal; a hard pair goes through the window, either way, or is not straight."""
+        """Return a free start and goal; a hard pair goes through the window, in either direction, or is not straight."""
         if self._scene == "window" and hard:
             ends = self._free(lambda x: x < NEAR), self._free(lambda x: x > THROUGH)
             return ends if self._rng.random() < 0.5 else ends[::-1]

@@ -4,8 +4,7 @@ Run it: ``python benchmarks/smoothness.py``. The gateway of `construction_twin.g
 arrivals of commands, beside a naive gateway that forwards the newest command it has. Nothing here depends on the machine's speed.
 
 A profile is a link: when does a command that was sent at t arrive? MQTT runs over TCP, so a command never overtakes another. The
-links are undisturbed for nobody: each runs for `WARM_UP` at rest before the motion, as the executor does it, which repeats the
-twin's pose.
+links are disturbed from the start: each runs for `WARM_UP` at rest before the motion, while the executor repeats the twin's pose.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Says in one sentence which port that the demo needs is taken or no port at all; used by scripts/demo.py."""
+"""Says in one sentence which of the demo's ports is taken or is no port number; used by scripts/demo.py."""
 
 from __future__ import annotations
 

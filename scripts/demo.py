@@ -1,7 +1,7 @@
 """Runs launch/experiment.launch and ends with its success: `python scripts/demo.py [launch arguments]`.
 
-Between roslaunch and the terminal stands a filter: what roslaunch has to say about itself is not news. On a terminal the
-experiment is told so by TTY_COMPATIBLE, which rich reads, and its progress bar passes the filter as it comes.
+A filter drops what roslaunch prints about itself. On a terminal the variable TTY_COMPATIBLE tells rich in the experiment to
+draw its progress bar, which passes the filter unchanged.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 import check_ports
 
 ROOT = Path(__file__).resolve().parent.parent
-#: Lines that tell how roslaunch works rather than what the experiment does.
+#: Lines of roslaunch about itself, not about the experiment.
 NOISE = re.compile(
     rb"process\[|setting /run_id|started core service|auto-starting|started roslaunch|ROS_MASTER_URI=|logging to|Checking log|"
     rb"Press Ctrl-C|Done checking|killing on exit|shutting down processing monitor|^done$"

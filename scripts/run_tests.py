@@ -213,7 +213,7 @@ def main(selection: list[str]) -> int:
             if not selection or "integration" in selection or test.stem in selection:
                 totals.append(undisturbed(test.name, lambda: run_rostest(test), probe))
     passed, failed = sum(p for p, _ in totals), sum(f for _, f in totals)
-    # again at the end, where whoever looks at a long log looks first
+    # again at the end, which is read first in a long log
     if DISTURBED:
         print(
             f"{len(DISTURBED)} runs failed while the machine stood still, and were made again: {', '.join(DISTURBED)}"

@@ -66,7 +66,7 @@ class Minute:
 
 @dataclass
 class Soak:
-    """The loop and what has been seen of it."""
+    """The loop and what was measured on it."""
 
     fleet: Fleet
     probe: MachineProbe
@@ -114,16 +114,16 @@ class Soak:
         lost = sum(self._replies.add(number, stamp) for _, number, stamp, _ in states)
         arrived = {(robot, stamp) for robot, stamp, _ in commands}
         if self._status()["state"] == "following":
-            # what is on its way at the second's end arrives in the next
+            # a command that is under way at the end of this second arrives in the next
             lost += len(self._under_way - arrived)
             self._under_way = set(self.fleet.gates.sent) - arrived
         else:
-            # an arm that holds is sent nothing
+            # nothing is sent to an arm that holds
             self._under_way = set()
         return lost
 
     def _go_on(self) -> None:
-        """Begin the motion anew from where the arm holds: by itself after a silence, otherwise by `reset`."""
+        """Begin the motion again from the pose at which the arm holds: after a silence at once, otherwise by `reset`."""
         # it brakes first
         self.fleet.gates.rest()
         self.fleet.gates.stream(1.0)
@@ -171,9 +171,9 @@ def verdict(minutes: list[Minute]) -> list[str]:
         pauses, longest = sum(minute.pauses for minute in minutes), max(minute.longest_ms for minute in minutes)
         held = sum(minute.held_up for minute in minutes)
         by_us = [minute.held_up_by_us for minute in minutes]
-        ours = "nobody knows how many" if None in by_us else sum(by_us)
+        ours = "an unknown number" if None in by_us else sum(by_us)
         machine = (
-            f"the machine ran nobody on a core {pauses} times for more than 1 ms, at most {longest:.1f} ms; "
+            f"the machine ran no process on a core {pauses} times for more than 1 ms, at most {longest:.1f} ms; "
             f"of {held} replies held up {ours} beside no pause of 0.25 ms"
         )
         wrong.append(f"{late} cycles late, skipped or irregular ({machine})")

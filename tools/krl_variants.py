@@ -1,4 +1,4 @@
-"""The sets of files in krl/, and the numbers that all of them fraction."""
+"""The sets of files in krl/, and the numbers that all of them use."""
 
 from __future__ import annotations
 

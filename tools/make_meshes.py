@@ -1,6 +1,6 @@
 """Draws the arm and the track: writes urdf/meshes/ (COLLADA files and inertias.yaml), or with --check says what would change.
 
-Same source, same bytes. Afterwards test/unit/test_meshes.py checks that the collision shapes enclose what is drawn.
+Same source, same bytes. Afterwards test/unit/repository/test_meshes.py checks that the collision shapes enclose what is drawn.
 """
 
 from __future__ import annotations

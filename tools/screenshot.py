@@ -160,7 +160,7 @@ def bare_view(text: str, size: tuple[int, int], view: str = "", camera: Mapping[
             raise ConfigurationError("view", view, f"one of the saved views {sorted(saved)}")
         views["Current"] = saved[view] | {"Name": "Current View"}
     views["Current"] |= dict(camera or {})
-    # a picture need not be fluent; without a graphics card every frame costs
+    # a low frame rate will do; without a graphics card every frame costs processor time
     settings["Visualization Manager"]["Global Options"]["Frame Rate"] = 4
     settings["Panels"] = []
     settings["Window Geometry"] = {"Width": size[0], "Height": size[1], "X": 0, "Y": 0}

@@ -1,4 +1,4 @@
-"""Takes the pictures of docs/images/: starts the system on a display in memory, brings it into each state, looks at what is drawn.
+"""Takes the pictures of docs/images/: starts the system on a display in memory, brings it into each state, checks what is drawn.
 
 `python tools/screenshots.py [NAME...]`; needs no display. A picture in which something is missing ends the script with 1.
 """
@@ -34,7 +34,7 @@ IMAGES = ROOT / "docs" / "images"
 SIZE, WEIGHT = (1100, 760), 300_000
 #: Longest wait for a state, and for something to be drawn [s].
 READY, DRAWN = 180.0, 150.0
-#: Time between two looks at what is drawn [s]; rviz draws without a graphics card and needs the cores.
+#: Time between two checks of what is drawn [s]: rviz draws without a graphics card and needs the processor.
 LOOK = 0.5
 #: Least fraction of the picture's width and height that the arm takes up.
 LARGE = 0.2
@@ -123,7 +123,7 @@ class Camera:
 
 
 def keep(picture: Path) -> Path:
-    """Move a picture that failed to where it can be looked at."""
+    """Move a picture that failed to the results, for inspection."""
     kept = Path(tempfile.gettempdir()) / f"screenshots_{picture.name}"
     if picture.exists():
         kept.write_bytes(picture.read_bytes())
@@ -131,7 +131,7 @@ def keep(picture: Path) -> Path:
 
 
 def shoot_one(camera: Camera) -> None:
-    """One robot: in sync, a plan under review with its ghost, a joint that stalls on the way."""
+    """One robot: in sync, a plan under review with its ghost, a joint that stalls in motion."""
     client = ready_client()
     camera.shoot("in_sync", "twin", {"orange": 0.015, "green": 0.002})
     plan = make_plan(client, GOAL)
@@ -169,7 +169,7 @@ def make_plan(client: TwinClient, goal: tuple[float, ...]) -> PlanToJointsRespon
 
 
 def hold(client: TwinClient, plan_id: str, plan_hash: str) -> None:
-    """Approve a plan and let a joint stall on the way."""
+    """Approve a plan and let a joint stall in motion."""
     with Stream("mock_rsi/joint_states") as arm:
         answer = client.review(plan_id, plan_hash)
         assert answer.success, answer.message

@@ -17,6 +17,7 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber
 
 
 class Settings(pydantic.BaseModel):
@@ -40,7 +41,8 @@ class SeparationNode:
         self._said = ("", 0.0)
         self._diagnostics = NodeDiagnostics(rospy.get_namespace().strip("/"), self._report)
         self._publisher = Publisher("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True)
-        rospy.Subscriber("separation_distance", Range, self._on_range, queue_size=1, tcp_nodelay=True)
+        refuse = self._diagnostics.refuse
+        Subscriber("separation_distance", Range, self._on_range, refuse, queue_size=1, tcp_nodelay=True)
         self._timer = rospy.Timer(rospy.Duration(1.0 / settings.rate), self._on_timer)
 
     def _on_range(self, message: Range) -> None:

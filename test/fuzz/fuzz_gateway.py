@@ -30,7 +30,8 @@ from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.config import MockConfig
+from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo
 from construction_twin.mqtt.client import subscriptions
 from construction_twin.mqtt.joint_string import JointStringCodec

@@ -57,7 +57,7 @@ class FaultLinkTest(Interruption):
     def test_broker_killed_and_started_again_at_rest(self):
         session = self.client.link.session
         self.restart_broker()
-        # law 5: nothing has moved, so nobody is asked
+        # docs/architecture.md, law 5: nothing has moved, so no person has to act
         self.client.wait(lambda: self.client.link.session != session, "a session of its own accord")
         self.client.wait_until_ready()
         self.client.assert_trace_within_limits()

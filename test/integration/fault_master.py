@@ -87,7 +87,7 @@ class FaultMasterTest(unittest.TestCase):
             self.assertIsNone(self.bringup.poll(), "roslaunch has ended")
             client.assert_trace_within_limits(self.trace)
         self.assertFalse(master_answers())
-        # without a master nobody finds a service: a new motion begins with a new start of the ROS PC
+        # without a master no client finds a service: a new motion begins with a new start of the ROS PC
         with self.assertRaises(rospy.ROSException):
             rospy.ServiceProxy("plan_to_joints", PlanToJoints).wait_for_service(1.0)
         self.assertEqual(client.link.state, Link.ARMED)

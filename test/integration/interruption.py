@@ -35,7 +35,7 @@ class Interruption(RobotTest):
         self.assertTrue(any(words in reason for reason in reasons), reasons)
 
     def stops(self) -> int:
-        """Return how often the gateway was told to stop, from a report that is sent after this call."""
+        """Return how often the gateway was ordered to stop, from a report that is sent after this call."""
         seen = rospy.Time.now() + rospy.Duration(1.0)
         self.client.wait(lambda: self.client.link.header.stamp > seen, "a report of the link")
         return int(self.client.gateway_counters().get("stops_stop", 0))

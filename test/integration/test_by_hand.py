@@ -47,7 +47,7 @@ class Rviz:
         return "green" if g > r else "red" if g < 0.2 else "orange"
 
     def drag(self, pose: Pose, steps: int = 20) -> None:
-        """Drag the marker to a pose: many positions on the way, then the mouse is let go."""
+        """Drag the marker to a pose: many positions in between, then the mouse button is released."""
         start = self._init.markers[0].pose.position
         for fraction in np.linspace(0.0, 1.0, steps):
             message = pose_to_msg(pose)
@@ -66,7 +66,7 @@ class Rviz:
         self._send(InteractiveMarkerFeedback.MENU_SELECT, self._init.markers[0].pose, entry.id)
 
     def decide(self, title: str) -> None:
-        """Approve or reject; click again while the marker says that nobody can have looked at the plan yet."""
+        """Approve or reject; click again while the marker says that the plan was not shown long enough."""
         clicked = [0.0]
 
         def decided() -> bool:
@@ -124,7 +124,7 @@ class ByHandTest(RobotTest):
         self.rviz.go_back()
 
     def twin(self, *words: str) -> subprocess.CompletedProcess:
-        """Run the command line as a script would: nobody at the terminal."""
+        """Run the command line as a script would: without a terminal."""
         command = ["rosrun", "construction_twin", "twin", "--robot", "kr120", *map(str, words)]
         return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=120.0)
 

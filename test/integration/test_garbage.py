@@ -138,7 +138,7 @@ class GarbageTest(RobotTest):
         self.client.go_to(LEFT)
 
     def refused(self, node: str) -> int:
-        """Messages of somebody else's that a node has counted."""
+        """The messages of another publisher that a node has counted."""
         return int(self.client.diagnostics(node).get("refused publisher", 0))
 
     def record_motion(self, bag: Path) -> None:
@@ -219,7 +219,7 @@ class GarbageTest(RobotTest):
             ("refused state_properties", FAR, old[:2]),
             ("refused state_properties", FAR, [("seq", "-1"), *old[1:]]),
             ("refused state_sequence", FAR, old),
-            # from then on every real one would look old, if this one were believed
+            # if this one were accepted, every real one would count as old from then on
             ("refused state_sequence", FAR, [("seq", "999999999999"), *old[1:]]),
             ("refused state_sequence", FAR, [("seq", str(4 * 10**18)), ("stamp", "0"), old[2]]),
         ]

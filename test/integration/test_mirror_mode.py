@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Mirror mode with the whole system: the twin follows the arm's own program, nothing is commanded, and nobody jumps."""
+"""Mirror mode with the whole system: the twin follows the arm's own program, nothing is commanded, and neither jumps."""
 
 import sys
 import unittest

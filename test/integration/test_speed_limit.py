@@ -47,7 +47,7 @@ class Sensor:
 
 
 class SpeedLimitTest(unittest.TestCase):
-    """One motion, slowed down and sped up on the way."""
+    """One motion that is slowed down and sped up."""
 
     def setUp(self):
         rospy.init_node("test_speed_limit")
@@ -67,7 +67,7 @@ class SpeedLimitTest(unittest.TestCase):
         self.assertEqual(self.client.execution.state, Execution.PLAYING)
 
     def arm_speed(self, arm: Stream) -> np.ndarray:
-        """Return the arm's mean speed per joint over 0.2 s, after what was on its way has arrived [rad/s]."""
+        """Return the arm's mean speed per joint over 0.2 s, after the setpoints that were under way have arrived [rad/s]."""
         arm.wait_for_more(100)
         begin = arm.positions(-1)[0]
         first = len(arm.messages) - 1
@@ -101,7 +101,7 @@ class SpeedLimitTest(unittest.TestCase):
         self.client.wait_until_ready()
 
     def stands_still_and_goes_on(self, arm: Stream, twin: Stream) -> None:
-        """A sensor that falls silent is as good as somebody right beside the arm."""
+        """A silent sensor counts as a person right beside the arm."""
         self.sensor.silence()
         self.wait_for_rate(0.0)
         for stream in (arm, twin):
@@ -114,7 +114,7 @@ class SpeedLimitTest(unittest.TestCase):
         self.assertNotIn("stands still", self.client.execution.reason)
 
     def slows_down_when_the_source_is_silent(self, arm: Stream, top: np.ndarray) -> None:
-        """The node stands still as if it had crashed: nobody says anything on `speed_limit` any more."""
+        """The node stands still as if it had crashed: nothing is published on `speed_limit` any more."""
         pid = node_pid("separation")
         self.assertGreater(pid, 0)
         os.kill(pid, signal.SIGSTOP)

@@ -72,7 +72,7 @@ class StallTest(RobotTest):
         client = self.client
         client.wait(lambda: client.sync.state == Sync.REPLANNING, "the gate to hold")
         client.wait_for_outcome(plan.plan_id, "held")
-        # what the gate let pass before it closed may still be on its way
+        # setpoints that passed the gate before it closed may still be under way
         wait(lambda: twin.at_rest(3), "the twin to wait")
         self.assert_stands_still(twin)
         self.assertEqual((client.sync.text, client.sync.policy), ("REPLANNING", "replan"))

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Two arms at once: both inside the bounds, one's fault leaves the other alone, and neither gets into the other's way."""
+"""Two arms at once: both inside the bounds, a fault of one does not affect the other, and neither enters the other's path."""
 
 import json
 import os
@@ -93,7 +93,7 @@ class Arm:
     def plan_well(self, goal_deg, duration: float = DURATION):
         answer = self.plan(goal_deg, duration)
         assert answer.success, answer.message
-        # the watch has compared its whole way, and the executor has the plan soon
+        # the watch has compared its whole path, and the executor has the plan soon
         self.wait(lambda: self.judged(answer.plan_id), "a verdict of the watch")
         return answer
 

@@ -262,7 +262,7 @@ class TwinClient:
         self.wait_until_ready()
 
     def wait_for_outcome(self, plan_id: str, outcome: str, timeout: float = 20.0) -> None:
-        """Wait until a plan has ended in a certain way."""
+        """Wait until a plan has ended with a certain outcome."""
 
         def ended() -> bool:
             report = self.execution

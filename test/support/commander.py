@@ -20,9 +20,9 @@ from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.fast_client import UserProperties
-from construction_twin.mqtt.plain_client import received_pairs
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Topics, parse_status, read_state_properties
+from construction_twin.mqtt.plain_client import received_pairs
 
 #: The supervisor is asked every so many cycles, as in the bridge.
 _POLL_CYCLES = 5

@@ -6,7 +6,8 @@ import dataclasses
 import math
 
 from construction_twin.core.units import radians
-from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.config import MockConfig
+from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo
 from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
 from construction_twin.rsi.layout import RsiLayout

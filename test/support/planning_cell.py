@@ -11,7 +11,8 @@ from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.objects import Scene, SceneObject, read_scene
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).parents[2]

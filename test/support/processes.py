@@ -22,7 +22,7 @@ def wait_until(condition, timeout: float = 10.0, what: str = "the condition"):
 
 
 def listens(port: int) -> bool:
-    """Return whether somebody accepts TCP connections on this port of the loopback interface."""
+    """Return whether a program accepts TCP connections on this port of the loopback interface."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 

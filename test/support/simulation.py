@@ -1,7 +1,7 @@
 """The whole chain in one process on a simulated clock: exact, reproducible, as fast as the processor allows.
 
 Executor, gate, twin, bridge, gateway and mock controller are the same objects that the nodes run; only sockets and clocks are
-replaced, by a queue of events in integer nanoseconds. This is where exact figures are asserted (design, law 6).
+replaced, by a queue of events in integer nanoseconds. This is where exact figures are asserted (docs/architecture.md, law 6).
 """
 
 from __future__ import annotations

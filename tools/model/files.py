@@ -10,7 +10,7 @@ from model.mass import Inertia, inertia
 
 from construction_twin.core.errors import ConfigurationError
 
-#: Mass of each link [kg]. Arm: KR 120 R2700-2's public masses, scaled to 1049 kg (rsi.md section 10). Track: assumed.
+#: Mass of each link [kg]. Arm: KR 120 R2700-2's public masses, scaled to 1049 kg (docs/rsi.md, section 10). Track: assumed.
 MASSES = {
     "link_0": 221.8, "link_1": 356.3, "link_2": 227.7, "link_3": 178.4, "link_4": 41.6, "link_5": 16.7, "link_6": 6.5,
     "track_rail": 900.0, "track_carriage": 400.0,

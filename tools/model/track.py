@@ -1,6 +1,6 @@
 """The looks of the linear track of urdf/kr120_track.urdf.xacro: rail and carriage, one solid per colour. Metres.
 
-Sizes are the URDF's stand-in track, after the only public data (rsi.md section 11), not a particular product.
+Sizes are the URDF's stand-in track, after the only public data (docs/rsi.md, section 11), not a particular product.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Does the other arm stand in the way of a plan, now or with what it is about to do, and which of the two gives way?
+"""Conflicts between a plan and the other arm, now or on its own path, and which of the two arms gives way.
 
-Joint values in rad (m for linear joints), order of the robot's ``joint_names``; times along a plan in s from its start, at
-planned speed; points in time in ns.
+Joint values in rad (m for prismatic joints), order of the robot's ``joint_names``; times along a plan in s from its start, at
+planned speed; stamps in ns.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from construction_twin.robot.plan import Plan
 from construction_twin.scene.first_contact import copies, first_contact, joined
 from construction_twin.scene.neighbour import Neighbour, Obstacle
 
-#: Copies of our arm that are compared in one go. Always a whole block: so obstacles that came one after the other soon stand at the
-#: same one, and are compared together from then on.
+#: Copies of our arm that are compared at once. Batches of obstacles advance by whole blocks, so that batches that arrived one
+#: after the other soon reach the same copy and are then compared together.
 _BLOCK = 128
-#: To make a copy of our arm ready for comparison costs as much as to compare it with so many.
+#: Preparing a copy of our arm for comparison costs as much as comparing it with this many obstacles.
 _OVERHEAD = 500
 
 
 @dataclass(frozen=True)
 class Conflict:
-    """Where a plan meets the other arm.
+    """The first place where a plan comes too close to the other arm.
 
     Attributes
     ----------
     time : float
-        From the present pose until then, at planned speed, at least [s].
+        Lower bound of the time from the present pose until then, at planned speed [s].
     between : tuple of str, length 2
         A link or carried object of ours, and the other arm's.
     """
@@ -42,14 +42,14 @@ class Conflict:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """What a look along a way has found.
+    """The result of comparing a plan's path with the other arm, as far as it has been compared.
 
     Attributes
     ----------
     conflict : Conflict or None
-        The first one that is known.
+        The first one found so far.
     fraction : float
-        How much of the way has been compared with all that the other arm takes up; 1: all of it.
+        Fraction of the path that has been compared with the space that the other arm occupies; 1: all of it.
     """
 
     conflict: Conflict | None
@@ -57,7 +57,7 @@ class PathCheck:
 
 
 class _Batch:
-    """Obstacles that came at the same time, and how many copies of our arm are clear of them."""
+    """Obstacles that arrived together, and the number of copies of our arm that were found clear of them."""
 
     def __init__(self, obstacles: frozenset[Obstacle]):
         self.obstacles = obstacles
@@ -66,19 +66,19 @@ class _Batch:
         self.shapes = copies(tuple(obstacles))
 
     def take(self, other: _Batch) -> None:
-        """Take in another batch that stands at the same copy of our arm."""
+        """Add another batch that has reached the same copy of our arm."""
         self.obstacles |= other.obstacles
         self.shapes = joined(self.shapes, other.shapes)
 
     def thin(self) -> None:
-        """Compare no longer with those that are not there any more."""
+        """Drop the shapes of obstacles that no longer exist."""
         self.shapes = copies(tuple(self.obstacles))
 
 
 class OwnPath:
-    """A plan of ours as copies of our arm, compared with the other arm's step by step: no look takes long.
+    """A plan of ours as copies of our arm, compared with the other arm in steps, so that no single call takes long.
 
-    What was found out of the way once stays so: our way gets shorter, and so does what the other arm takes up on its path.
+    What was once found clear stays clear: the rest of our path only gets shorter, and so does the rest of the other arm's path.
 
     Parameters
     ----------
@@ -98,26 +98,26 @@ class OwnPath:
         self._batches: list[_Batch] = []
 
     def row_of(self, q: Iterable[float], start: int = 0) -> int | None:
-        """Return the first row from `start` on that a pose belongs to; see `neighbour.row_of`."""
+        """Return the first row of the path from `start` on that matches a pose; see `neighbour.row_of`."""
         return self._sweep.row_of(q, start)
 
     def check(
         self, obstacles: Iterable[Obstacle], padding: float, row: int = 0, horizon: float = np.inf, budget: int = 0
     ) -> PathCheck:
-        """Compare the way from a row on with all that the other arm takes up: up to a horizon now, then as far as a budget goes.
+        """Compare the path from a row on with the space that the other arm occupies: up to a horizon, then within a budget.
 
         Parameters
         ----------
         obstacles : iterable of Obstacle
-            All that the other arm takes up.
+            The space that the other arm occupies.
         padding : float
-            Distance to keep from it [m], on top of what both sides' copies have. The same every time.
+            Distance to keep from it [m], added to the padding of both sides' copies. Must be the same at every call.
         row : int, optional
-            Where our arm is. Never less than before.
+            Our arm's present row. Must not decrease from call to call.
         horizon : float, optional
-            Compared in any case: what lies less than this ahead [s].
+            The next part of the path, of this length, is always compared [s].
         budget : int, optional
-            How many pairs of copies are compared beyond, about; the next look goes on from there.
+            About how many pairs of copies are compared beyond the horizon; the next call continues there.
         """
         end = self._sweep.row_after(row, horizon)
         self._sweep.grow(end)
@@ -129,7 +129,7 @@ class OwnPath:
             self._compare(batch, padding, row, near)
         self._merge()
         while budget > 0 and (behind := [one for one in self._batches if not one.contact and one.checked < known]):
-            # the one that is farthest: others are soon forgotten, such as an arm that is moved by hand
+            # the batch that is furthest: others may soon be gone, such as those of an arm that is moved by hand
             batch = max(behind, key=lambda one: one.checked)
             budget -= self._compare(batch, padding, row, batch.checked + 1)
             self._merge()
@@ -141,12 +141,12 @@ class OwnPath:
         )
 
     def _sort(self, obstacles: frozenset[Obstacle], row: int) -> None:
-        """Put new obstacles into a batch of their own, and forget what is over."""
+        """Put new obstacles into a batch of their own, and forget obstacles and contacts that no longer exist."""
         for batch in self._batches:
             batch.obstacles &= obstacles
             if batch.contact:
                 place, other = batch.contact
-                if other not in obstacles or self._sweep.copies[place][1] < row:
+                if other not in obstacles or self._sweep.copies[place].last < row:
                     batch.contact = None
         self._batches = [batch for batch in self._batches if batch.obstacles]
         self._clear &= obstacles
@@ -155,7 +155,7 @@ class OwnPath:
             self._batches.append(_Batch(new))
 
     def _merge(self) -> None:
-        """Make one batch of those that stand at the same copy of our arm."""
+        """Merge the batches that have reached the same copy of our arm."""
         first: dict[int, _Batch] = {}
         for batch in self._batches:
             if not batch.contact and first.setdefault(batch.checked, batch) is not batch:
@@ -163,24 +163,24 @@ class OwnPath:
         self._batches = [one for one in self._batches if one.contact or first[one.checked] is one]
 
     def _settle(self) -> None:
-        """Keep nothing but the obstacles' names of what our whole way is clear of."""
+        """Drop the batches of which our whole path is clear; only their obstacles are remembered."""
         clear = [batch for batch in self._batches if self._fraction(batch) == 1.0]
         self._clear = self._clear.union(*(batch.obstacles for batch in clear))
         self._batches = [batch for batch in self._batches if batch not in clear]
 
     def _fraction(self, batch: _Batch) -> float:
         if batch.checked < len(self._sweep.copies):
-            return self._sweep.copies[batch.checked][0] / len(self._sweep.times)
+            return self._sweep.copies[batch.checked].first / len(self._sweep.times)
         return self._sweep.fraction
 
     def _compare(self, batch: _Batch, padding: float, row: int, end: int) -> int:
-        """Compare with a batch until a copy of our arm, or a little further; return what it cost, in pairs."""
+        """Compare a batch with the copies of our arm up to one of them, by whole blocks; return the cost in pairs."""
         swept, compared = self._sweep.copies, 1
         while not batch.contact and batch.checked < end:
             stop = min(batch.checked - batch.checked % _BLOCK + _BLOCK, len(swept))
-            ahead = [place for place in range(batch.checked, stop) if swept[place][1] >= row]
+            ahead = [place for place in range(batch.checked, stop) if swept[place].last >= row]
             compared += len(ahead) * (len(batch.obstacles) + _OVERHEAD)
-            found = first_contact(copies([swept[place][2] for place in ahead]), batch.shapes, padding)
+            found = first_contact(copies([swept[place].obstacle for place in ahead]), batch.shapes, padding)
             if found is None:
                 batch.checked = stop
                 continue
@@ -192,21 +192,21 @@ class OwnPath:
         return compared
 
     def _conflict(self, place: int, other: Obstacle, row: int) -> Conflict:
-        first, _, mine = self._sweep.copies[place]
-        since = self._sweep.times[max(first, row)] - self._sweep.times[row]
-        return Conflict(float(since), (mine.owner.partition("/")[2], other.owner))
+        copy = self._sweep.copies[place]
+        since = self._sweep.times[max(copy.first, row)] - self._sweep.times[row]
+        return Conflict(float(since), (copy.obstacle.owner.partition("/")[2], other.owner))
 
 
 @dataclass(frozen=True)
 class Claim:
-    """The right to a way, from the first setpoint of an approved plan until it has ended.
+    """An arm's right of way, from the first setpoint of an approved plan until the plan has ended.
 
     Attributes
     ----------
     since : int
         Stamp of its first setpoint [ns]; 0: it has not begun.
     name : str
-        Of the robot; settles who was first when both began at once.
+        Of the robot; decides if both began at the same time.
     """
 
     since: int
@@ -218,10 +218,10 @@ class Claim:
 
 
 def gives_way(conflict: Conflict, own: Claim, other: Claim | None, horizon: float) -> bool:
-    """Return whether our plan must not start, or not go on.
+    """Return whether our plan must not start or must not continue.
 
-    It gives way to an arm that follows no plan, whatever keeps it there; to one whose plan began before ours; and to any when
-    the conflict is closer than `horizon`: two arms that both brake cannot meet then.
+    It gives way to an arm that follows no plan; to an arm whose plan began before ours; and to every arm if the conflict is closer
+    than `horizon`, because two arms that both brake then cannot touch.
 
     Parameters
     ----------
@@ -236,17 +236,17 @@ def gives_way(conflict: Conflict, own: Claim, other: Claim | None, horizon: floa
 
 
 def braking_horizon(robot: RobotModel, other: RobotModel, pose_age: float, verdict_age: float, delay: float) -> float:
-    """Return how far ahead a conflict must be seen [s]: both arms' longest braking times, and the age of all that is known.
+    """Return how far ahead a conflict must be detected [s]: both arms' longest braking times plus the ages of the information.
 
     Parameters
     ----------
     robot, other : RobotModel
     pose_age : float
-        Of the poses that a look is made with, at most [s].
+        Largest age of the poses that a check uses [s].
     verdict_age : float
-        Of the verdict that the executor goes by, at most, since the poses were read [s]: a look may take long, or be left out.
+        Largest time from reading the poses to the executor's use of the verdict [s]: a check may take long or be skipped.
     delay : float
-        From the moment when a verdict counts no longer to the first braking setpoint [s].
+        Time from a verdict's expiry to the first braking setpoint [s].
     """
     braking = (float(np.max(np.divide(one.velocity, one.acceleration))) for one in (robot, other))
     return sum(braking) + pose_age + verdict_age + delay

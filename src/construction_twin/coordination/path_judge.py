@@ -1,4 +1,4 @@
-"""The watch's verdicts on plans of ours: may they start, may they go on? No ROS; times in s, `Claim.since` in ns."""
+"""The watch's verdicts on our plans: may they start, may they continue? No ROS; times in s, `Claim.since` in ns."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, gives_way
+from construction_twin.coordination.path_sweep import PlanPosition
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.neighbour import Neighbour, Obstacle
 from construction_twin.scene.objects import Scene
 
-#: Pairs of copies that a look compares beyond what it must: some 0.01 s.
+#: Pairs of copies that one check compares beyond the horizon: this takes about 0.01 s.
 BUDGET = 500_000
 
 
@@ -25,9 +26,9 @@ class Judgement:
     Attributes
     ----------
     blocked : bool
-        It must not start, or not go on.
+        It must not start, or must not continue.
     time : float
-        As of `Conflict.msg`: until the conflict, 0 when it is not known, -1 without one [s].
+        As in `Conflict.msg`: time until the conflict, 0 if unknown, -1 without a conflict [s].
     sentence : str
     """
 
@@ -38,18 +39,18 @@ class Judgement:
 
 @dataclass(frozen=True)
 class Others:
-    """The other arm, as one look finds it.
+    """The other arm at the time of one check.
 
     Attributes
     ----------
     obstacles : collection of Obstacle
-        All that it takes up.
+        The space that it occupies.
     claim : Claim or None
-        None: it follows no plan, or nobody knows.
+        None: it follows no plan, or this is not known.
     unknown : str
-        Why nobody knows where it is, so that its whole reach counts; empty: it is known.
+        Why its pose is unknown, so that its whole reach is used; empty: the pose is known.
     complete : bool
-        Whether the obstacles hold its path to the end, and not only until beyond our horizon.
+        Whether the obstacles contain its path to the end, not only until beyond our horizon.
     """
 
     obstacles: Collection[Obstacle]
@@ -59,12 +60,12 @@ class Others:
 
 
 class PathJudge:
-    """Keeps what is known of each plan's way from look to check.
+    """Keeps the results of each plan's path from one check to the next.
 
     Parameters
     ----------
     robot : RobotModel
-        Ours; its name settles draws.
+        Ours; its name decides if both plans began at the same time.
     neighbour : str
         Name of the other robot.
     padding : float
@@ -89,10 +90,10 @@ class PathJudge:
         self._arm = self._bare
         self._scene = ""
         self._paths: dict[str, OwnPath] = {}
-        self._at = "", 0
+        self._at = PlanPosition("", 0)
 
     def waiting(self, plan: Plan, scene: Scene | None, others: Others) -> Judgement:
-        """Judge a plan that waits for review: its whole way must have been compared before it may start.
+        """Judge a plan that waits for review: its whole path must have been compared before it may start.
 
         Parameters
         ----------
@@ -111,26 +112,26 @@ class PathJudge:
     def followed(
         self, plan: Plan, scene: Scene | None, others: Others, started: int, poses: Iterable[np.ndarray]
     ) -> Judgement:
-        """Judge the plan that is played, from where our arm is: up to the horizon now, what is farther as the looks go on.
+        """Judge the plan that is played, from our arm's present pose: up to the horizon at once, the rest over the next checks.
 
         Parameters
         ----------
         plan, scene, others
-            As of `waiting`.
+            As in `waiting`.
         started : int
             Stamp of its first setpoint, 0 before [ns].
         poses : iterable of array, shape (n,)
-            Of our arm, commanded and measured; empty: not known.
+            Of our arm, commanded and measured; empty: unknown.
 
         Raises
         ------
         SceneError
-            As of `waiting`.
+            As in `waiting`.
         """
         return self._judge(plan, scene, others, Claim(started, self._robot.name), tuple(poses), self._horizon)
 
     def forget(self, kept: Collection[str]) -> None:
-        """Forget all plans but some."""
+        """Forget all plans except those with the given ids."""
         self._paths = {plan_id: path for plan_id, path in self._paths.items() if plan_id in kept}
 
     def _judge(
@@ -145,18 +146,18 @@ class PathJudge:
         if check.conflict is None:
             if (check.fraction < 1.0 or not others.complete) and (poses is None or lost):
                 return Judgement(True, 0.0, self._so_far(check.fraction, others))
-            return Judgement(False, -1.0, "its way is free")
-        # not knowing how far we have come, nobody knows how far the conflict is
+            return Judgement(False, -1.0, "its path is free")
+        # without our own position on the path, the time until the conflict is unknown
         conflict = Conflict(0.0, check.conflict.between) if lost else check.conflict
         blocked = gives_way(conflict, own, others.claim, self._horizon)
         return Judgement(blocked, conflict.time, self._sentence(conflict, others, blocked))
 
     def _present_row(self, path: OwnPath, poses: tuple[np.ndarray, ...]) -> int:
-        """Return how far our arm has come on a plan, measured or commanded, whichever is less; never less than before."""
-        known = self._at[1] if self._at[0] == path.plan.id else 0
+        """Return our arm's row on a plan: the smaller of the measured and the commanded one, never less than before."""
+        known = self._at.row if self._at.plan_id == path.plan.id else 0
         found = [path.row_of(pose, known) for pose in poses]
-        self._at = path.plan.id, min((known if row is None else row for row in found), default=known)
-        return self._at[1]
+        self._at = PlanPosition(path.plan.id, min((known if row is None else row for row in found), default=known))
+        return self._at.row
 
     def _path(self, plan: Plan, scene: Scene) -> OwnPath:
         if scene.hash != self._scene:
@@ -168,7 +169,7 @@ class PathJudge:
 
     def _so_far(self, fraction: float, others: Others) -> str:
         against = self._neighbour if others.complete else f"the first part of {self._neighbour}'s path"
-        return f"{min(fraction, 0.99):.0%} of its way has been checked against {against} so far, wait a moment"
+        return f"{min(fraction, 0.99):.0%} of its path has been checked against {against} so far, wait a moment"
 
     def _sentence(self, conflict: Conflict, others: Others, blocked: bool) -> str:
         mine, theirs = conflict.between

@@ -1,4 +1,4 @@
-"""Which plan does an arm follow, and which one waits for review? From what its planner and executor say; no ROS."""
+"""The plan that an arm follows and the plan that waits for review, from the reports of its planner and executor; no ROS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _KEPT = 8
 
 
 class PlanBook:
-    """Plans of one arm, and what became of them.
+    """The plans of one arm and their states.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class PlanBook:
         self._followed = ""
 
     def on_plan(self, plan: Plan) -> None:
-        """Take a new plan; it takes the place of the one that waits."""
+        """Take a new plan; it replaces the one that waits."""
         self._plans[plan.id] = plan
         self._waiting = plan.id
         for name in [*self._plans][:-_KEPT]:
@@ -35,7 +35,7 @@ class PlanBook:
                 del self._plans[name]
 
     def on_execution(self, state: int, plan_id: str, started: int) -> None:
-        """Take the executor's state, as of `Execution.msg`; ValueError for one that is unknown."""
+        """Take the executor's state, as in `Execution.msg`; raises ValueError for an unknown state."""
         self._state = ExecutorState(state)
         self._followed, self.started = plan_id, started
         if plan_id and plan_id == self._waiting:
@@ -51,12 +51,12 @@ class PlanBook:
         return self._plans.get(self._waiting)
 
     def followed(self) -> Plan | None:
-        """Return the approved plan that has not ended, None for an arm that follows none.
+        """Return the approved plan that has not ended; None for an arm that follows no plan.
 
         Raises
         ------
         PlanUnknownError
-            If it is not known what the arm does.
+            If the arm's plan is not known.
         """
         if self._state is None:
             raise PlanUnknownError("its executor has said nothing yet")
@@ -68,4 +68,4 @@ class PlanBook:
 
 
 class PlanUnknownError(ConstructionTwinError):
-    """It is not known which path an arm follows."""
+    """The path that an arm follows is not known."""

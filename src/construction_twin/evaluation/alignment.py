@@ -1,11 +1,11 @@
-"""Pairs every physical sample with a twin pose: three alignments, because the paper does not say which one it used.
+"""Pairs every physical sample with a twin pose, by three alignments, because the paper does not say which one it used.
 
 ``instant``
-    The physical pose at ROS time t (reception in the bridge) against the twin's pose at the same ROS time. It contains
-    everything a bystander would see: the round trip, the playout delay and the servo's lag.
+    The physical pose at ROS time t (reception in the bridge) against the twin's pose at the same ROS time. The difference
+    contains everything that an observer sees: the round trip, the playout delay and the servo's lag.
 ``by_command``
-    The physical pose against the twin's pose at the command stamp of the target it answers to: transport drops out, what
-    the arm lags behind its own setpoint stays.
+    The physical pose against the twin's pose at the command stamp of the target that it answers. The transport cancels out;
+    the arm's lag behind its setpoint remains.
 ``lag_removed``
     ``by_command`` with one constant lag L >= 0, the same for all joints, taken out: twin(command_stamp - L). L minimises
     the sum of squared differences over all joints and samples.
@@ -26,7 +26,7 @@ from construction_twin.core.errors import EvaluationError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import Recording, Stream
 
-#: Largest lag looked for [ns]: far beyond any healthy servo, still short against a task.
+#: Largest lag considered [ns]: far beyond any working servo, but short compared with a task.
 MAX_LAG_NS = NANOSECONDS // 2
 #: The optimiser's tolerance [ns]; it is absolute.
 LAG_TOLERANCE_NS = 1e-3
@@ -126,7 +126,7 @@ class TwinPath:
         self._times = (twin.stamps[increasing] - base).astype(float)
         self._positions = twin.positions[increasing]
         periods = np.diff(self._times)
-        # of each segment: the periods before and after it; where there is none, any that counts for nothing
+        # the periods before and after each segment; at the ends any value, because its weight is 0
         self._earlier = np.concatenate([periods[:1], periods[:-1]])
         self._later = np.concatenate([periods[1:], periods[-1:]])
 
@@ -220,8 +220,8 @@ def align_lag_removed(recording: Recording, window: Window, lag_ns: float) -> Al
 def estimate_lag(recording: Recording, window: Window) -> float | None:
     """Return the constant lag of the arm behind its commands, by least squares over all joints and samples.
 
-    A coarse scan over whole cycles finds the right valley (a repetitive motion has several), a bounded search inside it
-    the minimum, to well below a nanosecond on clean data.
+    A coarse scan over whole cycles finds the global minimum's neighbourhood (a repetitive motion has several local minima), and a
+    bounded search inside it finds the minimum, to well below a nanosecond on noise-free data.
 
     Parameters
     ----------

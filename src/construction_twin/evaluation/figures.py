@@ -24,14 +24,14 @@ DPI = 150
 PINK = "#ff3fa4"
 COLOURS = ("#1f5fa8", "#d9541e", "#2f8f4e", "#8d4bb0", "#c79a00", "#4aa3c7", "#7a5c48", "#555555")
 INK = "#333333"
-#: Points drawn of a path; more cannot be told apart.
+#: Most points drawn of a path; more are not distinguishable.
 PATH_POINTS = 1500
 
 
 def joint_figure(evaluation: Evaluation) -> Figure:
     """Return all joints of both robots over the evaluated time: twin solid, physical dashed (the paper's Figure 9).
 
-    Linear joints have a panel of their own, in m.
+    Prismatic joints have a panel of their own, in m.
     """
     recording = evaluation.recording
     slides = [joint in recording.linear for joint in recording.joint_names]
@@ -112,7 +112,8 @@ def _round_trip_panel(axes, evaluation: Evaluation) -> None:
     axes.hist(trips, bins=_bins(trips), color=COLOURS[0])
     axes.set_yscale("log")
     for name, value in percentiles(trips).items():
-        _mark(axes, value, f"{name.replace('_', '.')} {value:.2f}")
+        if value is not None:
+            _mark(axes, value, f"{name.replace('_', '.')} {value:.2f}")
     return None
 
 
@@ -139,7 +140,7 @@ def _reply_panel(axes, evaluation: Evaluation) -> None:
     axes.set(title="RSI reply time in the gateway", xlabel="upper bin edge [us]", ylabel="replies")
     first, last = link_span(evaluation.recording.links, evaluation.window)
     counts = reply_counts(first, last)
-    if not counts or not sum(counts):
+    if last is None or not sum(counts):
         return _no_data(axes, "no reply times in the recording")
     edges = [max(1, last.reply_bins[0] / 2), *last.reply_bins]
     if len(counts) > len(last.reply_bins):
@@ -153,7 +154,7 @@ def _reply_panel(axes, evaluation: Evaluation) -> None:
     return None
 
 
-def _figure(width: float, height: float, rows: int) -> tuple[Figure, Sequence]:
+def _figure(width: float, height: float, rows: int) -> tuple[Figure, list]:
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, squeeze=False)[:, 0]
@@ -161,7 +162,7 @@ def _figure(width: float, height: float, rows: int) -> tuple[Figure, Sequence]:
         axes.grid(color="#dddddd", lw=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
-    return figure, panels
+    return figure, list(panels)
 
 
 def _bins(values: np.ndarray) -> np.ndarray:

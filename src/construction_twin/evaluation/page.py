@@ -1,6 +1,7 @@
-"""The report as one HTML page that needs no other file: figures inside, tables, timing, what happened. Standard library only.
+"""The report as one HTML page that needs no other file: figures, tables, timing, events. Standard library only.
 
-Everything that comes from a recording is escaped: a bag may come from anywhere.
+Text from a recording is escaped, so that it cannot become markup. This protects the page only: a bag from elsewhere is made safe
+to read where it is opened, in `ros.shared.known_bag`.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from html import escape
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.paper import NOTE
 from construction_twin.evaluation.recording import Recording
-from construction_twin.evaluation.tables import ALIGNMENTS, summary_lines, table_rows
+from construction_twin.evaluation.tables import ALIGNMENTS, TableRow, summary_lines, table_rows
 
-#: Most rows of a table of what happened; a bag of a restless link may hold thousands.
+#: Most rows of the table of state changes; a bag of an unstable link may hold thousands.
 MOST_CHANGES = 500
-#: State words that mean that something went wrong.
+#: Words of states that are faults.
 FAULTS = {
     "HOLDING", "STALE", "STOPPED", "FAULT", "REFUSING", "REPLANNING", "HELD",
     "DISCONNECTED", "GATEWAY_OFFLINE", "NO_CONTROLLER", "MISMATCH", "NEEDS_RESET",
@@ -49,14 +50,14 @@ def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) 
     summary : Mapping
         As `summary.json` holds it.
     recording : Recording
-        For its plans and what happened.
+        For its plans and state changes.
     drawings : Mapping of str to bytes
         The PNGs, by file name.
 
     Returns
     -------
     html : str
-        ASCII but for what the recording says itself.
+        ASCII except for text from the recording.
     """
     title = f"Twin and physical arm: {summary['robot']}"
     sections = [
@@ -89,18 +90,17 @@ def _error_tables(summary: Mapping) -> Iterable[str]:
         if summary["tables"].get(alignment) is None:
             yield f"<p>{escape(alignment)}: not available, the recording does not hold what it needs ({escape(meaning)}).</p>"
             continue
-        cells = [_error_row(*row[1:]) for row in rows if row[0] == alignment]
+        cells = [_error_row(row) for row in rows if row.alignment == alignment]
         yield _table(_COLUMNS, cells, f"{alignment}: {meaning}")
     yield f'<p class="note">{escape(NOTE)}.</p>'
 
 
-def _error_row(joint, average, maximum, *rest) -> list[str]:
-    # the last two are those of a linear joint
-    *paper, average_m, maximum_m = rest if len(rest) > 4 else (*rest, None, None)
-    unit = "rad" if average_m is None else "m"
-    errors = (average, maximum) if average_m is None else (average_m, maximum_m)
+def _error_row(row: TableRow) -> list[str]:
+    unit = "rad" if row.avg_m is None else "m"
+    errors = (row.avg_rad, row.max_rad) if row.avg_m is None else (row.avg_m, row.max_m)
     figures = [f"{_number(value, '.4e')} {unit}" for value in errors]
-    return [joint, *figures, *(_number(v, ".4e") for v in paper[:2]), *(_number(v, ".3g") for v in paper[2:])]
+    paper = [_number(value, ".4e") for value in (row.paper_avg_rad, row.paper_max_rad)]
+    return [row.joint, *figures, *paper, _number(row.avg_ratio, ".3g"), _number(row.max_ratio, ".3g")]
 
 
 def _figures(drawings: Mapping[str, bytes]) -> Iterable[str]:

@@ -1,4 +1,4 @@
-"""What the paper reports, as data, so that this run's figures can stand beside it.
+"""The paper's figures as data, for comparison with those of a run.
 
 Source: Liang, McGee, Menassa and Kamat, "Bi-Directional Communication Bridge for State Synchronization between Digital
 Twin Simulations and Physical Construction Robots", section 4 and Table 1. The paper does not say how it aligned the two

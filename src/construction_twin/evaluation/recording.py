@@ -1,4 +1,4 @@
-"""A recorded run as plain arrays: what an evaluation needs, whatever file it came from.
+"""A recorded run as plain arrays: the input of an evaluation, independent of the file format.
 
 Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`. No ROS here:
 `construction_twin.ros.commands.bag` reads a rosbag into these, a simulation may fill them directly.
@@ -129,9 +129,9 @@ class StateChange:
     Attributes
     ----------
     stamp : int
-        When [ns, ROS time].
+        ROS time of the change [ns].
     source : str
-        Who: ``gate``, ``execution``, ``link``.
+        What reported it: ``gate``, ``execution``, ``link``.
     state : str
         The new state's word.
     reason : str
@@ -173,7 +173,7 @@ class Recording:
     changes : tuple of StateChange
         In order of time.
     linear : tuple of str
-        Those of `joint_names` that are linear: m in place of rad. A bag does not tell; `write_report` takes it from the robot.
+        Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from the robot.
 
     Raises
     ------
@@ -212,6 +212,6 @@ class Recording:
 
     @property
     def finished_plans(self) -> tuple[PlayedPlan, ...]:
-        """The plans played to their end, without those from before the recording, which a latched topic still tells."""
+        """The plans played to their end, except those from before the recording, which a latched topic may still report."""
         begin = int(self.twin.stamps.min())
         return tuple(plan for plan in self.plans if plan.outcome == "finished" and plan.start >= begin)

@@ -44,7 +44,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     recording : Recording
     robot : RobotModel or None
         For the tool path and the joints' units; without it, or when it has other joints than the recording, `figure8.png` is not
-        written, and every joint is taken to turn.
+        written, and every joint is taken as revolute.
     directory : str or Path
 
     Returns
@@ -58,8 +58,9 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     OSError
         If a file cannot be written.
     """
-    same = robot is not None and robot.joint_names == recording.joint_names
-    if same:
+    if robot is not None and robot.joint_names != recording.joint_names:
+        robot = None
+    if robot is not None:
         linear = tuple(joint for joint, slides in zip(robot.joint_names, robot.linear) if slides)
         recording = dataclasses.replace(recording, linear=linear)
     evaluation = evaluate(recording)
@@ -67,7 +68,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     drawings = {"figure9.png": figures.joint_figure(evaluation), "timing.png": figures.timing_figure(evaluation)}
-    if same:
+    if robot is not None:
         drawings["figure8.png"] = figures.tool_path_figure(evaluation, robot)
     for name, drawing in drawings.items():
         drawing.savefig(directory / name)
@@ -81,6 +82,6 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
 
 
 def environment() -> dict:
-    """Return what the machine and the interpreter were."""
+    """Return the versions of the interpreter and libraries, and the machine."""
     packages = {name: importlib.metadata.version(name) for name in ("numpy", "scipy")}
     return {"python": platform.python_version(), "system": platform.platform(), "cpus": os.cpu_count(), **packages}

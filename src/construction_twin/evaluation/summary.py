@@ -1,6 +1,6 @@
 """Evaluates a recording: the alignments, and all figures of `summary.json` as one mapping.
 
-Whatever the recording does not tell is None (null in the file); nothing is assumed.
+A figure that the recording does not contain is None (null in the file); nothing is assumed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Evaluation:
 
 
 def evaluate(recording: Recording) -> Evaluation:
-    """Align a recording in all ways it allows.
+    """Align a recording by every method for which it holds the data.
 
     The window is the task's, from its plans' first to last setpoint, extended by the median round trip and the lag, so that
     the samples which answer the last waypoint belong to it; without plans it is the overlap of both streams.
@@ -113,10 +113,10 @@ def summarise(evaluation: Evaluation) -> dict:
 
 
 def link_span(links: tuple[LinkSnapshot, ...], window: Window) -> tuple[LinkSnapshot | None, LinkSnapshot | None]:
-    """Return a snapshot from before the window and one that knows all of it, or the nearest ones there are.
+    """Return a snapshot from before the window and one from after it, or the closest ones available.
 
-    The gateway's counters reach the bridge once a second, so only a snapshot that much after the window's end is sure to
-    know it; the span between the two is up to 3 s longer than the window.
+    The gateway's counters reach the bridge once a second, so only a snapshot at least 1 s after the window's end is
+    sure to include it; the span between the two is up to 3 s longer than the window.
     """
     if not links:
         return None, None
@@ -133,7 +133,7 @@ def reply_times(first: LinkSnapshot | None, last: LinkSnapshot | None) -> dict[s
     """
     result: dict = dict.fromkeys([*PERCENTILES, "max"])
     counts = reply_counts(first, last)
-    if not sum(counts):
+    if last is None or not sum(counts):
         return result
     largest = last.counter("reply_us_max")
     for name, fraction in {**PERCENTILES, "max": 1.0}.items():
@@ -161,18 +161,19 @@ def rate(stream: Stream | None, window: Window) -> float | None:
 
 
 def _mock_settings(status: Mapping) -> dict:
-    """Return the mock's configuration; limits left open there are those that were in effect."""
+    """Return the mock's configuration; limits not set there are replaced by those in effect."""
     in_effect = {key: status[key] for key in _MOCK_LIMITS if key in status}
     return {**status.get("config", {}), **in_effect}
 
 
 def _waypoints(recording: Recording) -> int | None:
     counts = [recording.waypoints.get(plan.plan_id) for plan in recording.finished_plans]
-    return sum(counts) if counts and None not in counts else None
+    known = [count for count in counts if count is not None]
+    return sum(known) if known and len(known) == len(counts) else None
 
 
 def _commands_sent(first: LinkSnapshot | None, last: LinkSnapshot | None) -> int | None:
-    # Counted since the bridge started; another session may be that of a restarted bridge.
+    # The count starts with the bridge; a different session may mean a restarted bridge.
     if first is None or last is None or first is last or first.session != last.session:
         return None
     return last.commands_sent - first.commands_sent
@@ -183,6 +184,6 @@ def _increase(first: LinkSnapshot | None, last: LinkSnapshot | None, name: str) 
         return None
     if not first.counters or not last.counters or (name in first.counters and name not in last.counters):
         return None
-    # The gateway lists a counter from its first use on; one that falls belongs to a gateway that was restarted in between.
+    # The gateway lists a counter from its first use on; a counter that decreases means that the gateway was restarted.
     before, after = (link.counter(name) if name in link.counters else 0 for link in (first, last))
     return None if before is None or after is None or after < before else int(after - before)

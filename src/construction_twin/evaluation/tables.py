@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from rich import box
@@ -23,15 +24,12 @@ ALIGNMENTS = {
     "instant": "physical against the twin's pose at the same ROS time",
     "lag_removed": "by_command with one constant lag taken out",
 }
-CSV_COLUMNS = ("alignment", "joint", "avg_rad", "max_rad", "paper_avg_rad", "paper_max_rad", "avg_ratio", "max_ratio")
-#: Further columns of a robot with linear joints; empty for the joints that turn, as the others are for these.
-LINEAR_COLUMNS = ("avg_m", "max_m")
 #: Names and fractions of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 
 
 def error_table(alignment: Alignment | None, joint_names: Sequence[str], linear: Sequence[str] = ()) -> dict | None:
-    """Return ``{joint: {"avg_rad", "max_rad"}}`` of an alignment, ``avg_m`` and ``max_m`` for `linear` joints; None for None."""
+    """Return ``{joint: {"avg_rad", "max_rad"}}`` of an alignment; ``avg_m`` and ``max_m`` for the joints in `linear`."""
     if alignment is None:
         return None
     table = {}
@@ -49,33 +47,61 @@ def percentiles(values: np.ndarray) -> dict[str, float | None]:
     return {**fractions, "max": float(np.max(values))}
 
 
-def table_rows(tables: Mapping) -> Iterator[tuple]:
-    """Yield a row of `CSV_COLUMNS` and `LINEAR_COLUMNS` per alignment and joint; None where unknown.
+class TableRow(NamedTuple):
+    """The figures of one joint in one alignment, in the order of the CSV file; None where unknown.
 
-    Ratios are this run's over the paper's.
+    A revolute joint has its errors in the fields in rad, a prismatic joint in those in m. Ratios are this run's figure divided by
+    the paper's.
     """
-    joints = next((table for table in tables.values() if table), {})
+
+    alignment: str
+    joint: str
+    avg_rad: float | None
+    max_rad: float | None
+    paper_avg_rad: float | None
+    paper_max_rad: float | None
+    avg_ratio: float | None
+    max_ratio: float | None
+    avg_m: float | None
+    max_m: float | None
+
+
+#: Columns of the CSV file for a robot without prismatic joints, and the further ones otherwise.
+CSV_COLUMNS = TableRow._fields[:-2]
+LINEAR_COLUMNS = TableRow._fields[-2:]
+
+
+def table_rows(tables: Mapping) -> Iterator[TableRow]:
+    """Yield the figures of every alignment and joint."""
+    joints: Mapping = next((table for table in tables.values() if table), {})
     for alignment in ALIGNMENTS:
         table = tables.get(alignment)
         for joint in joints:
             entry = table[joint] if table else {}
             average, maximum = entry.get("avg_rad"), entry.get("max_rad")
             paper = paper_error(joint)
-            paper_figures = (paper.average, paper.maximum) if paper else (None, None)
-            ratios = (_ratio(average, paper_figures[0]), _ratio(maximum, paper_figures[1]))
-            metres = (entry.get("avg_m"), entry.get("max_m"))
-            yield alignment, joint, average, maximum, *paper_figures, *ratios, *metres
+            yield TableRow(
+                alignment,
+                joint,
+                avg_rad=average,
+                max_rad=maximum,
+                paper_avg_rad=paper.average if paper else None,
+                paper_max_rad=paper.maximum if paper else None,
+                avg_ratio=_ratio(average, paper.average if paper else None),
+                max_ratio=_ratio(maximum, paper.maximum if paper else None),
+                avg_m=entry.get("avg_m"),
+                max_m=entry.get("max_m"),
+            )
 
 
 def table_csv(tables: Mapping) -> str:
     """Return `table_rows` as CSV text with a header line; unknown values are empty.
 
-    `LINEAR_COLUMNS` are there only when a joint is linear.
+    `LINEAR_COLUMNS` are included only if the robot has a prismatic joint.
     """
     rows = list(table_rows(tables))
-    columns = CSV_COLUMNS
-    if any(row[-1] is not None for row in rows):
-        columns += LINEAR_COLUMNS
+    prismatic = any(row.avg_m is not None for row in rows)
+    columns = CSV_COLUMNS + LINEAR_COLUMNS if prismatic else CSV_COLUMNS
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -101,7 +127,7 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
             console.print(text, soft_wrap=True)
             continue
         console.print()
-        console.print(_rich_table(f"{alignment}: {meaning}", [row[1:] for row in rows if row[0] == alignment]))
+        console.print(_rich_table(f"{alignment}: {meaning}", [row for row in rows if row.alignment == alignment]))
     console.print(f"\nNote: {NOTE}.", soft_wrap=True)
     for line in summary_lines(summary):
         console.print(line, soft_wrap=True, markup=False)
@@ -129,17 +155,18 @@ def summary_lines(summary: Mapping) -> list[str]:
     return lines
 
 
-def _rich_table(title: str, rows: Sequence[Sequence]) -> Table:
-    # Laid out for 80 columns: a log or a narrow terminal must not cut figures off.
+def _rich_table(title: str, rows: Sequence[TableRow]) -> Table:
+    # at most 80 columns, so that a log or a narrow terminal does not cut figures off
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column("joint", no_wrap=True)
     for heading in ("avg, rad", "max, rad", "paper avg", "paper max", "avg/paper", "max/paper"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for joint, *figures, average_m, maximum_m in rows:
-        if average_m is not None:
-            joint, figures = f"{joint} [m]", [average_m, maximum_m, *figures[2:]]
-        errors = [_text(value, ".4e") for value in figures[:4]]
-        table.add_row(joint, *errors, *(_text(value, ".3g") for value in figures[4:]))
+    for row in rows:
+        joint, errors = row.joint, (row.avg_rad, row.max_rad)
+        if row.avg_m is not None:
+            joint, errors = f"{row.joint} [m]", (row.avg_m, row.max_m)
+        figures = [_text(value, ".4e") for value in (*errors, row.paper_avg_rad, row.paper_max_rad)]
+        table.add_row(joint, *figures, _text(row.avg_ratio, ".3g"), _text(row.max_ratio, ".3g"))
     return table
 
 

@@ -173,17 +173,11 @@ CAUSES = {
 
 
 def rows() -> list[tuple[str, str, str, str, str]]:
-    """Return the table in words, for the documentation: states, event, guard, action, next state ("" where it stays).
-
-    Rows that differ in their state only are one.
-    """
-    grouped: dict[tuple[str, str, str, str], list[str]] = {}
-    for row in TABLE:
-        target = row.target.value if row.target else ""
-        key = (row.event.value, row.guard.value, row.action.value, target)
-        grouped.setdefault(key, []).append(row.state.value)
-    everywhere = [state.value for state in _LIVE]
-    return [("any but failed" if states == everywhere else ", ".join(states), *key) for key, states in grouped.items()]
+    """Return the table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
+    return [
+        (row.state.value, row.event.value, row.guard.value, row.action.value, row.target.value if row.target else "")
+        for row in TABLE
+    ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -237,8 +237,8 @@ class _Search:
     def _solutions(self) -> Iterator[IkSolution]:
         """Yield solutions, one for each starting point that leads to one, while seeds and budget last.
 
-        Better ones than the first are looked for in the first half of the budget only: the other half is for targets that
-        are hard to solve at all.
+        Nearer solutions than the first are searched only in the first half of the budget: the second half
+        remains for targets of which no solution has been found yet.
         """
         began = self._inverse._clock()
         budget = self._settings.budget_s

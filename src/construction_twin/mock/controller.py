@@ -9,31 +9,32 @@ closes it: the valid reply k, or the HOLDON rule when there is none, becomes the
 cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the AIPos of packet k + 3 equals start + AK of
 reply k. Before the first valid reply the setpoint is the start pose.
 
-What it does: IPOC +4 ms per packet from a large start value; a reply is valid only with the IPOC of the open cycle;
-`Delay`; `Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE`
-corrections clamped by AXISCORR, supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration; the
-STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol constant, but for a program of its own; an E-stop
-with its ramp; T1. What it does not: brake for any other reason. A stopped arm stands where it is.
+It models: IPOC, +4 ms per packet from a large start value; replies, valid only with the IPOC of the open cycle; `Delay`;
+`Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE` corrections,
+clamped by AXISCORR and supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration; the STOP object
+in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol, constant unless a program of the controller's own moves them; an
+E-stop with its ramp; T1. It does not model braking for any other reason: when RSI stops, the arm stands still at once.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
-from construction_twin.core.errors import ConfigurationError, FaultError, TelegramError
+from construction_twin.core.errors import FaultError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import CYCLE
+from construction_twin.mock.config import MockConfig
 from construction_twin.mock.encoders import Encoders
-from construction_twin.mock.own_motion import OwnMotion
+from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
 from construction_twin.mock.servo import Servo
-from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
-from construction_twin.rsi.ethernet_xml import check_axes
-from construction_twin.rsi.layout import STOP, AxisUnit, RsiLayout
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, SensorTelegram
+from construction_twin.rsi.layout import STOP
 
 #: Milliseconds the controller's clock advances from packet to packet at `#IPO_FAST`.
 IPOC_STEP = 4
+#: The servo is given this long to arrive at the end of a program [cycles].
+_SETTLING_CYCLES = 250
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
 _RANGE_SLACK = 1e-9
 
@@ -41,85 +42,7 @@ _RANGE_SLACK = 1e-9
 ForwardKinematics = Callable[[tuple[float, ...]], tuple[Sequence[float], Sequence[float]]]
 
 
-@dataclass(frozen=True)
-class MockConfig:
-    """What is set on the controller. Tuples are in the order of `axes`; rad throughout.
-
-    Attributes
-    ----------
-    axes : tuple of str, length n
-        Axis names in the telegrams.
-    start_pose : tuple of float
-        Pose in which the first session starts [rad], inside the soft limits.
-    lower, upper : tuple of float
-        Soft limits [rad].
-    velocity, acceleration : tuple of float
-        Limits that the supervision is a multiple of [rad/s], [rad/s^2].
-    layout : RsiLayout, optional
-        The Ethernet configuration; a reply that does not fit it does not count. Default: `RsiLayout.plain`.
-    units : tuple of AxisUnit, optional
-        How each axis is written in the telegrams; default: deg, and no axis linear.
-    precision : int
-        Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
-    timeout : int
-        Cycles without a valid reply after which RSI stops.
-    cumulative_delay : bool
-        True: `Delay` counts all missed cycles of the session; False: consecutive ones.
-    correction_lower, correction_upper : tuple of float, or None
-        AXISCORR: bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None: soft limit - start pose.
-    correction_monitor : tuple of float, or None
-        AXISCORRMON: RSI stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
-    velocity_factor : float
-        RSI stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
-    acceleration_factor : float
-        The same for `acceleration`. One missed reply at speed v already is an acceleration of v / 4 ms, hundreds of times
-        the limit: the default lets pass what `velocity_factor` lets pass from rest. 0 switches it off.
-    first_ipoc : int
-        IPOC of the first packet [ms].
-    restart_gap : int
-        How far the controller's clock has gone on when the next session starts [ms].
-    """
-
-    axes: tuple[str, ...]
-    start_pose: tuple[float, ...]
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    velocity: tuple[float, ...]
-    acceleration: tuple[float, ...]
-    layout: RsiLayout | None = None
-    units: tuple[AxisUnit, ...] = ()
-    precision: int = 6
-    timeout: int = 100
-    cumulative_delay: bool = False
-    correction_lower: tuple[float, ...] | None = None
-    correction_upper: tuple[float, ...] | None = None
-    correction_monitor: tuple[float, ...] | None = None
-    velocity_factor: float = 2.0
-    acceleration_factor: float = 400.0
-    first_ipoc: int = 4_208_163_634
-    restart_gap: int = 10_000
-
-    def __post_init__(self) -> None:
-        if self.layout is None:
-            object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
-        check_axes(self.layout, self.axes, "Ethernet XML")
-        count = len(self.axes)
-        for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *_BOUNDS):
-            values = getattr(self, name)
-            if values is not None and (len(values) != count or not all(map(math.isfinite, values))):
-                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
-        for name, allowed in (("timeout", self.timeout >= 1), ("first_ipoc", self.first_ipoc >= 0)):
-            if not allowed:
-                raise ConfigurationError(name, getattr(self, name), "a larger number")
-        for name, sign in (("correction_lower", -1), ("correction_upper", 1), ("correction_monitor", 1)):
-            if any(sign * value < 0.0 for value in getattr(self, name) or ()):
-                raise ConfigurationError(name, getattr(self, name), f"numbers {'<=' if sign < 0 else '>='} 0")
-
-
-_BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
-
-
-class MockController(OwnMotion):
+class MockController:
     """One mock controller; see the module for what it does and when.
 
     Parameters
@@ -145,7 +68,7 @@ class MockController(OwnMotion):
         What `Delay` reports.
     stat : int
         AXISCORR's `Stat`: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
-        layout is ours: rsi.md gives none.
+        layout is our own: docs/rsi.md gives none.
     start_pose, setpoint, measured : tuple of float, length n
         Programmed pose of the session, present setpoint, measured axes [rad].
     encoders : Encoders
@@ -156,6 +79,16 @@ class MockController(OwnMotion):
         Correction in effect, after clamping [rad].
     correction_lower, correction_upper, correction_monitor : tuple of float, length n
         Bounds in force in this session [rad].
+    pressed : bool
+        True while the emergency stop is pressed.
+    needs_person : bool
+        True after an emergency stop: RSI is started again by a person only.
+    deaf : bool
+        True while replies are ignored.
+    ramp : EmergencyBrake or None
+        The last emergency stop's, until the next session.
+    program : Program or None
+        The program that runs.
     counters : dict of str to int
         Totals since construction, see `COUNTERS`.
     """
@@ -178,15 +111,23 @@ class MockController(OwnMotion):
     )
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
-        super().__init__()
+        self.pressed = self.needs_person = self.deaf = False
+        self.ramp: EmergencyBrake | None = None
+        self.program: Program | None = None
+        self._tool_limit: ToolSpeedLimit | None = None
+        self._tool_speed = 0.0
+        self._settling = 0
+        self._open = False
+        self._reply: SensorTelegram | None = None
+        self._start_tool: tuple[float, ...] = ()
         self.config = config
         self.servo = servo
         self.encoders = Encoders(len(config.axes))
         self.reported: tuple[float, ...] = config.start_pose
         self._forward_kinematics = forward_kinematics
-        layout = config.layout
+        layout = config.rsi_layout
         self._encoder = RobotEncoder(config.axes, config.precision, layout.send, config.units)
-        self._decoder = None
+        self._decoder: SensorDecoder | None = None
         if not layout.onlysend:
             self._decoder = SensorDecoder(layout.sentype, config.axes, layout.receive, config.units)
         holdon = dict(zip(layout.receive, layout.holdon))
@@ -288,6 +229,107 @@ class MockController(OwnMotion):
         self.counters["replies"] += 1
         return True
 
+    def press_emergency_stop(self) -> None:
+        """Brake to rest within the acceleration limits and end the RSI session; packets cease at once."""
+        self.pressed = self.needs_person = True
+        self.program = None
+        if self.running:
+            self.ramp = EmergencyBrake(self.setpoint, self._last_step, self.config.acceleration, self.measured)
+            self._stop("emergency stop")
+
+    def release_emergency_stop(self) -> None:
+        """Unlock the emergency stop; nothing moves or starts by that."""
+        self.pressed = False
+
+    def ignore_replies(self, ignored: bool) -> None:
+        """Take no notice of replies, or take notice again."""
+        self.deaf = ignored
+
+    def limit_tool_speed(self, speed: float) -> None:
+        """Select T1: the tool moves no faster than `speed` [m/s]."""
+        self._tool_speed = speed
+        self._tool_limit = self._make_tool_limit(self.setpoint, self._last_step)
+
+    def lift_tool_speed(self) -> None:
+        """Select another mode: the arm catches up within its limits."""
+        self._tool_speed = 0.0
+        if self._tool_limit is not None:
+            self._tool_limit.lift()
+
+    def run_program(self, goal: Sequence[float], duration: float = 0.0) -> None:
+        """Move to a pose without the PC, in a session or without one.
+
+        In a session the programmed pose (ASPos) moves and corrections are added to it, so the goal is met if they stay.
+
+        Parameters
+        ----------
+        goal : sequence of float, length n
+            [rad]
+        duration : float, optional
+            [s]; 0: `JOG_FRACTION` of the limits.
+
+        Raises
+        ------
+        FaultError
+            If the arm cannot move by itself now.
+        ValueError
+            If the limits do not allow `duration`.
+        JointRangeError
+            If the goal lies outside the range.
+        """
+        if self.pressed or self.ramp is not None and not self.ramp.done:
+            raise FaultError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
+        self._check_range(goal)
+        if not self.running:
+            self.ramp = None
+            self.start_pose, self.applied = self.setpoint, self._zero
+        target = tuple([q - correction for q, correction in zip(goal, self.applied)])
+        self.program = Program(self.start_pose, target, self.config.velocity, self.config.acceleration, duration)
+
+    def _make_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
+        return ToolSpeedLimit(
+            position,
+            step,
+            self.config.velocity,
+            self.config.acceleration,
+            lambda q: self._forward_kinematics(q)[0],
+            self._tool_speed,
+        )
+
+    def _begin_own_motion(self, pose: tuple[float, ...]) -> None:
+        """A new session: at rest at `pose`, without program or ramp; T1 stays."""
+        self.ramp = self.program = self._tool_limit = None
+        self.needs_person = False
+        if self._tool_speed:
+            self._tool_limit = self._make_tool_limit(pose, self._zero)
+
+    def _programmed_pose(self, program: Program) -> tuple[float, ...]:
+        """Advance the program; return the programmed pose [rad]."""
+        pose = program.advance()
+        if program.done:
+            self.program = None
+        return pose
+
+    def _limited(self, limit: ToolSpeedLimit, setpoint: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the setpoint as T1 allows it."""
+        limited = limit.follow(setpoint)
+        if limit.done:
+            self._tool_limit = None
+        return limited
+
+    def _move_without_session(self) -> None:
+        """One cycle while RSI has stopped: the ramp, or a program."""
+        if self.ramp is not None:
+            self.setpoint = self.ramp.advance()
+        elif self.program is not None:
+            self.setpoint = self.start_pose = self._programmed_pose(self.program)
+            self._settling = _SETTLING_CYCLES
+        elif self._settling:
+            self._settling -= 1
+        else:
+            return
+        self.servo.step(self.setpoint)
+
     def _start_session(self, pose: tuple[float, ...], ipoc: int) -> None:
         config = self.config
         self._check_range(pose)
@@ -320,17 +362,17 @@ class MockController(OwnMotion):
 
     def _close_cycle(self) -> None:
         if self.program is not None:
-            self.start_pose = self._programmed_pose()
+            self.start_pose = self._programmed_pose(self.program)
             self._start_tool = _flat(self._forward_kinematics(self.start_pose))
         if self._decoder is None:
             self.setpoint = self.start_pose
             # ONLYSEND: RSI_MOVECORR is not called, nothing is expected, nothing is corrected
             self.servo.step(self.setpoint)
             return
-        correction = self._missed_reply() if self._reply is None else self._valid_reply()
+        correction = self._missed_reply() if self._reply is None else self._valid_reply(self._reply)
         setpoint = tuple(start + value for start, value in zip(self.start_pose, correction))
         if self._tool_limit is not None:
-            setpoint = self._limited(setpoint)
+            setpoint = self._limited(self._tool_limit, setpoint)
         fault = self._fault(correction, setpoint)
         if fault:
             self._stop(fault)
@@ -349,14 +391,14 @@ class MockController(OwnMotion):
         self._stop_level = self._stop_level and self._stop_holdon
         return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holdon))
 
-    def _valid_reply(self) -> tuple[float, ...]:
+    def _valid_reply(self, reply: SensorTelegram) -> tuple[float, ...]:
         if not self.config.cumulative_delay:
             self.delay = 0
-        stop = bool(self._reply.stop)
+        stop = bool(reply.stop)
         if stop and not self._stop_level:
             self._stop("stop: requested by the PC, RSI_MOVECORR ended")
         self._stop_level = stop
-        wanted = self._reply.correction
+        wanted = reply.correction
         correction = _clamp(wanted, self.correction_lower, self.correction_upper)
         self.stat = 1
         for index, (asked, given) in enumerate(zip(wanted, correction)):

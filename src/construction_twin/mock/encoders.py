@@ -1,6 +1,6 @@
-"""What the mock arm's encoders report: the measured angles with slip, backlash and noise.
+"""The readings of the mock arm's encoders: the measured angles with slip, backlash and noise.
 
-A fault of an encoder moves the reading, not the arm: servo and setpoints know nothing of it. Pure, standard library only, rad.
+A fault of an encoder changes the reading, not the arm: it has no effect on servo and setpoints. Pure, standard library only, rad.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Encoders:
     offset : list of float, length n
         What is added to the measured angle now [rad].
     slip : list of float, length n
-        By how much the controller's angles are wrong since it took its readings for its pose [rad], see `absorb`.
+        Error of the controller's angles since it took its readings as its pose [rad], see `absorb`.
     """
 
     def __init__(self, count: int):
@@ -39,7 +39,7 @@ class Encoders:
         self.active = False
 
     def reseed(self, random_numbers: random.Random) -> None:
-        """Take the noise from here: with the same seed the same readings come again."""
+        """Use this source of noise: the same seed gives the same readings."""
         self._random = random_numbers
 
     def shift(self, joint: int, offset: float) -> None:
@@ -86,7 +86,7 @@ class Encoders:
         return tuple([angle + offset for angle, offset in zip(reading, self.offset)])
 
     def absorb(self) -> None:
-        """Let the controller take its readings for its pose, as at a restart: the offsets are none any more."""
+        """Let the controller take its readings as its pose, as at a restart: the offsets become slip."""
         self.slip = [slip + offset for slip, offset in zip(self.slip, self.offset)]
         self.offset = [0.0] * len(self.offset)
         self._note()

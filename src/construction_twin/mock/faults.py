@@ -1,4 +1,4 @@
-"""Faults of the mock controller: which there are, what they need, and what they do to it while it runs.
+"""Faults of the mock controller: their names, their arguments, and their effects.
 
 Pure: time is a count of 4 ms cycles, randomness has a seed. Angles are those of the controller's axes; SI.
 Standard library only. While no fault is active, `FaultBoard.tick` is one comparison per cycle.
@@ -24,7 +24,7 @@ DIRECTIONS = ("", "to_pc", "to_controller")
 
 @dataclass(frozen=True)
 class FaultKind:
-    """What a fault needs.
+    """The arguments of a fault.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class FaultBoard:
         return tuple(str(fault) for fault, _ in self._active.values())
 
     def tick(self) -> None:
-        """Let a cycle go by: faults whose time is over end. To be called before `MockController.begin_cycle`."""
+        """Advance by one cycle and end the faults whose time is over. To be called before `MockController.begin_cycle`."""
         self._cycle += 1
         if not self._active:
             return
@@ -156,7 +156,7 @@ class FaultBoard:
         Raises
         ------
         FaultError
-            If there is no such fault, it lacks something, or this is not the moment for it.
+            If there is no such fault, an argument is wrong, or the fault is not possible now.
         """
         kind = self._check(fault)
         start, _ = self._actions(fault)
@@ -271,4 +271,4 @@ class FaultBoard:
 
 
 def _nothing() -> None:
-    """What needs no end."""
+    """End a fault that ends by itself."""

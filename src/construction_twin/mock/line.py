@@ -10,7 +10,7 @@ from construction_twin.core.units import NANOSECONDS
 
 
 class Line:
-    """What happens to datagrams on their way.
+    """Loses, doubles and delays datagrams of one direction.
 
     Parameters
     ----------
@@ -73,5 +73,5 @@ class Line:
         return self._queue[0][0] if self._queue else None
 
     def _note(self) -> None:
-        # what is on its way arrives, also when the fault is over
+        # delayed datagrams are still delivered after the fault has ended
         self.active = bool(self._drop or self._duplicate or self._delay or self._jitter or self._queue)

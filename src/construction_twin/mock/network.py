@@ -1,9 +1,9 @@
 """The mock controller on the network: UDP client and 4 ms clock around `MockController`. Runs without ROS.
 
-The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, this process can
-be: then the packets that are due follow each other by half a cycle until the grid is met again, so that the PC always has
-that long to answer, IPOC advances by 4 per packet and keeps up with time. Only after a stall longer than `CATCH_UP` are
-grid points given up. Late packets and grid points given up are counted (`overruns`, `skipped`).
+The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, but this process can be
+late. Then the packets that are due follow each other at half a cycle until they are on the grid again: the PC always has half a
+cycle to answer, and IPOC, which advances by 4 per packet, stays in step with time. Grid points are skipped only after a stall
+longer than `CATCH_UP`. Late packets and skipped grid points are counted (`overruns`, `skipped`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 CATCH_UP = 25 * CYCLE_NS
 #: Shortest distance of two packets [ns].
 _CLOSEST = CYCLE_NS // 2
-#: Datagrams read before the clock is looked at again: a flood must not stop it.
+#: Most datagrams read before the clock is checked again, so that a flood of datagrams cannot stop it.
 _DRAIN_LIMIT = 64
 
 Result = TypeVar("Result")
@@ -57,15 +57,15 @@ class MockRsi:
     ----------
     faults : FaultBoard
     overruns : int
-        Packets that left more than half a cycle late, because this process was not run in time.
+        Packets that left more than half a cycle late, because this process was not scheduled in time.
     skipped : int
-        Grid points given up because it was not run for longer than `CATCH_UP`.
+        Grid points skipped because this process was not scheduled for longer than `CATCH_UP`.
     foreign : int
         Datagrams that did not come from the gateway.
     send_errors : int
         Packets the system refused to send.
     left : int
-        When the last packet left, on the monotonic clock [ns]: what the cycle did to the arm cannot be seen before.
+        Time at which the last packet left, on the monotonic clock [ns]. The effect of its cycle on the arm is not visible before.
 
     Raises
     ------
@@ -90,7 +90,7 @@ class MockRsi:
         self._observe = observe
         self._report = report
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
-        self._socket: socket.socket | None = None
+        self._socket = _open_socket()
         self._session = 0
         self._stopped_at: int | None = None
 
@@ -132,8 +132,7 @@ class MockRsi:
                 self._observe(self)
                 self._receive_until(max(due, sent + _CLOSEST))
         finally:
-            if self._socket is not None:
-                self._socket.close()
+            self._socket.close()
 
     def _serve_requests(self) -> None:
         while True:
@@ -160,16 +159,9 @@ class MockRsi:
             self._stopped_at = None
         if controller.session != self._session:
             self._session = controller.session
-            self._open_socket()
-            self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
-
-    def _open_socket(self) -> None:
-        if self._socket is not None:
             self._socket.close()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        # an unused port of the system's choice on all addresses, as the controller does it
-        self._socket.bind(("", 0))
+            self._socket = _open_socket()
+            self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
 
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc
@@ -183,7 +175,7 @@ class MockRsi:
         try:
             self._socket.sendto(packet, self._gateway)
         except OSError:
-            # e.g. no route: a controller does not notice, its replies just stay away
+            # e.g. no route: a controller does not notice it, it only gets no replies
             self.send_errors += 1
 
     def _next_due(self, due: int, sent: int) -> int:
@@ -214,7 +206,7 @@ class MockRsi:
         return deadline
 
     def _deliver(self, now: int) -> None:
-        """Hand on what faults have delayed until now."""
+        """Deliver the datagrams whose delay is over."""
         for packet in self.faults.to_pc.take(now):
             self._put_on_wire(packet)
         for data in self.faults.to_controller.take(now):
@@ -234,10 +226,19 @@ class MockRsi:
                 self.controller.receive(data)
 
 
+def _open_socket() -> socket.socket:
+    """Return a socket on an unused port of the system's choice on all addresses, as the controller opens it."""
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.setblocking(False)
+    made.bind(("", 0))
+    return made
+
+
 def _resolve(host: str, port: int) -> tuple[str, int]:
     try:
-        return socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+        address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
     except OSError as error:
         raise TransportError(
             f"gateway host {host!r} port {port}: {error}; give an IPv4 address or a known name"
         ) from error
+    return str(address[0]), int(address[1])

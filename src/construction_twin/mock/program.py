@@ -1,4 +1,4 @@
-"""The mock KR C4 as a program: settings, and what is built from them. Runs without ROS; clock and socket are in `mock_network`.
+"""The mock KR C4 as a program: settings, and what is built from them. Runs without ROS; clock and socket are in `network`.
 
 python -m construction_twin.mock --help
 """
@@ -19,7 +19,8 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.units import from_wire, radians, to_wire
-from construction_twin.mock.controller import ForwardKinematics, MockConfig, MockController
+from construction_twin.mock.config import MockConfig
+from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -110,9 +111,11 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
 def gateway_address(settings: MockSettings) -> tuple[str, int]:
     """Return where packets go: the port is the Ethernet XML's unless another one is given."""
     layout = _layout(settings)
-    if not settings.gateway_port and layout is None:
+    if settings.gateway_port:
+        return settings.gateway_host, settings.gateway_port
+    if layout is None:
         raise ConfigurationError("gateway_port", 0, "a port, or an Ethernet XML that names it")
-    return settings.gateway_host, settings.gateway_port or layout.port
+    return settings.gateway_host, layout.port
 
 
 def _layout(settings: MockSettings) -> RsiLayout | None:
@@ -125,7 +128,7 @@ def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
 
 
 def build_servo(settings: MockSettings) -> Servo:
-    """Build the servo model that `settings` name."""
+    """Build the servo model that `settings.servo` names."""
     if settings.servo == "ideal":
         return IdealServo(settings.servo_delay_cycles)
     resolution = radians([settings.encoder_resolution_deg])[0]
@@ -178,7 +181,7 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         dest="start_pose_deg",
         type=_pose,
         metavar="DEG,...",
-        help="start pose of the axes [deg], linear ones [mm], as the robot's joints are ordered [home]",
+        help="start pose of the axes [deg], prismatic ones [mm], as the robot's joints are ordered [home]",
     )
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
     option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")

@@ -1,4 +1,4 @@
-"""Servo models of the mock controller: what the axes really do about their setpoints, one step per 4 ms cycle.
+"""Servo models of the mock controller: how the axes follow their setpoints, one step per 4 ms cycle.
 
 Timing: reply k sets the setpoint of cycle k, and `step` turns it into the position at the end of that cycle, which
 packet k + 1 reports. With `IdealServo(delay_cycles=3)` packet k + 3 reports exactly the setpoint of cycle k. Angles in
@@ -20,9 +20,9 @@ from construction_twin.core.units import CYCLE
 class Servo(ABC):
     """A servo model with joints that can be stalled or slow.
 
-    A stalled joint's measured position stands still whatever its setpoint does. Released, its reference sets out from there
-    at rest and approaches the setpoint within velocity and acceleration limits; once it has met the setpoint, position and
-    speed, it follows it directly again. A slow joint does the same all the time, with a lower velocity.
+    A stalled joint's measured position is constant. After its release, its reference starts there at rest and approaches the
+    setpoint within velocity and acceleration limits; when position and speed match the setpoint, the joint follows it directly
+    again. A slow joint approaches its setpoint in the same manner all the time, with a lower velocity limit.
     """
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class Servo(ABC):
 
 
 class IdealServo(Servo):
-    """A pure delay: the arm is exactly where it was told to be, some cycles later.
+    """A pure delay: the arm reaches each setpoint exactly, a fixed number of cycles later.
 
     Parameters
     ----------
@@ -141,10 +141,11 @@ class IdealServo(Servo):
         if delay_cycles < 1:
             raise ValueError(f"delay_cycles is {delay_cycles}; expected at least 1")
         super().__init__()
+        self._delay = delay_cycles
         self._line: deque[list[float]] = deque(maxlen=delay_cycles)
 
     def _start(self, q: tuple[float, ...]) -> None:
-        self._line.extend(list(q) for _ in range(self._line.maxlen))
+        self._line.extend(list(q) for _ in range(self._delay))
 
     def _respond(self, reference: tuple[float, ...]) -> tuple[float, ...]:
         self._line.append(list(reference))
@@ -158,7 +159,7 @@ class IdealServo(Servo):
 class RealisticServo(Servo):
     """A second-order lag per joint, exactly discretised for a setpoint held during the cycle, read by an encoder.
 
-    Following a ramp it trails by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle of holding.
+    On a ramp it lags by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle of holding.
 
     Parameters
     ----------
@@ -211,12 +212,12 @@ class Chase:
     step : float
         Its last step [rad per cycle].
     velocity, acceleration : float
-        Limits [rad/s], [rad/s^2]. Who begins faster brakes within `acceleration` to `velocity`.
+        Limits [rad/s], [rad/s^2]. A chase that begins faster than `velocity` first brakes to it within `acceleration`.
 
     Attributes
     ----------
     met : bool
-        True when the last `aim` met the setpoint, position and speed.
+        True when the last `aim` matched the setpoint in position and speed.
     """
 
     def __init__(self, position: float, setpoint: float, step: float, velocity: float, acceleration: float):
@@ -254,7 +255,7 @@ class Chase:
         if step is not None:
             self.met = False
         elif self.met:
-            # the setpoint itself: a sum could differ from it in the last bit
+            # assign the setpoint itself, because position + step could differ from it in the last bit
             self.step, self.position = self._aimed, self._setpoint
             return self.position
         self.step = self._aimed if step is None else step

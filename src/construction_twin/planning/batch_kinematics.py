@@ -1,7 +1,7 @@
 """Forward kinematics, Jacobians and Newton steps for many joint vectors at once.
 
-A path is checked at thousands of places; one call of numpy for all of them costs as much as a few calls of KDL. The arm's
-geometry is taken from KDL: the screw axis of each joint is read off the Jacobian at zero.
+A path is checked at thousands of places. One numpy calculation for all of them takes as long as a few calls of KDL. The arm's
+geometry comes from KDL: the Jacobian at the zero pose holds the screw axis of each joint.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import numpy as np
 
 from construction_twin.kinematics.chain import Chain
 
-#: A Jacobian column with less rotation than this belongs to a linear joint.
+#: A Jacobian column with less rotation than this belongs to a prismatic joint.
 _LINEAR = 1e-9
 
 
 class BatchKinematics:
-    """A chain's kinematics over rows of joint vectors.
+    """A chain's kinematics for a batch of joint vectors, shape (m, n).
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class BatchKinematics:
         self._linear = np.linalg.norm(self._axes, axis=1) < _LINEAR
         # a point on each axis: the one nearest to the tip
         self._points = tip.position + np.cross(self._axes, self._slides)
-        # the fastest joints do most of what several could do
+        # Newton steps are weighted by the joints' speeds, so that fast joints take the larger part
         self._pace = np.array(chain.robot.velocity)
 
     def poses(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,12 +56,13 @@ class BatchKinematics:
 
     def errors(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the twists from the tip's poses to targets near them, shape (m, 6)."""
-        return _errors(*self.poses(q), positions, rotations)
+        reached, reached_rotations, _ = self._solve(q, False)
+        return _errors(reached, reached_rotations, positions, rotations)
 
     def newton(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int) -> np.ndarray:
         """Move each joint vector by Newton steps onto its target pose.
 
-        Arms with more joints than a pose needs take the smallest steps, in fractions of the joints' full speeds.
+        An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds.
 
         Parameters
         ----------
@@ -72,21 +73,22 @@ class BatchKinematics:
         Returns
         -------
         q : array, shape (m, n)
-            Not checked: neither ranges nor what is left of the error.
+            Neither the ranges nor the remaining error is checked.
         """
         for _ in range(steps):
-            *reached, jacobians = self._solve(q, True)
-            error = _errors(*reached, positions, rotations)[:, :, None]
+            reached, reached_rotations, jacobians = self._solve(q, True)
+            error = _errors(reached, reached_rotations, positions, rotations)[:, :, None]
             scaled = jacobians * self._pace
-            # damped so little that only an exactly singular arm notices
+            # the damping has an effect only for an exactly singular arm
             square = scaled @ scaled.transpose(0, 2, 1) + 1e-14 * np.eye(6)
             q = q + self._pace * (scaled.transpose(0, 2, 1) @ np.linalg.solve(square, error))[:, :, 0]
         return q
 
-    def _solve(self, q: np.ndarray, with_jacobians: bool):
-        rows, joints = q.shape
-        rotations, positions = np.tile(np.eye(3), (rows, 1, 1)), np.zeros((rows, 3))
-        axes, points = np.empty((joints, rows, 3)), np.empty((joints, rows, 3))
+    def _solve(self, q: np.ndarray, with_jacobians: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions, rotations and Jacobians; the last are empty unless asked for."""
+        count, joints = q.shape
+        rotations, positions = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+        axes, points = np.empty((joints, count, 3)), np.empty((joints, count, 3))
         for joint in range(joints):
             if self._linear[joint]:
                 axes[joint] = rotations @ self._slides[joint]
@@ -98,7 +100,7 @@ class BatchKinematics:
             positions = points[joint] - turned @ self._points[joint]
             rotations = turned
         tips = rotations @ self._tip.position + positions
-        jacobians = self._columns(axes, points, tips) if with_jacobians else None
+        jacobians = self._columns(axes, points, tips) if with_jacobians else np.empty((0, 6, joints))
         return tips, rotations @ self._tip.rotation, jacobians
 
     def _columns(self, axes: np.ndarray, points: np.ndarray, tips: np.ndarray) -> np.ndarray:

@@ -1,18 +1,18 @@
 """Smooth curves through or along the points of a joint path.
 
 Joint vectors are in the order of `RobotModel.joint_names`, SI. A curve's parameter runs from 0 to its `length`; for the
-curves built here it is the time [s] that the slowest joint would need at full speed, so that even progress along a curve
-is about even in time. Knows neither dynamics (`progress` does) nor obstacles.
+curves built here it is the time [s] that the slowest joint would need at full speed, so that equal steps along a curve take
+about equal times. Dynamics (see `time_scaling`) and obstacles are not known here.
 
-Three ways to meet a path:
+Three kinds of curve along the points of a path:
 
-- `interpolated` passes through every point (cubic spline). It swings past its points, so it can leave the joint range
-  when some of them lie close to its edge.
-- `monotone` passes through every point too, and between two of them each joint only rises or only falls: never out of
-  range where the points are in it. It bends more sharply at the points, so it is slower.
-- `rounded` runs on the straight lines between the points and cuts the corners: a cubic B-spline whose control points all
-  lie on the polyline. A B-spline lies in the convex hull of its control points, so it is in range wherever the points
-  are, and it differs from the lines only near a corner, by a bounded amount.
+- `interpolated` passes through every point (cubic spline). It overshoots its points, so it can leave the joint range if some of
+  them lie close to its ends.
+- `monotone` also passes through every point, and between two of them each joint only rises or only falls: it stays in range
+  if the points do. Its curvature at the points is larger, so it is slower.
+- `rounded` follows the straight lines between the points and cuts the corners: a cubic B-spline whose control points all
+  lie on the polyline. A B-spline lies in the convex hull of its control points, so it stays in range if the points
+  do, and it differs from the lines only near a corner, by a bounded amount.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def interpolated(points: np.ndarray, pace: np.ndarray) -> JointCurve:
     Parameters
     ----------
     points : array, shape (m, n)
-        m >= 2, no two in a row the same.
+        m >= 2; successive points differ.
     pace : array, shape (n,)
         Full speed of each joint, which sets the parameter.
     """
@@ -98,16 +98,16 @@ def interpolated(points: np.ndarray, pace: np.ndarray) -> JointCurve:
 
 
 def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
-    """Return a curve through all points along which no joint swings past them.
+    """Return a curve through all points along which no joint overshoots them.
 
     Quintics that meet at the points with one slope and no second derivative. A slope is the mean of those of the two
-    lines that meet there, but 0 where the joint turns round, and at most 1.25 times the smaller one: with the control
-    points of a quintic at fifths, that is what keeps it between its ends.
+    lines that meet there, but 0 where the joint reverses, and at most 1.25 times the smaller one. The control points of a
+    quintic lie at fifths of its segment, and this bound keeps them, and with them the quintic, between its ends.
 
     Parameters
     ----------
     points : array, shape (m, n)
-        m >= 2, no two in a row the same.
+        m >= 2; successive points differ.
     pace : array, shape (n,)
         Full speed of each joint, which sets the parameter.
     """
@@ -140,7 +140,7 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     Parameters
     ----------
     points : array, shape (m, n)
-        m >= 2, no two in a row the same.
+        m >= 2; successive points differ.
     pace : array, shape (n,)
         Full speed of each joint, which sets the parameter.
     corner_fraction : float
@@ -153,7 +153,7 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     reach = 0.5 * corner_fraction * np.minimum(spans[:-1], spans[1:])
     inner = np.sort(np.concatenate((corners[1:-1] - reach, corners[1:-1], corners[1:-1] + reach)))
     length = corners[-1]
-    # where two corners share their whole segment, their knots meet
+    # two corners that each use half of the same segment have a knot in common
     inner = inner[np.concatenate(([True], np.diff(inner) > SAME_KNOT * length))]
     inner = inner[(inner > SAME_KNOT * length) & (inner < (1.0 - SAME_KNOT) * length)]
     knots = np.concatenate((np.zeros(4), inner, np.full(4, length)))

@@ -1,7 +1,7 @@
-"""One branch of the inverse kinematics, followed along a tool path for as long as it goes on.
+"""One branch of the inverse kinematics, followed along a tool path until the branch or the path ends.
 
-Newton steps from the last pose to the next cannot change the branch: between two branches lies a singularity, and the
-steps are short enough to see it. Where the branch ends, `Branch.end` says where and why.
+Newton steps from one pose to the next cannot change the branch: between two branches lies a singularity, and the steps are
+short enough to detect it. Where the branch ends, `Branch.end` makes the error that says where and why.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.batch_kinematics import BatchKinematics
 from construction_twin.planning.tool_path import ToolPath
 
-#: Smallest singular value of the scaled Jacobian that a path may come to. For a wrist about the sine of its middle joint
-#: over the square root of 2: 0.6 deg from straight at 0.007.
+#: Smallest allowed singular value of the scaled Jacobian. Near a singular wrist it is about sin(A5) / sqrt(2): 0.007 is reached
+#: with A5 at 0.6 deg.
 SINGULAR = 0.007
-#: Newton steps until a pose must be reached, and to what [m] and [rad].
+#: Most Newton steps to a pose, and the error at which it counts as reached [m] and [rad].
 NEWTON_STEPS = 10
 REACHED = 1e-9
-#: Longest way of a joint from one sample to the next [rad] or [m]; more is looked at in shorter steps.
+#: Largest motion of a joint from one sample to the next [rad] or [m]; beyond it, shorter steps are taken.
 LONGEST_STEP = 0.3
-#: How far behind the end of a branch [m] the path leaves the arm's reach, if that is why it ends: a stretched arm is
-#: singular just before.
+#: Distances behind the end of a branch [m] at which poses are tested for reach: a stretched arm becomes singular just before the
+#: path leaves its reach.
 AHEAD = (1e-4, 1e-3, 1e-2)
 #: The end of a branch is found to this [m].
 FINEST = 1e-5
@@ -52,34 +52,34 @@ class Branch:
     ----------
     path : ToolPath
     chain : Chain
-    rows : BatchKinematics
+    batch : BatchKinematics
     """
 
     def __init__(self, path: ToolPath, inverse: InverseKinematics, start: np.ndarray):
         self.path = path
         self.chain = inverse.chain
-        self.rows = BatchKinematics(self.chain)
+        self.batch = BatchKinematics(self.chain)
         self._inverse = inverse
         robot = self.chain.robot
         self._lower, self._upper, self._pace = np.array(robot.lower), np.array(robot.upper), np.array(robot.velocity)
-        self._handedness = self._hands(start[None])[0]
+        self._sign = self._determinant_sign(start[None])[0]
         fault = self._faults(start[None])
         if fault[0]:
             raise self._singular(0.0, start)
 
-    def walk(self, q: np.ndarray, s: np.ndarray) -> np.ndarray:
+    def walk(self, start: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Follow the path over given places.
 
         Parameters
         ----------
-        q : array, shape (n,)
-            Joint values at the first of them.
+        start : array, shape (n,)
+            Joint values at the first place.
         s : array, shape (m,)
-            Rising [m].
+            Places along the path, ascending [m].
 
         Returns
         -------
-        rows : array, shape (m, n)
+        q : array, shape (m, n)
 
         Raises
         ------
@@ -87,44 +87,44 @@ class Branch:
             Where the branch ends.
         """
         targets = [Pose(*target) for target in zip(*self.path.poses(s))]
-        done = np.asarray(q)[None]
+        done = np.asarray(start)[None]
         while len(done) < len(s):
             done = np.concatenate((done, self._stride(done[-1], targets[len(done) :])))
             if len(done) < len(s):
-                # shorter steps either get past this place, or end where the branch does
+                # shorter steps either pass this place, or end where the branch ends
                 last = len(done) - 1
                 done = np.concatenate((done, self._creep(done[-1], float(s[last]), float(s[last + 1]))[None]))
         return done
 
     def _stride(self, q: np.ndarray, targets: list[Pose]) -> np.ndarray:
-        """Return the joint vectors of the next targets, as far as single steps lead along the branch: shape (k, n)."""
-        rows = [q]
+        """Return the joint vectors of the next targets, up to the first that one step does not reach: shape (k, n)."""
+        steps = [q]
         for target in targets:
-            q = self._advance(q, target)
-            if q is None:
+            advanced = self._advance(steps[-1], target)
+            if advanced is None:
                 break
-            rows.append(q)
-        reached = np.array(rows)[1:]
+            steps.append(advanced)
+        reached = np.array(steps)[1:]
         faults = np.flatnonzero(self._faults(reached))
         return reached[: faults[0]] if len(faults) else reached
 
-    def check(self, rows: np.ndarray, before: np.ndarray, s_before: np.ndarray, s: np.ndarray) -> None:
-        """Check that joint vectors found otherwise belong to the branch.
+    def check(self, q: np.ndarray, before: np.ndarray, s_before: np.ndarray, s: np.ndarray) -> None:
+        """Check that joint vectors that were not found by `walk` belong to the branch.
 
         Parameters
         ----------
-        rows : array, shape (m, n)
+        q : array, shape (m, n)
             At places `s`, shape (m,).
         before : array, shape (m, n)
-            On the branch, at places `s_before`, each a little before that of `rows`.
+            On the branch, at places `s_before`, each a little before the place of the same row of `q`.
 
         Raises
         ------
         CartesianPathError
             Where the branch ends.
         """
-        far = np.any(np.abs(rows - before) > LONGEST_STEP, axis=1)
-        for row in np.flatnonzero(self._faults(rows) | far)[:1]:
+        far = np.any(np.abs(q - before) > LONGEST_STEP, axis=1)
+        for row in np.flatnonzero(self._faults(q) | far)[:1]:
             self._creep(before[row], float(s_before[row]), float(s[row]))
 
     def end(self, reason: str, s: float, what: str, cause: ConstructionTwinError | None = None) -> CartesianPathError:
@@ -133,7 +133,7 @@ class Branch:
         return CartesianPathError(reason, fraction, s, self.path.waypoint_at(s), what, cause)
 
     def _advance(self, q: np.ndarray, target: Pose) -> np.ndarray | None:
-        """Return the joint vector of a pose near that of `q`; None when Newton steps do not lead there."""
+        """Return the joint vector of a pose near that of `q`; None if the Newton steps do not converge to it."""
         p = q
         for _ in range(NEWTON_STEPS):
             error = _error(self.chain.forward(p), target)
@@ -146,7 +146,7 @@ class Branch:
         return None
 
     def _creep(self, q: np.ndarray, begin: float, end: float) -> np.ndarray:
-        """Return the joint vector at `end`, reached in steps as short as it takes."""
+        """Return the joint vector at `end`; the interval is halved until every step succeeds."""
         reached = self._advance(q, self.path.pose(end))
         if reached is not None and not self._faults(reached[None])[0]:
             return reached
@@ -155,32 +155,32 @@ class Branch:
         middle = 0.5 * (begin + end)
         return self._creep(self._creep(q, begin, middle), middle, end)
 
-    def _faults(self, rows: np.ndarray) -> np.ndarray:
+    def _faults(self, q: np.ndarray) -> np.ndarray:
         """Return which joint vectors are out of range, singular, or beyond a singularity: shape (m,)."""
-        if not len(rows):
+        if not len(q):
             return np.zeros(0, dtype=bool)
-        outside = np.any((rows < self._lower) | (rows > self._upper), axis=1)
-        return outside | (self._singularity(rows) < SINGULAR) | (self._hands(rows) != self._handedness)
+        outside = np.any((q < self._lower) | (q > self._upper), axis=1)
+        return outside | (self._singularity(q) < SINGULAR) | (self._determinant_sign(q) != self._sign)
 
-    def _singularity(self, rows: np.ndarray) -> np.ndarray:
-        """Return the smallest singular value of each row's Jacobian, shape (m,), with lengths in halves of the arm's length.
+    def _singularity(self, q: np.ndarray) -> np.ndarray:
+        """Return the smallest singular value of each joint vector's Jacobian, shape (m,); 0 at a singularity.
 
-        So translation and rotation compare; 0 at a singularity.
+        Lengths are divided by half of the arm's length, so that translation and rotation are comparable.
         """
-        jacobians = self.rows.jacobians(rows)
+        jacobians = self.batch.jacobians(q)
         length = 0.5 * self.chain.arm_length
         jacobians[:, :3] /= length
         jacobians[:, :, np.array(self.chain.robot.linear)] *= length
         return np.linalg.svd(jacobians, compute_uv=False)[:, -1]
 
-    def _hands(self, rows: np.ndarray) -> np.ndarray:
+    def _determinant_sign(self, q: np.ndarray) -> np.ndarray:
         """Return the sign of the Jacobian's determinant, which changes at every simple singularity."""
-        if rows.shape[1] != 6:
-            return np.ones(len(rows))
-        return np.sign(np.linalg.det(self.rows.jacobians(rows)))
+        if q.shape[1] != 6:
+            return np.ones(len(q))
+        return np.sign(np.linalg.det(self.batch.jacobians(q)))
 
     def _explain(self, q: np.ndarray, begin: float, end: float, beyond: np.ndarray | None) -> CartesianPathError:
-        """Return why the branch ends between `begin` and `end`; `beyond` is where Newton steps led, if anywhere."""
+        """Return why the branch ends between `begin` and `end`; `beyond` is the joint vector that Newton steps reached, if any."""
         if beyond is not None:
             try:
                 self.chain.robot.check_range(beyond)
@@ -203,11 +203,11 @@ class Branch:
         return self.end("singularity", s, what)
 
     def _unreachable(self, q: np.ndarray, s: float) -> UnreachableError | None:
-        """Return by how much the next waypoint is out of reach, if the path leaves the reach right behind `s`."""
+        """Return by how much the next waypoint is out of reach, if the path leaves the reach just behind `s`; otherwise None."""
         seed = np.clip(q, self._lower, self._upper)
         end = self.path.waypoint_end(s)
-        ahead = [self._reach_error(min(s + step, end), seed) for step in AHEAD]
-        found = next((error for error in ahead if error is not None), None)
+        errors = [self._reach_error(min(s + step, end), seed) for step in AHEAD]
+        found = next((error for error in errors if error is not None), None)
         return found and (self._reach_error(end, seed) or found)
 
     def _reach_error(self, s: float, seed: np.ndarray) -> UnreachableError | None:
@@ -216,11 +216,11 @@ class Branch:
         except UnreachableError as error:
             return error
         except KinematicsError:
-            return None  # another reason, which does not say that this is out of reach
+            return None  # fails for another reason than reach
         return None
 
     def _elsewhere(self, q: np.ndarray, begin: float, end: float) -> CartesianPathError:
-        """Return what the inverse kinematics knows of the next pose."""
+        """Return the error that the inverse kinematics gives for the next pose."""
         seed = np.clip(q, self._lower, self._upper)
         try:
             other = self._inverse.nearest(self.path.pose(end), seed)
@@ -229,7 +229,7 @@ class Branch:
         except NoSolutionError as error:
             return self.end("unreachable", begin, str(error), error)
         now, then = self._inverse.configuration(seed), other.configuration
-        what = f"the next pose needs another configuration ({now} here, {then} there), to which no straight way leads"
+        what = f"the next pose needs another configuration ({now} here, {then} there), which no straight path reaches"
         return self.end("flip", begin, f"{what}; start in that one or move the path")
 
 

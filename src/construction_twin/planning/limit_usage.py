@@ -1,8 +1,8 @@
-"""How much of the robot's limits a trajectory uses, at every 4 ms sample.
+"""How much of the robot's limits a trajectory uses, at every 4 ms sample. The one computation of it for plans.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. Velocity, acceleration and jerk are taken twice, from the
-quintics and from differences of the sampled positions (which is what the controller sees), and the larger counts; of the
-jerk also what it is just before and after every waypoint, where it jumps.
+Joint vectors are in the order of `RobotModel.joint_names`, SI. Velocity, acceleration and jerk are computed twice, from the
+quintics and from differences of the sampled positions (which is what the controller sees), and the larger value is used. The
+jerk of the quintics jumps at every waypoint; its values just before and after each waypoint are included.
 """
 
 from __future__ import annotations
@@ -21,32 +21,36 @@ from construction_twin.robot.trajectory import Trajectory
 SAME_POINT = 1e-9
 
 
-@dataclass(frozen=True)
-class LimitUse:
-    """Largest fraction of each limit that a trajectory uses, over all joints and 4 ms samples; 1 is exactly at the
-    limit."""
+@dataclass(frozen=True, eq=False)
+class SampledUsage:
+    """A trajectory's use of the limits at its 4 ms samples; 1 is exactly at the limit.
 
-    velocity: float
-    acceleration: float
-    jerk: float
-
-
-def limit_use(trajectory: Trajectory, robot: RobotModel) -> LimitUse:
-    """Measure a trajectory at every controller cycle against the robot's limits, as `limit_usage` does.
-
-    Returns
-    -------
-    use : LimitUse
-        The largest of all joints.
+    Attributes
+    ----------
+    times : array, shape (m,)
+        See `cycle_times` [s].
+    positions : array, shape (m, n)
+        [rad] or [m]
+    velocity, acceleration, jerk : array, shape (m, n)
+        Fractions of each joint's limit.
     """
-    fractions = limit_usage(trajectory, robot)
-    return LimitUse(max(fractions.velocity), max(fractions.acceleration), max(fractions.jerk))
+
+    times: np.ndarray
+    positions: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+
+    def largest(self) -> LimitUsage:
+        """Return the largest fraction of each joint's limits."""
+        velocity, acceleration, jerk = (
+            tuple(np.max(fractions, axis=0).tolist()) for fractions in (self.velocity, self.acceleration, self.jerk)
+        )
+        return LimitUsage(velocity, acceleration, jerk)
 
 
 def limit_usage(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
     """Measure a trajectory at every controller cycle against the robot's limits.
-
-    See above for what is measured.
 
     Parameters
     ----------
@@ -55,61 +59,40 @@ def limit_usage(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
 
     Returns
     -------
-    fractions : LimitUsage
+    usage : LimitUsage
 
     Raises
     ------
     JointRangeError
         If a sample is out of range by more than rounding.
     """
-    velocity, acceleration, jerk = (np.max(rows, axis=0).tolist() for rows in usage_over_time(trajectory, robot))
-    return LimitUsage(tuple(velocity), tuple(acceleration), tuple(jerk))
+    sampled = sampled_usage(trajectory, robot)
+    check_range(sampled.positions, robot)
+    return sampled.largest()
 
 
 def cycle_times(trajectory: Trajectory) -> np.ndarray:
     """Return the times of a trajectory's 4 ms samples [s], from 0 until it rests.
 
-    The two after its end belong to it: differences over them see the last step.
+    The two samples after its end are included, because the differences over them contain the last step.
     """
     return np.arange(0.0, trajectory.duration + 2.0 * CYCLE, CYCLE)
 
 
-def usage_over_time(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each joint's fraction of velocity, acceleration and jerk limit at every 4 ms sample.
+def sampled_usage(trajectory: Trajectory, robot: RobotModel) -> SampledUsage:
+    """Return a trajectory's use of the limits at every 4 ms sample. Ranges are not checked.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    robot : RobotModel
 
     Returns
     -------
-    velocity, acceleration, jerk : array, shape (m, n)
-        At `cycle_times`.
-
-    Raises
-    ------
-    JointRangeError
-        If a sample is out of range by more than rounding.
+    sampled : SampledUsage
     """
     times = cycle_times(trajectory)
-    samples = trajectory.sample_many(times)
-    check_range(samples[0], robot)
-    return _fractions(trajectory, times, samples, robot)
-
-
-def measured_usage(trajectory: Trajectory, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the same as `usage_over_time`, also for a trajectory out of range."""
-    times = cycle_times(trajectory)
-    return _fractions(trajectory, times, trajectory.sample_many(times), robot)
-
-
-def range_excess(trajectory: Trajectory, robot: RobotModel) -> np.ndarray:
-    """Return by how much each 4 ms sample is out of range [rad] or [m], shape (m, n); 0 within `SAME_POINT` of it."""
-    q = trajectory.sample_many(cycle_times(trajectory))[0]
-    excess = np.maximum(np.array(robot.lower) - q, q - np.array(robot.upper))
-    return np.where(excess > SAME_POINT, excess, 0.0)
-
-
-def _fractions(
-    trajectory: Trajectory, times: np.ndarray, samples: tuple, robot: RobotModel
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    q, qd, qdd, qddd = samples
+    q, qd, qdd, qddd = trajectory.sample_many(times)
     velocity, acceleration, jerk = np.abs(qd), np.abs(qdd), np.abs(qddd)
     # a difference belongs to the sample it ends at, or to the middle one; before and after the motion the arm rests
     step = np.diff(q, axis=0)
@@ -118,22 +101,28 @@ def _fractions(
     np.maximum(velocity[1:], np.abs(step) / CYCLE, out=velocity[1:])
     np.maximum(acceleration, np.abs(second_difference) / CYCLE**2, out=acceleration)
     np.maximum(jerk, np.maximum(np.abs(third_difference[:-1]), np.abs(third_difference[1:])) / CYCLE**3, out=jerk)
-    rows = np.minimum(np.searchsorted(times, trajectory.times), len(times) - 1)
+    samples = np.minimum(np.searchsorted(times, trajectory.times), len(times) - 1)
     before, after = _knot_jerks(trajectory)
-    # a knot counts for the sample after it; there may be several between two samples
-    np.maximum.at(jerk, rows[:-1], after)
-    np.maximum.at(jerk, rows[1:], before)
-    return velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk
+    # a waypoint is assigned to the sample after it; there may be several waypoints between two samples
+    np.maximum.at(jerk, samples[:-1], after)
+    np.maximum.at(jerk, samples[1:], before)
+    return SampledUsage(times, q, velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk)
+
+
+def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:
+    """Return by how much joint values are out of range [rad] or [m], shape (m, n); 0 within `SAME_POINT` of the range."""
+    excess = np.maximum(np.array(robot.lower) - q, q - np.array(robot.upper))
+    return np.where(excess > SAME_POINT, excess, 0.0)
 
 
 def _knot_jerks(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return the size of the jerk just before each waypoint but the first, and just after each but the last.
 
-    The jerk of the quintics jumps at the waypoints, and is largest there more often than between them.
+    The jerk of the quintics jumps at the waypoints, and usually has its maximum there.
     """
     h = np.diff(trajectory.times)[:, None]
     step = 60.0 * np.diff(trajectory.positions, axis=0)
-    (v0, v1), (a0, a1) = ((rows[:-1], rows[1:]) for rows in (trajectory.velocities, trajectory.accelerations))
+    (v0, v1), (a0, a1) = ((values[:-1], values[1:]) for values in (trajectory.velocities, trajectory.accelerations))
     after = (step - (36.0 * v0 + 24.0 * v1) * h - (9.0 * a0 - 3.0 * a1) * h**2) / h**3
     before = (step - (24.0 * v0 + 36.0 * v1) * h - (3.0 * a0 - 9.0 * a1) * h**2) / h**3
     return np.abs(before), np.abs(after)
@@ -150,7 +139,7 @@ def check_range(q: np.ndarray, robot: RobotModel) -> None:
     Raises
     ------
     JointRangeError
-        For the first that is not.
+        For the first value out of range.
     """
     outside = np.argwhere((q < np.array(robot.lower) - SAME_POINT) | (q > np.array(robot.upper) + SAME_POINT))
     if len(outside):

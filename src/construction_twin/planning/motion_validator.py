@@ -1,7 +1,7 @@
-"""The way between two points of a joint path, straight or with rounded corners: does the arm touch anything on it?
+"""Checks whether the arm touches anything between two points of a joint path, straight or with rounded corners.
 
 Joint vectors are in the order of `RobotModel.joint_names`, SI. States are checked at distances that bound how far any
-point of the arm moves between two of them; what happens in between is not known. The last word on a motion is `report`.
+point of the arm moves between two of them; the motion in between is not checked. `recheck` decides on the final motion.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.curves import rounded
 from construction_twin.scene.collision_world import CollisionWorld
 
-#: Half the thickness of a link or tool [m]: what turning about its own axis moves.
+#: Half the thickness of a link or tool [m]: how far its surface is from an axis that it turns about.
 BODY = 0.3
-#: Poses that the levers are taken from.
+#: Number of random poses from which the levers are taken.
 LEVER_SAMPLES = 500
 #: Most points added to a path to keep its rounded corners free.
 CORNERS_TIGHTENED = 24
@@ -33,7 +33,7 @@ def levers(chain: Chain) -> np.ndarray:
     Returns
     -------
     levers : array, shape (n,)
-        [m/rad]; 1 for a linear joint. The tip's largest ones over sampled poses, plus `BODY` for a joint that turns.
+        [m/rad] for a revolute joint: the tip's largest lever over sampled poses, plus `BODY`. For a prismatic joint 1.
     """
     rng = np.random.default_rng(0)
     samples = rng.uniform(chain.robot.lower, chain.robot.upper, (LEVER_SAMPLES, len(chain.robot.joint_names)))
@@ -69,21 +69,21 @@ class MotionValidator:
         return self.world.all_free(start + _middle_first(self.count(displacement)) * displacement) is None
 
     def count(self, displacement: np.ndarray) -> int:
-        """Return how many states a straight displacement needs, at least 1.
+        """Return how many states of a straight motion are checked, at least 1.
 
         Parameters
         ----------
         displacement : array, shape (n,)
-            Its end minus its start.
+            The motion's end minus its start.
         """
         return max(1, int(np.ceil(np.abs(displacement) @ self._states_per_unit)))
 
 
 @lru_cache(maxsize=1024)
 def _middle_first(count: int) -> np.ndarray:
-    """Return the fractions of an edge to check, shape (count, 1): the end, the middle, the quarters, ...
+    """Return the fractions of a motion to check, shape (count, 1): the end, the middle, the quarters, ...
 
-    A contact is most likely found early: near the middle, far from the ends that are known to be free.
+    In this order a contact is found early, because it is most likely near the middle, far from the ends, which are free.
     """
     order = [count]
     spans = deque([(0, count)])
@@ -115,7 +115,7 @@ class CornerRounding:
     def tightened(self, path: np.ndarray) -> np.ndarray | None:
         """Return the path with points added where needed; None if the path itself touches something.
 
-        A corner is cut over half the way to the next point: one added halfway on either side makes it half as wide.
+        A corner is cut over half the distance to the next point. A point added halfway on either side halves its width.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
-"""The segments of a tool path: straight line, circular arc, turn on the spot, blend between two of them.
+"""The segments of a tool path: straight line, circular arc, turn on the spot, and blend between two segments.
 
-Every segment is a pose over its own length in metres, from 0. `direction` is the derivative of the pose over length: a
-unit vector, and the angular velocity per metre in the base's directions.
+Every segment gives a pose as a function of its own arc length [m], from 0. `direction` is the derivative of the pose with
+respect to length: a unit vector, and the angular velocity per metre in the base's directions.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-#: A sample at least every so many metres and radians describes a segment to begin with.
+#: Largest spacing of the first samples of a segment, in metres and radians.
 _CELL_M = 0.025
 _CELL_RAD = 0.1
 _FEWEST_CELLS = 4
 _BLEND_CELLS = 10
-#: Nodes of a blend's length, and the least speed in it for a path that does not turn back.
+#: Nodes of the integral for a blend's length, and the smallest speed in it; below that the path turns back.
 _NODES = 257
 _TURNING_BACK = 0.05
 #: Sine of the angle between two chords below which three points have no circle.
@@ -27,22 +27,22 @@ _ON_A_LINE = 1e-6
 
 
 class Segment(Protocol):
-    """What all segments have.
+    """What a tool path is made of."""
 
-    Attributes
-    ----------
-    length : float
-        [m]
-    """
-
-    length: float
+    @property
+    def length(self) -> float:
+        """[m]"""
 
     @property
     def cells(self) -> int:
-        """How many samples describe it well, to begin with."""
+        """Number of samples to start with."""
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
         """Return positions, shape (m, 3), and rotations at places of shape (m,)."""
+
+
+class Leg(Segment, Protocol):
+    """A segment before blending, which can be cut and joined to a blend."""
 
     def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
         """Return unit tangent and angular velocity per metre, shape (3,) each."""
@@ -50,13 +50,16 @@ class Segment(Protocol):
     def curvature(self, s: float) -> np.ndarray:
         """Return the second derivative of the position over length, shape (3,) [1/m]."""
 
-    def part(self, begin: float, end: float) -> Segment | None:
-        """Return the segment from `begin` to `end`; None when nothing is left."""
+    def part(self, begin: float, end: float) -> Leg | None:
+        """Return the part from `begin` to `end`; None if its length is zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class StraightLine:
-    """A straight line with an even turn: from `origin` along the unit vector `tangent`, rotation ``exp(spin s) first``."""
+    """A straight line with a constant angular velocity.
+
+    It runs from `origin` along the unit vector `tangent`, rotation ``exp(spin s) first``.
+    """
 
     origin: np.ndarray
     tangent: np.ndarray
@@ -66,7 +69,7 @@ class StraightLine:
 
     @classmethod
     def between(cls, start: np.ndarray, goal: np.ndarray, first: Rotation, turn: np.ndarray) -> StraightLine:
-        """Connect two different points; `turn` is the rotation vector of the whole line."""
+        """Return the line between two different points; `turn` is the rotation vector of the whole line."""
         length = float(np.linalg.norm(np.asarray(goal) - start))
         return cls(np.array(start), (np.asarray(goal) - start) / length, first, turn / length, length)
 
@@ -97,7 +100,7 @@ class StraightLine:
 
 @dataclass(frozen=True, eq=False)
 class ArcLine:
-    """A circular arc with an even turn: ``centre + radius (cos(s / radius) out + sin(s / radius) along)``."""
+    """A circular arc with a constant angular velocity: ``centre + radius (cos(s / radius) out + sin(s / radius) along)``."""
 
     centre: np.ndarray
     radius: float
@@ -111,7 +114,7 @@ class ArcLine:
     def through(
         cls, start: np.ndarray, via: np.ndarray, goal: np.ndarray, first: Rotation, turn: np.ndarray
     ) -> ArcLine | None:
-        """Lead from `start` through `via` to `goal`; None where the three have no circle."""
+        """Return the arc from `start` through `via` to `goal`; None if no circle passes through the three."""
         to_via, to_goal = np.asarray(via) - start, np.asarray(goal) - start
         normal = np.cross(to_via, to_goal)
         area = float(np.linalg.norm(normal))
@@ -160,7 +163,7 @@ class ArcLine:
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """A turn on the spot by the rotation vector `turn`; its length is only a measure of progress."""
+    """A turn on the spot by the rotation vector `turn`; its length only parametrises the turn."""
 
     position: np.ndarray
     first: Rotation
@@ -201,13 +204,13 @@ class Blend:
     length: float
 
     @classmethod
-    def between(cls, before: Segment, after: Segment, cut: float) -> Blend | None:
+    def between(cls, before: Leg, after: Leg, cut: float) -> Blend | None:
         """Blend the corner between two segments over the last and first `cut` metres of them; None where the path
         turns back."""
         begin = before.length - cut
         positions, _ = before.at(np.array([begin]))
         goals, _ = after.at(np.array([cut]))
-        scale = 2.0 * cut  # straight on, the parameter is then the fraction of the length
+        scale = 2.0 * cut  # on a straight path, the parameter is then the fraction of the length
         ends = []
         for position, segment, s, sign in ((positions[0], before, begin, -1.0), (goals[0], after, cut, 1.0)):
             tangent, spin = segment.direction(s)

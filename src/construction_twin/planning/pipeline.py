@@ -1,6 +1,6 @@
-"""Where requests for plans arrive: every kind of motion, in the scene as it is now, one at a time.
+"""From a request to a checked plan: every kind of motion, in the present scene, one request at a time.
 
-What leaves it was checked against the latest scene that was known when it left. Joint vectors in the order of
+A plan is returned only if the scene it was checked against is still the latest one. Joint vectors in the order of
 `RobotModel.joint_names`, SI; poses of the robot's tip in its base frame. Knows no ROS; may be used from several threads.
 """
 
@@ -19,7 +19,7 @@ from construction_twin.planning.planner import Clock, Planner, PlannerSettings, 
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import Waypoints, plan_waypoints
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
@@ -45,9 +45,9 @@ class PlanningPipeline:
         Returns seconds from any fixed origin; measures planning time.
     rng : numpy Generator
     source : str
-        Where scenes come from, for the message when there is none.
+        Name of the source of scenes, for the message when there is no scene.
     neighbour : callable, optional
-        Returns what another arm takes up now, padding included; asked for every plan, and raises when it is not known.
+        Returns the space that another arm occupies now, padding included. Called for every plan; raises when it is not known.
     """
 
     def __init__(
@@ -69,11 +69,11 @@ class PlanningPipeline:
         self._planner = Planner(robot, solver, settings, clock, rng)
         self._source = source
         self._neighbour = neighbour
-        # kinematics, worlds and OMPL are not made for several threads
+        # kinematics, collision worlds and OMPL are not thread-safe
         self._busy = threading.Lock()
         self._scene: Scene | None = None
         self._problem: SceneError | None = None
-        self._news = threading.Condition()
+        self._scene_changed = threading.Condition()
         self._world: CollisionWorld | None = None
 
     @property
@@ -82,20 +82,20 @@ class PlanningPipeline:
         return self._scene
 
     def set_scene(self, scene: Scene) -> None:
-        """Take over a scene; what is being planned in another one will be dropped. Returns at once."""
-        with self._news:
+        """Use a scene from now on; a plan that is being made in another one will be refused. Returns at once."""
+        with self._scene_changed:
             self._scene, self._problem = scene, None
-            self._news.notify_all()
+            self._scene_changed.notify_all()
 
     def refuse_scene(self, problem: SceneError) -> None:
-        """Note that the scene has changed to one that cannot be used: until the next one nothing can be planned."""
-        with self._news:
+        """Note that the scene has changed to an unusable one: nothing can be planned until the next scene."""
+        with self._scene_changed:
             self._scene, self._problem = None, problem
-            self._news.notify_all()
+            self._scene_changed.notify_all()
 
     def forget_scene(self, seen: Scene | None) -> None:
-        """Note that nobody answers for a scene any more; without effect when another one has come since it was `seen`."""
-        with self._news:
+        """Drop a scene whose publisher is gone; no effect if another scene has arrived since `seen` was read."""
+        with self._scene_changed:
             if self._scene is seen:
                 self._scene = None
 
@@ -110,22 +110,22 @@ class PlanningPipeline:
         Raises
         ------
         NoSceneError
-            If none came.
+            If none arrived.
         """
-        with self._news:
-            if not self._news.wait_for(lambda: self._scene is not None or self._problem is not None, timeout):
+        with self._scene_changed:
+            if not self._scene_changed.wait_for(lambda: self._scene is not None or self._problem is not None, timeout):
                 raise NoSceneError(self._source)
 
-    def to_joints(self, start: Sequence[float], goal: Sequence[float], request: PlanRequest) -> Plan:
+    def to_joints(self, start: JointValues, goal: JointValues, request: PlanRequest) -> Plan:
         """Plan a motion between two joint vectors; see `Planner.plan_to_joints`."""
         return self._in_scene(lambda world: self._planner.plan_to_joints(start, goal, request, world))
 
-    def to_pose(self, start: Sequence[float], pose: Pose, request: PlanRequest, configuration: str = "") -> Plan:
+    def to_pose(self, start: JointValues, pose: Pose, request: PlanRequest, configuration: str = "") -> Plan:
         """Plan a motion that brings the tip to a pose; see `Planner.plan_to_pose`."""
         return self._in_scene(lambda world: self._planner.plan_to_pose(start, pose, request, world, configuration))
 
     def along(
-        self, start: Sequence[float], waypoints: Sequence[ToolWaypoint], speed: float | None, request: PlanRequest
+        self, start: JointValues, waypoints: Sequence[ToolWaypoint], speed: float | None, request: PlanRequest
     ) -> Plan:
         """Plan a motion of the tip along lines and arcs; see `cartesian.plan_cartesian`.
 
@@ -146,14 +146,14 @@ class PlanningPipeline:
 
         return self._in_scene(lambda world: self._checked(make, "cartesian", request, world))
 
-    def through(self, waypoints: Waypoints, present: Sequence[float], request: PlanRequest) -> Plan:
+    def through(self, waypoints: Waypoints, present: JointValues, request: PlanRequest) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
         Parameters
         ----------
         waypoints : Waypoints
         present : sequence of float, length n
-            Where the arm is.
+            The arm's pose.
         request : PlanRequest
             Its duration and number of waypoints are not used.
         """
@@ -179,14 +179,14 @@ class PlanningPipeline:
     def _in_scene(self, make: Callable[[CollisionWorld], Plan]) -> Plan:
         with self._busy:
             plan = make(self._present_world())
-            with self._news:
+            with self._scene_changed:
                 present = self._scene.hash if self._scene is not None else "unknown"
             if plan.scene != present:
                 raise SceneChangedError(plan.scene, present)
             return plan
 
     def _present_world(self) -> CollisionWorld:
-        with self._news:
+        with self._scene_changed:
             scene, problem = self._scene, self._problem
         if problem is not None:
             raise problem
@@ -196,5 +196,5 @@ class PlanningPipeline:
             self._world = CollisionWorld(self._robot, scene, self._self_collision)
         elif self._world.scene.hash != scene.hash:
             self._world = self._world.with_scene(scene)
-        # no version of the scene: what it does later is the watch's question, see `conflict`
+        # the other arm is not part of the scene's hash: `coordination.conflict` watches how it moves after planning
         return self._world if self._neighbour is None else self._world.with_neighbour(self._neighbour())

@@ -1,12 +1,12 @@
 """Motion planning in a scene: a path around what is there, timed, checked, as a plan for review.
 
 Joint vectors are in the order of `RobotModel.joint_names`, SI; poses are of the robot's tip in its base frame. A plan
-holds for the world it was made in: who changes the scene meanwhile has to compare hashes.
+is valid only for the collision world it was made in; callers compare scene hashes if the scene may have changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -21,16 +21,16 @@ from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.search import find_path, planner_kinds
 from construction_twin.planning.timing import time_path, with_midpoints
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Plan, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 
-#: How often a path is timed, each time with corners half as wide, before another one is looked for.
+#: How often a path is timed, each time with corners half as wide, before another path is searched.
 TIMINGS_TRIED = 3
-#: The finest check of validator has their step halved this many times; a path that was found is checked with it.
+#: The finest check of motions has their step halved this many times; a path that was found is checked with it.
 FINEST_HALVING = 2
-#: A joint that can turn further than this is searched half as far to either side of the motion's ends [rad].
+#: A joint with a larger range is searched only half of this to either side of the motion's ends [rad].
 TURN = 2.0 * np.pi
 #: Name of the planner in a plan that is a straight line between two joint vectors.
 DIRECT = "direct"
@@ -87,7 +87,7 @@ class PlannerSettings(pydantic.BaseModel):
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What is asked of a plan besides its ends, and what identifies it.
+    """What a request asks of a plan besides its ends, and what identifies it.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class PlanRequest:
     created_ns : int
         Time of the request [ns, ROS time].
     source : str
-        Who asks, for the reviewer.
+        Name of the requester, for the reviewer.
     duration : float, optional
         [s]; None: as fast as the scales allow.
     speed_scale : float, optional
@@ -123,7 +123,7 @@ class PlanRequest:
         Parameters
         ----------
         planner : str
-            What found the path.
+            How the path was found.
         planning_time : float
             Without the report's own [s].
         trajectory : Trajectory
@@ -144,6 +144,22 @@ class PlanRequest:
         )
 
 
+@dataclass(frozen=True)
+class _Timed:
+    """A trajectory and what was measured on it."""
+
+    trajectory: Trajectory
+    report: PlanReport
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A motion, and the planner that found its path."""
+
+    planner: str
+    timed: _Timed
+
+
 class Planner:
     """Plans joint motions of one robot. Not for use from several threads at once.
 
@@ -156,8 +172,8 @@ class Planner:
     clock : callable
         Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock.
     rng : numpy Generator
-        Where seeds come from when the settings give none. With a seed in the settings the same request in the same world
-        gives the same plan; see `search` for the planners that this holds for.
+        Source of seeds if the settings give none. With a seed in the settings the same request in the same world gives the
+        same plan; see `search` for the planners to which this applies.
     """
 
     def __init__(
@@ -176,7 +192,7 @@ class Planner:
         self._levers = levers(solver.chain)
 
     def plan_to_joints(
-        self, start: Sequence[float], goal: Sequence[float], request: PlanRequest, world: CollisionWorld
+        self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
     ) -> Plan:
         """Plan a motion between two joint vectors.
 
@@ -208,14 +224,14 @@ class Planner:
             If the request does not make sense: also a goal where the arm already is (`TrajectoryError`).
         """
         began = self._clock()
-        start, goal = self._joint_vector("start", start), self._joint_vector("goal", goal)
+        begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
         self._check_request(request)
-        _demand_free(start, world, "the start")
-        _demand_free(goal, world, "the goal")
-        return self._plan(start, [goal], request, world, began)
+        _demand_free(begin, world, "the start")
+        _demand_free(end, world, "the goal")
+        return self._plan(begin, [end], request, world, began)
 
     def plan_to_pose(
-        self, start: Sequence[float], pose: Pose, request: PlanRequest, world: CollisionWorld, configuration: str = ""
+        self, start: JointValues, pose: Pose, request: PlanRequest, world: CollisionWorld, configuration: str = ""
     ) -> Plan:
         """Plan a motion that brings the robot's tip to a pose.
 
@@ -248,17 +264,17 @@ class Planner:
             See `plan_to_joints`.
         """
         began = self._clock()
-        start = self._joint_vector("start", start)
+        begin = self._joint_vector("start", start)
         self._check_request(request)
-        _demand_free(start, world, "the start")
+        _demand_free(begin, world, "the start")
         asked = Configuration.parse(configuration) if configuration.strip() else None
-        goals = [solution.q for solution in self._solver.all(pose, start, asked)]
+        goals = [solution.q for solution in self._solver.all(pose, begin, asked)]
         free = [goal for goal in goals if world.is_free(goal)]
         if not free:
             _demand_free(goals[0], world, "the goal")
-        return self._plan(start, free, request, world, began)
+        return self._plan(begin, free, request, world, began)
 
-    def _joint_vector(self, name: str, values: Sequence[float]) -> np.ndarray:
+    def _joint_vector(self, name: str, values: JointValues) -> np.ndarray:
         q = np.array(values, dtype=np.float64)
         joints = len(self._robot.joint_names)
         if q.shape != (joints,):
@@ -268,27 +284,28 @@ class Planner:
         return q
 
     def _check_request(self, request: PlanRequest) -> None:
-        scale = request.speed_scale, request.acceleration_scale
-        check_request(request.duration, *(1.0 if value is None else value for value in scale), request.waypoints, None)
+        speed = 1.0 if request.speed_scale is None else request.speed_scale
+        acceleration = 1.0 if request.acceleration_scale is None else request.acceleration_scale
+        check_request(request.duration, speed, acceleration, request.waypoints, None)
         self._settings.bounds.check(request.duration or 0.0, request.waypoints or 0)
 
     def _plan(
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
     ) -> Plan:
-        planner, (trajectory, measured) = self._find(start, goals, request, world, began)
-        planning_time = self._clock() - began - measured.recheck_time
-        return request.plan(planner, planning_time, trajectory, measured, world.scene.hash)
+        found = self._find(start, goals, request, world, began)
+        planning_time = self._clock() - began - found.timed.report.recheck_time
+        return request.plan(found.planner, planning_time, found.timed.trajectory, found.timed.report, world.scene.hash)
 
     def _find(
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
-    ) -> tuple[str, tuple[Trajectory, PlanReport]]:
+    ) -> _Found:
         settings = self._settings
         validator = MotionValidator(world, self._levers, settings.edge_step)
         for goal in goals:
             if validator.free(start, goal):
                 timed = self._timed(np.array([start, goal]), request, world)
                 if timed is not None:
-                    return DIRECT, timed
+                    return _Found(DIRECT, timed)
         goals = goals[: settings.goals]
         seed = settings.seed or int(self._rng.integers(1, 2**31))
         attempt = 0
@@ -301,14 +318,14 @@ class Planner:
                 raise NoPathError(settings.planner, self._clock() - began) from error
             timed = self._timed(path, request, world)
             if timed is not None:
-                return settings.planner, timed
-            # the path went through something thinner than the steps it was checked in: take smaller ones
+                return _Found(settings.planner, timed)
+            # the path passed through something thinner than the step of its check: check with smaller steps
             attempt += 1
             validator = MotionValidator(world, self._levers, settings.edge_step / 2 ** min(attempt, FINEST_HALVING))
         raise NoPathError(settings.planner, self._clock() - began)
 
     def _bounds(self, start: np.ndarray, goals: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the joint values to search: of a joint that turns more than once, a full turn around the ends."""
+        """Return the joint values to search: for a revolute joint with more than one turn, one turn around the ends."""
         lower, upper = np.array(self._robot.lower), np.array(self._robot.upper)
         ends = np.array([start, *goals])
         turns = ~np.array(self._robot.linear) & (upper - lower > TURN)
@@ -317,24 +334,30 @@ class Planner:
             np.where(turns, np.minimum(upper, ends.max(axis=0) + 0.5 * TURN), upper),
         )
 
-    def _timed(
-        self, path: np.ndarray, request: PlanRequest, world: CollisionWorld
-    ) -> tuple[Trajectory, PlanReport] | None:
-        """Round a path's corners, time it and check every sample; None if it touches something however tight they are."""
+    def _timed(self, path: np.ndarray, request: PlanRequest, world: CollisionWorld) -> _Timed | None:
+        """Round a path's corners, time it and check every sample; None if it touches something even with the tightest corners."""
         speed_scale = request.speed_scale
-        if speed_scale is None:  # a duration says how fast; the default only replaces a missing answer to that question
+        if speed_scale is None:  # a duration already determines the speed, so the default applies only without one
             speed_scale = self._settings.speed_scale if request.duration is None else 1.0
-        scales = speed_scale, request.acceleration_scale
         fine = MotionValidator(world, self._levers, self._settings.edge_step / 2**FINEST_HALVING)
         rounder = CornerRounding(fine, np.array(self._robot.velocity))
         for _ in range(TIMINGS_TRIED):
-            path = rounder.tightened(path)
-            if path is None:
+            tightened = rounder.tightened(path)
+            if tightened is None:
                 return None
-            asked = request.duration, *scales, request.waypoints
-            trajectory = time_path(path, self._robot, *asked, corner_fraction=1.0, bounds=self._settings.bounds)
+            path = tightened
+            trajectory = time_path(
+                path,
+                self._robot,
+                request.duration,
+                speed_scale,
+                request.acceleration_scale,
+                request.waypoints,
+                corner_fraction=1.0,
+                bounds=self._settings.bounds,
+            )
             try:
-                return trajectory, recheck(trajectory, self._robot, world, self._clock)
+                return _Timed(trajectory, recheck(trajectory, self._robot, world, self._clock))
             except CollisionError as error:
                 if request.waypoints is not None and len(path) > 2:
                     raise PlanningError(

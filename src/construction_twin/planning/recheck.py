@@ -1,6 +1,6 @@
-"""The dense re-check: every 4 ms sample of a trajectory against the robot's limits and the scene, whoever planned it.
+"""The dense re-check: every 4 ms sample of a trajectory against the robot's limits and the scene, for plans of every origin.
 
-What it measures is what a reviewer sees: closest clearance and where, largest fraction of each limit.
+What it measures is shown to the reviewer: the smallest clearance and where it is, and the largest use of each limit.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from construction_twin.core.motion_errors import CollisionError, JointRangeError, LimitError
-from construction_twin.planning.limit_usage import cycle_times, usage_over_time
-from construction_twin.robot.description import RobotModel
+from construction_twin.core.motion_errors import CollisionError, LimitError
+from construction_twin.planning.limit_usage import SampledUsage, cycle_times, range_excess, sampled_usage
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance, LimitUsage, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 
@@ -23,18 +23,20 @@ _QUANTITIES = ("velocity", "acceleration", "jerk")
 
 
 class Contact(Protocol):
-    """As `scene.world.Contact`."""
+    """As `scene.collision_world.Contact`."""
 
-    between: tuple[str, str]
+    @property
+    def between(self) -> tuple[str, str]:
+        """Names of the two bodies."""
 
 
 class World(Protocol):
-    """What is asked of `scene.world.CollisionWorld`."""
+    """The part of `scene.collision_world.CollisionWorld` that planning uses."""
 
     def all_free(self, qs: np.ndarray) -> int | None:
         """Return the first row in contact, or None."""
 
-    def contact(self, q: np.ndarray) -> Contact | None:
+    def contact(self, q: JointValues) -> Contact | None:
         """Return a pair that touches, or None."""
 
     def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, int]:
@@ -65,15 +67,15 @@ def recheck(trajectory: Trajectory, robot: RobotModel, world: World, clock: Call
         If a sample is in contact; `where` says when.
     """
     began = clock()
-    fractions = check_limits(trajectory, robot)
+    usage = check_limits(trajectory, robot)
     times = cycle_times(trajectory)
-    # past its end the motion rests where the last sample in time is, up to one cycle short of the last waypoint
+    # the 4 ms grid may end up to one cycle before the last waypoint, so the last waypoint is added
     times = np.append(times[times < trajectory.duration], trajectory.duration)
     q = trajectory.sample_many(times)[0]
     check_free(q, times, world)
     clearance, row = world.clearance_of(q)
     clearance = dataclasses.replace(clearance, time=float(times[row]))
-    return PlanReport(clearance, fractions, clock() - began)
+    return PlanReport(clearance, usage, clock() - began)
 
 
 def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
@@ -86,25 +88,24 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
 
     Returns
     -------
-    fractions : LimitUsage
+    usage : LimitUsage
 
     Raises
     ------
     LimitError
         For the first sample outside, naming time, joint, quantity, value and limit.
     """
-    try:
-        fractions = usage_over_time(trajectory, robot)
-    except JointRangeError as error:
-        raise _range_error(trajectory, robot) from error
-    for quantity, fraction in zip(_QUANTITIES, fractions):
-        beyond = np.argwhere(fraction > 1.0 + ROUNDING)
+    sampled = sampled_usage(trajectory, robot)
+    _check_range(sampled, robot)
+    for quantity in _QUANTITIES:
+        fractions = getattr(sampled, quantity)
+        beyond = np.argwhere(fractions > 1.0 + ROUNDING)
         if len(beyond):
             row, joint = beyond[0]
             limit = getattr(robot, quantity)[joint]
-            when = f"at {cycle_times(trajectory)[row]:.3f} s"
-            raise LimitError(when, robot.joint_names[joint], quantity, float(fraction[row, joint] * limit), limit)
-    return LimitUsage(*(tuple(np.max(fraction, axis=0).tolist()) for fraction in fractions))
+            when = f"at {sampled.times[row]:.3f} s"
+            raise LimitError(when, robot.joint_names[joint], quantity, float(fractions[row, joint] * limit), limit)
+    return sampled.largest()
 
 
 def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
@@ -124,15 +125,22 @@ def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
     """
     row = world.all_free(q)
     if row is not None:
-        raise CollisionError(world.contact(q[row]).between, f"at {times[row]:.3f} s")
+        raise CollisionError(touching(world, q[row]), f"at {times[row]:.3f} s")
 
 
-def _range_error(trajectory: Trajectory, robot: RobotModel) -> LimitError:
-    times = cycle_times(trajectory)
-    q = trajectory.sample_many(times)[0]
-    excess = np.maximum(np.array(robot.lower) - q, q - np.array(robot.upper))
+def touching(world: World, q: JointValues) -> tuple[str, str]:
+    """Return the names of two bodies that touch, at joint values that `World.all_free` found in contact."""
+    contact = world.contact(q)
+    assert contact is not None, "all_free and contact disagree"
+    return contact.between
+
+
+def _check_range(sampled: SampledUsage, robot: RobotModel) -> None:
+    excess = range_excess(sampled.positions, robot)
+    if not excess.any():
+        return
     row = int(np.argmax(np.any(excess > 0.0, axis=1)))
     joint = int(np.argmax(excess[row]))
-    value = float(q[row, joint])
+    value = float(sampled.positions[row, joint])
     limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
-    return LimitError(f"at {times[row]:.3f} s", robot.joint_names[joint], "position", value, limit)
+    raise LimitError(f"at {sampled.times[row]:.3f} s", robot.joint_names[joint], "position", value, limit)

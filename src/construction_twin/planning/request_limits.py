@@ -1,4 +1,4 @@
-"""What may be asked of a plan, and how large it may become: checked before anything of that size is made.
+"""Limits of what a request may ask of a plan, and of a plan's size; checked before anything of that size is computed.
 
 Joint vectors in the order of `RobotModel.joint_names`, SI.
 """
@@ -70,12 +70,12 @@ class PlanBounds:
 def check_request(
     duration: float | None, speed: float, acceleration: float, waypoints: int | None, corner_fraction: float | None
 ) -> None:
-    """Check what is asked of a plan besides its path; see `timing.time_path`.
+    """Check what a request asks of a plan besides its path; see `timing.time_path`.
 
     Raises
     ------
     PlanningError
-        Naming what does not make sense, and what was expected.
+        Naming the argument, its value and what was expected.
     """
     if duration is not None and not 0.0 < duration < math.inf:
         raise PlanningError(f"the requested duration is {duration} s; expected a positive number")

@@ -1,12 +1,12 @@
-"""A path around obstacles: OMPL's planners on joint vectors, with validator checked as a whole.
+"""A path around obstacles: OMPL's planners on joint vectors, with each straight motion checked in one call.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. A path is a polyline; timing and rounding its corners is
-not done here.
+Joint vectors are in the order of `RobotModel.joint_names`, SI. A path is a polyline; its timing and the
+rounding of its corners are done elsewhere.
 
-What OMPL keeps per process, not per planner: its log, which `find_path` switches off, and the generator of its seeds.
-`find_path` seeds that generator before every search, and everything that draws random numbers is made anew after that:
-the same search with the same seed gives the same path, in one process as in two. This holds for planners that end with
-the first path found; how often one improves its path until its time is over depends on the machine.
+OMPL's log and its generator of seeds belong to the process, not to a planner. `find_path` switches the log off. It seeds the
+generator before every search and creates everything that draws random numbers after that, so the same search with the same
+seed gives the same path, also in another process. This holds for planners that end with the first path found; a planner that
+improves its path until its time is over gets further on a faster machine.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def planner_kind(name: str) -> type:
 
 
 class _OmplValidator(ob.MotionValidator):
-    """`MotionValidator` for OMPL: one call of Python for a whole edge."""
+    """`motion_validator.MotionValidator` as OMPL's: one call of Python for a whole motion."""
 
     def __init__(self, information: ob.SpaceInformation, validator: MotionValidator, joints: range):
         super().__init__(information)
@@ -58,7 +58,7 @@ class _OmplValidator(ob.MotionValidator):
 
     def checkMotion(self, first, second, *last_valid) -> bool:  # noqa: N802 (OMPL's name)
         """Return whether the straight edge between two states is free."""
-        # the last valid state is not filled in: planners that ask for it then drop the edge as a whole
+        # the last valid state is not filled in; planners that ask for it then reject the whole motion
         return self._validator.free(_values(first, self._joints), _values(second, self._joints))
 
 
@@ -79,7 +79,7 @@ def find_path(
         Free, within `bounds`.
     goals : sequence of array, shape (n,)
         At least one; each free and within `bounds`. Planners of the PRM family are given the first only: they add
-        goals from a thread of their own, which a check in Python would block for ever.
+        goals from a thread of their own, and with a check in Python that thread blocks for ever.
     validator : MotionValidator
     bounds : tuple of array, shape (n,)
         Lowest and highest joint values searched.
@@ -103,8 +103,8 @@ def find_path(
         If there is no such planner.
     """
     kind = planner_kind(planner)
-    # outcomes are results or errors, nothing is said on the terminal: also not the warning that seeds came too late, which
-    # is right for what exists already, and here that is nothing
+    # without OMPL's log: results and errors are returned, and its warning that a seed was set late concerns only random
+    # generators that already exist, of which there are none here
     ou.noOutputHandler()
     ou.RNG.setSeed(seed)
     information = _space_information(validator, bounds)
@@ -121,7 +121,7 @@ def find_path(
     _shorten(path, information)
     joints = range(len(start))
     points = _without_repeats(np.array([_values(state, joints) for state in path.getStates()]))
-    # OMPL's shortcuts may miss the best of all
+    # OMPL's shortcuts may miss the straight line from start to goal
     return points[[0, -1]] if len(points) > 2 and validator.free(points[0], points[-1]) else points
 
 
@@ -160,7 +160,7 @@ def _problem(information: ob.SpaceInformation, start: np.ndarray, goals: Sequenc
 def _shorten(path: og.PathGeometric, information: ob.SpaceInformation) -> None:
     """Shorten a path in place: by removing points, and by pulling it tight like a rope.
 
-    It ends when there is nothing to gain, not when a time is over: it is the same on every machine.
+    It ends when nothing is gained any more, not after a time, so the result is the same on every machine.
     """
     simplifier = og.PathSimplifier(information)
     simplifier.reduceVertices(path)

@@ -1,9 +1,9 @@
-"""How fast to go along a curve: progress s over time t, inside the limits of every joint.
+"""Time scaling: the curve parameter s over time t, within the limits of every joint.
 
 The fastest motion within velocity and acceleration limits comes from toppra (for a straight line in closed form: it is
-the trapezoid that toppra would find). Its acceleration jumps, so two sliding means over time follow: the first spreads
-each jump over enough time for the jerk limit, the second makes the jerk itself continuous. Both start and end at rest
-with zero acceleration.
+the trapezoid that toppra would find). Its acceleration jumps, so it is smoothed by two moving averages over time: the first
+spreads each jump over enough time for the jerk limit, the second makes the jerk continuous. The smoothed motion starts and
+ends at rest with zero acceleration.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ STAGES = 100
 PIECE_STAGES = 2
 #: Second smoothing window [s]: over this time the jerk rises to its limit.
 JERK_RISE = 0.04
-#: Fraction of the jerk limit that is planned with; the quintics that play the motion swing past it by a little.
+#: Fraction of the jerk limit that is planned with; the quintics of the trajectory exceed it slightly.
 JERK_FRACTION = 0.96
 #: Shortest first smoothing window [s].
 SHORTEST_WINDOW = 0.02
-#: Largest ds/dt, as a multiple of what the velocity limits allow in the middle of the curve.
-HURRY = 10.0
-#: How often a stage of the forward pass is repeated with less speed where rounding left no solution.
+#: Largest ds/dt, as a multiple of the median of what the velocity limits allow along the curve.
+LARGEST_RATE = 10.0
+#: How often a stage of the forward pass is repeated with less speed if rounding leaves no solution.
 SLOWER_TRIES = 10
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """What a motion may use of the robot's limits; all symmetric.
+    """The part of the robot's limits that a motion may use; all symmetric.
 
     Attributes
     ----------
@@ -56,8 +56,8 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
-    """Progress s along a curve over time, from 0 to the curve's length, from rest to rest.
+class TimeScaling:
+    """The curve parameter s over time, from 0 to the curve's length, from rest to rest.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Progress:
     derivatives : tuple of PPoly, length 3
         s, ds/dt and d2s/dt2 over t in [0, `duration`].
     blur : float
-        Time over which the smoothing mixes neighbours, to each side [s].
+        Half-width of the smoothing: values this far before and after are averaged [s].
     """
 
     duration: float
@@ -78,12 +78,12 @@ class Progress:
 class RestToRest:
     """The fastest motion over a distance from rest to rest within limits of velocity, acceleration and jerk.
 
-    It is the trapezoid of velocity with `acceleration`, smoothed by a sliding mean over `window`.
+    It is the velocity trapezoid with `acceleration`, smoothed by a moving average over `window`.
 
     Attributes
     ----------
     distance, velocity, acceleration, window : float
-        `velocity` and `acceleration` are what is reached, at most the limits.
+        `velocity` and `acceleration` are the values reached, at most the limits.
     """
 
     distance: float
@@ -94,7 +94,7 @@ class RestToRest:
     @classmethod
     def fastest(cls, distance: float, velocity: float, acceleration: float, jerk: float) -> RestToRest:
         """Choose the speeds for a positive distance and positive limits."""
-        # the speed at which the acceleration limit is just reached before it must be left again
+        # the speed at which the acceleration just reaches its limit
         knee = acceleration**2 / jerk
         peak = 0.5 * (math.hypot(knee, 2.0 * math.sqrt(acceleration * distance)) - knee)
         if peak < knee:
@@ -108,8 +108,8 @@ class RestToRest:
         """[s]"""
         return self.distance / self.velocity + self.velocity / self.acceleration + self.window
 
-    def progress(self) -> Progress:
-        """Return the motion with its jerk made continuous, `JERK_RISE` longer."""
+    def time_scaling(self) -> TimeScaling:
+        """Return the motion smoothed to a continuous jerk, which makes it `JERK_RISE` longer."""
         ramp = self.velocity / self.acceleration
         cruise = max(self.distance / self.velocity - ramp, 0.0)
         knots = np.array([0.0, ramp, ramp + cruise, 2.0 * ramp + cruise])
@@ -122,8 +122,8 @@ class RestToRest:
         return smoothed(PPoly(pieces, knots), self.window, JERK_RISE)
 
 
-def straight_progress(curve: JointCurve, limits: MotionLimits, top_speed: float = math.inf) -> Progress:
-    """Return the fastest smooth progress along a straight curve.
+def straight_time_scaling(curve: JointCurve, limits: MotionLimits, top_speed: float = math.inf) -> TimeScaling:
+    """Return the fastest smooth time scaling of a straight curve.
 
     Parameters
     ----------
@@ -139,11 +139,11 @@ def straight_progress(curve: JointCurve, limits: MotionLimits, top_speed: float 
         float(np.min(limit[moving] / direction[moving]))
         for limit in (limits.velocity, limits.acceleration, limits.jerk)
     )
-    return RestToRest.fastest(curve.length, min(velocity, top_speed), acceleration, jerk).progress()
+    return RestToRest.fastest(curve.length, min(velocity, top_speed), acceleration, jerk).time_scaling()
 
 
-class CurveProgress:
-    """Finds the progress along one curve, again and again with less speed where it was found too fast.
+class TimeScalingSearch:
+    """Finds the time scaling of one curve, repeatedly with less speed where the last one was too fast.
 
     Parameters
     ----------
@@ -165,17 +165,17 @@ class CurveProgress:
         self._first, self._second = curve(self._grid, 1), curve(self._grid, 2)
         with np.errstate(divide="ignore"):
             bound = np.min(limits.velocity / np.abs(self._first), axis=1)
-        # where a curve stands still for a moment (a corner that it passes through) nothing else would bound ds/dt
-        self._top = np.minimum(np.minimum(bound, HURRY * np.median(bound)), top_speed)
-        self._first_window = None
+        # where the curve's derivative vanishes (at a sharp corner), the velocity limits do not bound ds/dt
+        self._top = np.minimum(np.minimum(bound, LARGEST_RATE * np.median(bound)), top_speed)
+        self._first_window: float | None = None
 
     def slow_down(self, at: np.ndarray, speed: np.ndarray) -> None:
-        """Lower the largest ds/dt; `at` rising, between its points `speed` is interpolated (inf: as before)."""
+        """Lower the largest ds/dt to `speed` at the parameters `at` (ascending), interpolated between them; inf: unchanged."""
         unbounded = 1e6 * np.max(self._top)  # finite, to be interpolated
         self._top = np.minimum(self._top, np.interp(self._grid, at, np.minimum(speed, unbounded)))
 
-    def find(self) -> Progress:
-        """Return the progress under the present bounds."""
+    def find(self) -> TimeScaling:
+        """Return the time scaling within the present bounds."""
         fastest = self._fastest()
         if self._first_window is None:
             self._first_window = self._window(fastest)
@@ -183,8 +183,8 @@ class CurveProgress:
 
     def _fastest(self) -> PPoly:
         grid, length = self._grid, self._grid[-1]
-        # toppra's tolerances are absolute: it gets the curve at length 1, and time in units of sqrt(length), which
-        # leaves the accelerations as they are
+        # toppra's tolerances are absolute, so the curve is scaled to length 1. With time in units of sqrt(length) the
+        # accelerations do not change
         constraint = _Limits(
             self._first, self._second * length, self._limits.acceleration, self._top / math.sqrt(length)
         )
@@ -203,7 +203,7 @@ class CurveProgress:
         return PPoly(np.stack((half_acceleration, speed[:-1], grid[:-1])), times)
 
     def _window(self, fastest: PPoly) -> float:
-        """Return the first smoothing window that makes the smoothed motion shortest once it is slowed to the jerk limit.
+        """Return the first smoothing window for which the motion is shortest after it is slowed to the jerk limit.
 
         A switch between full acceleration and full deceleration needs twice the window of a switch to or from constant
         speed.
@@ -212,7 +212,7 @@ class CurveProgress:
         end = float(fastest.x[-1])
         times = np.linspace(0.0, end, 200)
         slope = fastest.derivative(2)
-        # per unit of d3s/dt3, the fraction of the jerk limit; what bends of the curve add is left to the stretching
+        # the fraction of the jerk limit per unit of d3s/dt3; the curve's curvature adds jerk, which the stretching removes later
         fraction = np.max(np.abs(self._first) / self._limits.jerk, axis=1)
         fraction = np.interp(fastest(times), self._grid, fraction)
         best = (math.inf, SHORTEST_WINDOW)
@@ -224,38 +224,38 @@ class CurveProgress:
         return best[1]
 
 
-def smoothed(progress: PPoly, first: float, second: float) -> Progress:
-    """Take the mean of a piecewise quadratic s(t) over two windows in time, one after the other.
+def smoothed(s_over_time: PPoly, first: float, second: float) -> TimeScaling:
+    """Average a piecewise quadratic s(t) over two windows in time, one after the other.
 
     d2s/dt2 of the result is a difference of four values of s divided by the windows, hence quadratic between shifted
     knots: three samples give each piece exactly, and integrating it keeps s and its derivatives consistent.
 
     Parameters
     ----------
-    progress : PPoly
+    s_over_time : PPoly
         From t = 0.
     first, second : float
         Windows [s]; the result is longer by both.
     """
-    end = progress.x[-1]
+    end = s_over_time.x[-1]
     shifts = np.array([0.0, first, second, first + second])
-    knots = np.sort((progress.x + shifts[:, None]).ravel())
+    knots = np.sort((s_over_time.x + shifts[:, None]).ravel())
     knots = knots[np.concatenate(([True], np.diff(knots) > 1e-9 * knots[-1]))]
     h = np.diff(knots)
     at = np.stack((knots[:-1], knots[:-1] + 0.5 * h, knots[1:]))
-    s0, s1, s2, s3 = progress(np.clip(at - shifts[:, None, None], 0.0, end))
+    s0, s1, s2, s3 = s_over_time(np.clip(at - shifts[:, None, None], 0.0, end))
     start, middle, stop = ((s0 - s1) - (s2 - s3)) / (first * second)
     curve = 2.0 * (start - 2.0 * middle + stop) / h**2
     slope = (4.0 * middle - 3.0 * start - stop) / h
     sdd = PPoly(np.stack((curve, slope, start)), knots)
     sd = sdd.antiderivative()
-    return Progress(float(knots[-1]), (sd.antiderivative(), sd, sdd), 0.5 * (first + second))
+    return TimeScaling(float(knots[-1]), (sd.antiderivative(), sd, sdd), 0.5 * (first + second))
 
 
 class _Limits(LinearConstraint):
     """Acceleration limits and the largest speed at each stage, as toppra's constraint.
 
-    (toppra's own constraints evaluate the curve again and format a text about themselves.)
+    (toppra's own constraints would evaluate the curve again and format a description each time.)
     """
 
     def __init__(self, first: np.ndarray, second: np.ndarray, acceleration: np.ndarray, top: np.ndarray):
@@ -278,9 +278,9 @@ class _Limits(LinearConstraint):
 def _fastest_squares(solver: seidelWrapper, steps: np.ndarray) -> np.ndarray:
     """Return the largest (ds/dt)^2 at each stage, from rest to rest: toppra's two passes.
 
-    Standing still satisfies every constraint at every stage, so the set from which the end can be reached always begins
-    at 0, and one linear program per stage and pass is enough. (toppra's own driver also solves for the lower end, and
-    formats its log whether it is read or not.)
+    Zero speed satisfies every constraint at every stage, so the interval of speeds from which the end can be reached always
+    begins at 0, and one linear program per stage and pass is enough. (toppra's own driver also solves for the lower end, and
+    always formats its log.)
     """
     stages = len(steps)
     ceiling = np.zeros(stages + 1)

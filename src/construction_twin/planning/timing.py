@@ -1,9 +1,9 @@
 """Timing of a joint path: a trajectory inside the limits, continuous in acceleration, at rest at both ends.
 
 Joint vectors are in the order of `RobotModel.joint_names`, SI. The points of a path are joined by a smooth curve
-(`curves`), a progress s(t) along it is found (`progress`), sampled at the waypoints, and what will be played, the
-quintics between them, is measured and slowed until it is inside the limits. Does not know obstacles: between its points
-a curved path leaves the straight line.
+(`curves`), whose time scaling s(t) is found (`time_scaling`) and sampled at the waypoints. The quintics between the waypoints are
+then measured and slowed until they are within the limits. Obstacles are not known here: between its points a curved path
+leaves the straight line.
 """
 
 from __future__ import annotations
@@ -16,41 +16,41 @@ import numpy as np
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
-from construction_twin.planning.limit_usage import check_range, limit_use, usage_over_time
+from construction_twin.planning.limit_usage import check_range, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds, check_path, check_request
 from construction_twin.planning.time_scaling import (
     JERK_FRACTION,
-    CurveProgress,
     MotionLimits,
-    Progress,
     RestToRest,
-    straight_progress,
+    TimeScaling,
+    TimeScalingSearch,
+    straight_time_scaling,
 )
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 
-__all__ = ["LIMIT_FRACTION", "TimedCurve", "limit_use", "minimum_duration", "time_curve", "time_path", "with_midpoints"]
-
-#: Fraction of the velocity and acceleration limits a plan uses. The rest is for what happens after planning and is checked
-#: against the full limits: rounding to the wire's decimals adds up to 0.25 deg/s at 3 decimals (its fraction of the
-#: acceleration is allowed for separately), and the gateway interpolates between setpoints on another clock's grid.
+#: Fraction of the velocity and acceleration limits that a plan uses. The remainder covers what happens to the setpoints after
+#: planning, where they are checked against the full limits: rounding to the wire's decimals adds up to 0.25 deg/s at 3
+#: decimals (its effect on the acceleration has an allowance of its own), and the gateway interpolates between setpoints on
+#: the grid of another clock.
 LIMIT_FRACTION = 0.9
-#: Spacing of the waypoints when the request does not count them [s], and the fewest then used.
+#: Spacing of the waypoints if the request gives no number of waypoints [s], and their smallest number then.
 WAYPOINT_SPACING = 0.02
 MINIMUM_WAYPOINTS = 20
 #: Resolution of the factor by which a motion is slowed into the limits.
 STRETCH_STEP = 1e-4
-#: How often a motion is slowed: two are usual; the 4 ms samples fall elsewhere in the slower motion, which can cost one
-#: more.
+#: How often a motion is slowed. Two rounds are usual; the 4 ms samples of the slower motion lie at other places, which can need
+#: another round.
 STRETCH_ROUNDS = 20
-#: A motion that is this many times too fast somewhere is slowed there; what is left, everywhere.
+#: A motion that is more than this many times too fast somewhere is slowed there; a smaller excess is removed by slowing the
+#: whole motion.
 LOCAL_SLOWING = 1.04
 LOCAL_ROUNDS = 2
-#: The same for `time_curve`, where slowing everything would also slow what is at the tool's speed.
+#: The same for `time_curve`, where slowing the whole motion would also slow the parts that run at the tool's speed.
 CURVE_SLOWING = 1.002
 CURVE_ROUNDS = 8
-#: Inner points of a path are taken this far from the edge of the range [rad] or [m]: the quintics between the waypoints
-#: swing past the curve by less. Half the last decimal of the joint string.
+#: Inner points of a path keep this distance from the ends of the range [rad] or [m]: the quintics between the waypoints
+#: overshoot the curve by less. About half of the last decimal of the joint string.
 EDGE = 1e-5
 
 
@@ -74,7 +74,7 @@ def time_path(
     Parameters
     ----------
     path : array, shape (m, n)
-        Points of the path [rad] ([m] for a linear joint), at least two. Two make a straight line.
+        Points of the path [rad] ([m] for a prismatic joint), at least two. Two make a straight line.
     robot : RobotModel
     duration : float, optional
         Duration of the motion [s], to the nanosecond. Default: as short as the limits allow.
@@ -83,11 +83,11 @@ def time_path(
     acceleration_scale : float, optional
         Fraction of the acceleration limits in (0, 1]. Default: `speed_scale`.
     waypoints : int, optional
-        Number of waypoints, equally spaced in time, at least 2. With few of them the motion between two leaves the
-        path. Default: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`.
+        Number of waypoints, equally spaced in time, at least 2. With few waypoints the motion between two of them leaves
+        the path. Default: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`.
     corner_fraction : float, optional
-        In (0, 1]: keep to the straight lines between the points and round the corners, over this fraction of what is there
-        (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
+        In (0, 1]: follow the straight lines between the points and round the corners over this fraction of the available
+        length (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
         `curves.monotone` where that would leave the range).
     bounds : PlanBounds, optional
         Largest duration and number of waypoints. Default: any.
@@ -101,13 +101,13 @@ def time_path(
     DurationError
         If `duration` is shorter than the limits allow.
     JointRangeError
-        If a point is out of range, or with so few waypoints the motion between them leaves it.
+        If a point is out of range, or the motion between few waypoints leaves the range.
     PlanSizeError
         If the motion would be larger than `bounds`.
     TrajectoryError
-        If the path ends where it starts, or its shape or a value does not make sense.
+        If the path ends where it starts, or its shape or a value is invalid.
     PlanningError
-        If another argument does not make sense, or the path cannot be timed.
+        If another argument is invalid, or the path cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(duration, speed_scale, acceleration_scale, waypoints, corner_fraction)
@@ -117,7 +117,7 @@ def time_path(
     pace, ends, inside = np.array(robot.velocity), path[[0, -1]], _off_the_edge(path, robot)
     if corner_fraction is not None:
         return request.run(rounded(inside, pace, corner_fraction), ends)
-    # a cubic spline swings past its points by a fraction of their distance
+    # a cubic spline overshoots its points by a fraction of their distance, so closer points may keep it in range
     for points in (path, with_midpoints(path)):
         try:
             return request.run(interpolated(points, pace), ends)
@@ -154,14 +154,14 @@ def time_curve(
     Returns
     -------
     timed : TimedCurve
-        Its duration is a whole number of 4 ms cycles, so that motions put one behind the other are sampled alike.
+        Its duration is a whole number of 4 ms cycles, so that motions joined one after the other stay on one 4 ms grid.
 
     Raises
     ------
     JointRangeError
         If the curve leaves the range.
     PlanningError
-        If an argument does not make sense, the motion would be too large, or the curve cannot be timed.
+        If an argument is invalid, the motion would be too large, or the curve cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(None, speed_scale, acceleration_scale, None, None)
@@ -177,8 +177,8 @@ def time_curve(
 def minimum_duration(start: np.ndarray, goal: np.ndarray, robot: RobotModel) -> float:
     """Return a lower bound of the duration of any motion between two poses from rest to rest, from the limits alone.
 
-    Every joint on its own, within its full velocity, acceleration and jerk limits; the slowest one counts. No motion
-    within the limits is faster; most need longer.
+    Each joint alone moves within its full velocity, acceleration and jerk limits; the slowest joint gives the bound. No motion
+    within the limits is faster; most take longer.
 
     Parameters
     ----------
@@ -219,13 +219,13 @@ class TimedCurve:
     Attributes
     ----------
     trajectory : Trajectory
-    progress : Progress
+    scaling : TimeScaling
     stretch : float
-        The trajectory is this many times slower than `progress`.
+        The trajectory is this many times slower than `scaling`.
     """
 
     trajectory: Trajectory
-    progress: Progress
+    scaling: TimeScaling
     stretch: float
 
     def parameter(self, times: np.ndarray) -> np.ndarray:
@@ -241,12 +241,12 @@ class TimedCurve:
         s : array, shape (m,)
             From 0 to the curve's length.
         """
-        return self.progress.derivatives[0](np.clip(times / self.stretch, 0.0, self.progress.duration))
+        return self.scaling.derivatives[0](np.clip(times / self.stretch, 0.0, self.scaling.duration))
 
 
 @dataclass(frozen=True)
 class _Request:
-    """How a curve is to be timed: fractions are of the robot's limits, already with `LIMIT_FRACTION`."""
+    """How to time a curve. The fractions of the robot's limits already contain `LIMIT_FRACTION`."""
 
     robot: RobotModel
     duration: float | None
@@ -260,53 +260,55 @@ class _Request:
     whole_cycles: bool = False
 
     def run(self, curve: JointCurve, ends: np.ndarray) -> Trajectory:
-        """Time a curve; `JointRangeError` if the curve or what is played leaves the range."""
+        """Time a curve; raises `JointRangeError` if the curve or the trajectory leaves the range."""
         timed = self.timed(curve, ends)
         minimum = timed.trajectory.duration
         if self.duration is None:
             return timed.trajectory
         if self.duration < minimum:
-            # rounded up, so that the duration the message names can be asked for
+            # rounded up, so that a request for the duration in the message succeeds
             raise DurationError(self.duration, math.ceil(minimum * 1e3) / 1e3)
-        return self._build(curve, timed.progress, self.duration / timed.progress.duration, ends, self.duration)
+        return self._build(curve, timed.scaling, self.duration / timed.scaling.duration, ends, self.duration)
 
     def timed(self, curve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
         """Return the fastest motion along a curve."""
         limits = MotionLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
         if getattr(curve, "straight", False):
-            return self._slowed(curve, straight_progress(curve, limits, top_speed), ends)
+            return self._slowed(curve, straight_time_scaling(curve, limits, top_speed), ends)
         check_range(curve(_between(curve.knots)), self.robot)
-        search = CurveProgress(curve, limits, top_speed)
-        progress = search.find()
+        search = TimeScalingSearch(curve, limits, top_speed)
+        scaling = search.find()
         for rounds_left in range(self.local_rounds, -1, -1):
-            self.bounds.check(progress.duration)
-            times = np.linspace(0.0, progress.duration, math.ceil(progress.duration / self.spacing) + 1)
-            fractions = _motion_usage(times, *_states(curve, progress, times)[1:], self.robot)
+            self.bounds.check(scaling.duration)
+            times = np.linspace(0.0, scaling.duration, math.ceil(scaling.duration / self.spacing) + 1)
+            fractions = _motion_usage(times, *_states(curve, scaling, times)[1:], self.robot)
             factor = self._too_fast(*fractions, JERK_FRACTION)
             if not rounds_left or np.max(factor) <= self.local_slowing:
                 break
-            search.slow_down(*_slower(progress, times, factor))
-            progress = search.find()
-        return self._slowed(curve, progress, ends, float(np.max(self._too_fast(*fractions))) * (1.0 - STRETCH_STEP))
+            search.slow_down(*_slower(scaling, times, factor))
+            scaling = search.find()
+        return self._slowed(curve, scaling, ends, float(np.max(self._too_fast(*fractions))) * (1.0 - STRETCH_STEP))
 
-    def _slowed(self, curve, progress: Progress, ends: np.ndarray, least: float = 1.0) -> TimedCurve:
+    def _slowed(self, curve, scaling: TimeScaling, ends: np.ndarray, least: float = 1.0) -> TimedCurve:
         """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
         limits."""
         stretch = max(1.0, least)
         for _ in range(STRETCH_ROUNDS):
             if self.whole_cycles:
-                stretch = math.ceil(stretch * progress.duration / CYCLE - 1e-6) * CYCLE / progress.duration
-            trajectory = self._build(curve, progress, stretch, ends)
-            factor = float(np.max(self._too_fast(*usage_over_time(trajectory, self.robot))))
+                stretch = math.ceil(stretch * scaling.duration / CYCLE - 1e-6) * CYCLE / scaling.duration
+            trajectory = self._build(curve, scaling, stretch, ends)
+            sampled = sampled_usage(trajectory, self.robot)
+            check_range(sampled.positions, self.robot)
+            factor = float(np.max(self._too_fast(sampled.velocity, sampled.acceleration, sampled.jerk)))
             if factor <= 1.0:
-                return TimedCurve(trajectory, progress, stretch)
+                return TimedCurve(trajectory, scaling, stretch)
             stretch *= factor * (1.0 + STRETCH_STEP)
         raise PlanningError(f"the path cannot be slowed into the limits; {factor:.6f} times too fast remains")
 
     def _too_fast(
         self, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, jerk_fraction: float = 1.0
     ) -> np.ndarray:
-        """Return by which factor a motion must be slowed at each time, from its fractions of the limits, to meet them."""
+        """Return the factor by which a motion must be slowed at each time to meet the limits, from its use of them."""
         return np.maximum(
             np.maximum(
                 velocity.max(axis=1) / self.velocity_fraction,
@@ -316,15 +318,15 @@ class _Request:
         )
 
     def _build(
-        self, curve, progress: Progress, stretch: float, ends: np.ndarray, duration: float | None = None
+        self, curve, scaling: TimeScaling, stretch: float, ends: np.ndarray, duration: float | None = None
     ) -> Trajectory:
-        """Return the trajectory that plays a progress `stretch` times slower."""
-        duration = stretch * progress.duration if duration is None else duration
+        """Return the trajectory of a time scaling, `stretch` times slower."""
+        duration = stretch * scaling.duration if duration is None else duration
         self.bounds.check(duration)
         count = self.waypoints or max(MINIMUM_WAYPOINTS, math.ceil(duration / self.spacing) + 1)
         self.bounds.check(duration, count)
         times = whole_nanoseconds(np.linspace(0.0, duration, count))
-        s, velocities, accelerations = _states(curve, progress, times / stretch)
+        s, velocities, accelerations = _states(curve, scaling, times / stretch)
         velocities /= stretch
         accelerations /= stretch**2
         positions = curve(s)
@@ -334,9 +336,9 @@ class _Request:
         return Trajectory(self.robot.joint_names, times, positions, velocities, accelerations)
 
 
-def _states(curve, progress: Progress, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where on the curve the motion is, and the joints' velocities and accelerations."""
-    s, sd, sdd = (derivative(times) for derivative in progress.derivatives)
+def _states(curve, scaling: TimeScaling, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the curve parameter, the joints' velocities and their accelerations at some times."""
+    s, sd, sdd = (derivative(times) for derivative in scaling.derivatives)
     s = np.clip(s, 0.0, curve.length)
     sd, sdd = sd[:, None], sdd[:, None]
     first = curve(s, 1)
@@ -349,20 +351,23 @@ def _motion_usage(
     """Return each joint's fraction of the limits at some times of a motion, shape (m, n) each; jerk by differences."""
     jerks = np.diff(accelerations, axis=0) / np.diff(times)[:, None]
     jerks = np.concatenate((jerks, jerks[-1:]))
-    values = np.abs(velocities), np.abs(accelerations), np.abs(jerks)
-    return tuple(value / limit for value, limit in zip(values, (robot.velocity, robot.acceleration, robot.jerk)))
+    return (
+        np.abs(velocities) / robot.velocity,
+        np.abs(accelerations) / robot.acceleration,
+        np.abs(jerks) / robot.jerk,
+    )
 
 
-def _slower(progress: Progress, times: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest ds/dt over s that takes the factors off the present motion; inf where it is not too fast.
+def _slower(scaling: TimeScaling, times: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest ds/dt over s that slows the present motion by the factors; inf where it is not too fast.
 
-    What is too fast at one time is slowed as far around it as the smoothing reaches, which mixes it with its
-    neighbours.
+    Around a time that is too fast, the motion is slowed over the half-width of the smoothing on both sides, because the smoothing
+    averages over it.
     """
-    reach = math.ceil(progress.blur / (times[1] - times[0]))
+    reach = math.ceil(scaling.blur / (times[1] - times[0]))
     padded = np.pad(factor, reach, constant_values=1.0)
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
-    s, speed = progress.derivatives[0](times), progress.derivatives[1](times)
+    s, speed = scaling.derivatives[0](times), scaling.derivatives[1](times)
     return s, np.where(around > 1.0, speed / around, math.inf)
 
 

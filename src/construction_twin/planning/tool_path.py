@@ -1,8 +1,8 @@
-"""The path that a tool is told to follow: straight lines and circular arcs through waypoints, corners stopped at or blended.
+"""The path that a tool is told to follow: straight lines and circular arcs through waypoints, with stops or blends at the corners.
 
-Poses are ``base_T_tip``; lengths in metres along the path. Along a segment the orientation turns evenly about one axis
-(slerp). In a blend, position and orientation leave the incoming segment and join the outgoing one with continuous first
-and second derivatives over the path's length. Knows no arm.
+Poses are ``base_T_tip``; lengths in metres along the path. Along a segment the orientation turns at a constant rate about
+one axis (slerp). In a blend, position and orientation leave the incoming segment and join the outgoing one with continuous first
+and second derivatives with respect to the path's length. Knows no arm.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.planning.path_segments import ArcLine, Blend, Segment, StraightLine, Turn
+from construction_twin.planning.path_segments import ArcLine, Blend, Leg, Segment, StraightLine, Turn
 
-#: What a turn on the spot counts as along the path [m/rad].
+#: Path length assigned to a turn on the spot [m/rad].
 TURN_LENGTH = 0.1
-#: Closer than this is the same place [m], the same orientation [rad].
+#: Positions [m] and orientations [rad] closer than this are the same.
 SAME_PLACE = 1e-7
-#: Points of an arc that show how far it leads away.
+#: Number of points of an arc that are tested for reach.
 _ARC_POINTS = 17
-#: Directions that differ by less go on smoothly: the tool need not stop.
+#: If the directions before and after a waypoint differ by less, the tool does not stop there.
 SMOOTH = 1e-6
 
 
@@ -51,18 +51,18 @@ class ToolWaypoint:
 
 @dataclass(frozen=True)
 class Piece:
-    """What the tool does from one stop to the next.
+    """The part of a tool path from one stop to the next.
 
     Attributes
     ----------
     begin, end : float
         Along the path [m].
     turn : bool
-        It only turns on the spot: the tool's speed says nothing about it.
+        It is a turn on the spot, to which the tool's speed does not apply.
     knots : tuple of float
         Where the segments meet, `begin` and `end` included.
     cells : tuple of int
-        How many samples describe each segment well, to begin with.
+        Number of samples of each segment to start with.
     """
 
     begin: float
@@ -72,15 +72,40 @@ class Piece:
     cells: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class _Leg:
+    """A whole segment, and the index of the waypoint that it leads to."""
+
+    waypoint: int
+    segment: Leg
+
+
+@dataclass(frozen=True)
+class _Mark:
+    """The index of a waypoint, and of the segment that ends there (the blend, if there is one)."""
+
+    waypoint: int
+    segment: int
+
+
+@dataclass(frozen=True)
+class _Trimmed:
+    """Segments with their blends, the indices of those after which the tool stops, and where the waypoints are."""
+
+    segments: list[Segment]
+    stops: list[int]
+    marks: list[_Mark]
+
+
 class ToolPath:
     """A checked tool path.
 
     Parameters
     ----------
     start : Pose
-        Where the tool is.
+        The tool's pose.
     waypoints : sequence of ToolWaypoint
-        At least one that is elsewhere.
+        At least one that differs from the start.
 
     Attributes
     ----------
@@ -91,19 +116,20 @@ class ToolPath:
     Raises
     ------
     PlanningError
-        Naming the waypoint: no path at all, an arc without a circle, a blend that does not fit.
+        If no waypoint differs from the start, an arc has no circle, or a blend does not fit; names the waypoint.
     """
 
     def __init__(self, start: Pose, waypoints: Sequence[ToolWaypoint]):
         legs = _legs(start, waypoints)
         if not legs:
             raise PlanningError("the tool is already there: no waypoint differs from the start; nothing to plan")
-        self._segments, stops, self._marks = _segments(legs, waypoints)
+        trimmed = _trimmed(legs, waypoints)
+        self._segments, self._marks = trimmed.segments, trimmed.marks
         self._ends = np.cumsum([segment.length for segment in self._segments])
         self._begins = np.concatenate(([0.0], self._ends[:-1]))
         self.length = float(self._ends[-1])
-        self._waypoint_ends = [self._ends[index] for _, index in self._marks]
-        bounds = [0, *(index + 1 for index in stops)]
+        self._waypoint_ends = [self._ends[mark.segment] for mark in self._marks]
+        bounds = [0, *(index + 1 for index in trimmed.stops)]
         self.pieces = tuple(self._piece(first, last) for first, last in pairwise(bounds))
 
     def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -123,10 +149,10 @@ class ToolPath:
         positions, rotations = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
         numbers = np.minimum(np.searchsorted(self._ends, s), len(self._segments) - 1)
         for number in np.unique(numbers):
-            rows = numbers == number
-            at = np.clip(s[rows] - self._begins[number], 0.0, self._segments[number].length)
-            positions[rows], turns = self._segments[number].at(at)
-            rotations[rows] = turns.as_matrix()
+            inside = numbers == number
+            at = np.clip(s[inside] - self._begins[number], 0.0, self._segments[number].length)
+            positions[inside], turns = self._segments[number].at(at)
+            rotations[inside] = turns.as_matrix()
         return positions, rotations
 
     def pose(self, s: float) -> Pose:
@@ -147,10 +173,10 @@ class ToolPath:
 
     def waypoint_at(self, s: float) -> int:
         """Return the number of the waypoint, from 0, that the tool is going to at `s` [m]."""
-        return self._marks[self._next(s)][0]
+        return self._marks[self._next(s)].waypoint
 
     def waypoint_end(self, s: float) -> float:
-        """Return where the waypoint that the tool is going to at `s` is along the path [m]; its blend is behind it."""
+        """Return the position along the path of the waypoint that the tool is going to at `s` [m]; the end of its blend, if any."""
         return float(self._waypoint_ends[self._next(s)])
 
     def _next(self, s: float) -> int:
@@ -163,21 +189,21 @@ class ToolPath:
         return Piece(knots[0], knots[-1], isinstance(segments[0], Turn), knots, cells)
 
 
-def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[tuple[int, Segment]]:
-    """Return the whole segments with the numbers of the waypoints they lead to; waypoints that are no way are left out."""
-    legs = []
+def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
+    """Return the segments before blending; a waypoint at the pose before it has none."""
+    legs: list[_Leg] = []
     at = start
     for number, waypoint in enumerate(waypoints):
         if not (0.0 <= waypoint.blend < math.inf):
             raise PlanningError(f"waypoint {number}: the blend is {waypoint.blend} m; expected 0 or a positive number")
         leg = _leg(number, at, waypoint)
         if leg is not None:
-            legs.append((number, leg))
+            legs.append(_Leg(number, leg))
             at = waypoint.pose
     return legs
 
 
-def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Segment | None:
+def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Leg | None:
     goal = waypoint.pose
     for values in (goal.position, goal.rotation, () if waypoint.via is None else waypoint.via):
         if not np.all(np.isfinite(values)):
@@ -198,43 +224,44 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Segment | None:
     return Turn(np.array(goal.position), first, turn, TURN_LENGTH * angle) if angle > SAME_PLACE else None
 
 
-def _segments(
-    legs: list[tuple[int, Segment]], waypoints: Sequence[ToolWaypoint]
-) -> tuple[list[Segment], list[int], list[tuple[int, int]]]:
-    """Return the segments, the numbers of those after which the tool stops, and per waypoint the segment that ends
-    there (the blend, where there is one)."""
+def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
+    """Cut the legs where they are blended, and insert the blends."""
     cuts = [0.0] * (len(legs) + 1)
     for index in range(len(legs) - 1):
-        number, leg = legs[index]
+        number, leg = legs[index].waypoint, legs[index].segment
         cuts[index + 1] = waypoints[number].blend
-        if cuts[index + 1] and (isinstance(leg, Turn) or isinstance(legs[index + 1][1], Turn)):
+        if cuts[index + 1] and (isinstance(leg, Turn) or isinstance(legs[index + 1].segment, Turn)):
             raise PlanningError(f"waypoint {number}: a turn on the spot has no corner to blend; expected blend 0")
-    for index, (number, leg) in enumerate(legs):
+    for index, one in enumerate(legs):
+        number, leg = one.waypoint, one.segment
         if cuts[index] + cuts[index + 1] > leg.length * (1.0 + 1e-9):
             raise PlanningError(
                 f"the segment to waypoint {number} is {leg.length:.4f} m long; the blends at its ends need "
                 f"{cuts[index] + cuts[index + 1]:.4f} m, choose smaller ones"
             )
-    segments, stops, marks = [], [], []
-    for index, (number, leg) in enumerate(legs):
+    segments: list[Segment] = []
+    stops: list[int] = []
+    marks: list[_Mark] = []
+    for index, one in enumerate(legs):
+        number, leg = one.waypoint, one.segment
         trimmed = leg.part(cuts[index], leg.length - cuts[index + 1])
         if trimmed is not None:
             segments.append(trimmed)
         last = index == len(legs) - 1
         if cuts[index + 1]:
-            blend = Blend.between(leg, legs[index + 1][1], cuts[index + 1])
+            blend = Blend.between(leg, legs[index + 1].segment, cuts[index + 1])
             if blend is None:
                 raise PlanningError(
                     f"waypoint {number}: the path turns back there and cannot be blended; expected blend 0"
                 )
             segments.append(blend)
-        marks.append((number, len(segments) - 1))
-        if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1][1])):
+        marks.append(_Mark(number, len(segments) - 1))
+        if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1].segment)):
             stops.append(len(segments) - 1)
-    return segments, stops, marks
+    return _Trimmed(segments, stops, marks)
 
 
-def _goes_on(leg: Segment, following: Segment) -> bool:
+def _goes_on(leg: Leg, following: Leg) -> bool:
     if isinstance(leg, Turn) or isinstance(following, Turn):
         return False
     before, after = leg.direction(leg.length), following.direction(0.0)

@@ -1,8 +1,8 @@
-"""Waypoints from a CSV file, read strictly: what is not exactly understood is refused with line, column and expectation.
+"""Waypoints from a CSV file, read strictly: a refusal names the line, the column, and what was expected there.
 
 The first line that is neither empty nor a comment (``#`` to the end of the line) names the columns, in any order:
 
-- ``<joint>_deg`` or ``<joint>_rad``, for a linear joint ``<joint>_mm`` or ``<joint>_m``: every joint exactly once;
+- ``<joint>_deg`` or ``<joint>_rad``, for a prismatic joint ``<joint>_mm`` or ``<joint>_m``: every joint exactly once;
 - ``<joint>_deg_s`` and so on: velocities, of all joints or none, only with times;
 - ``time_s``: optional.
 
@@ -73,7 +73,7 @@ def parse_waypoints(text: str, robot: RobotModel) -> Waypoints:
 
 
 def _check_columns(line: int, columns: list[str], robot: RobotModel) -> None:
-    counts = {}
+    counts: dict[str, str] = {}
     for name in columns:
         if name == _TIME:
             key = name
@@ -83,7 +83,7 @@ def _check_columns(line: int, columns: list[str], robot: RobotModel) -> None:
                 raise WaypointsError(f"line {line}: unknown column {name!r}; {_expected(robot)}", line, "", name)
             linear = robot.linear[robot.joint_names.index(match["joint"])]
             if (match["unit"] in ("mm", "m")) != linear:
-                kind, units = ("linear", "mm or m") if linear else ("turning", "deg or rad")
+                kind, units = ("prismatic", "mm or m") if linear else ("revolute", "deg or rad")
                 message = f"line {line}: column {name!r} of a {kind} joint; expected its unit to be {units}"
                 raise WaypointsError(message, line, match["joint"], name)
             key = match["joint"] + (match["rate"] or "")

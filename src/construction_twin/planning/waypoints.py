@@ -1,8 +1,8 @@
-"""Joint waypoints that were made elsewhere: checked, never clamped, and made a trajectory.
+"""Joint waypoints made by another program: checked, never clamped, and converted to a trajectory.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI; the file's own units stay in `waypoint_file` and in the
-messages. Without times the waypoints are timed by `timing.time_path`, through all of them. With times the timing is kept
-as it is, and refused where it breaks a limit.
+Joint vectors are in the order of `RobotModel.joint_names`, SI; the units of a file appear only in `waypoint_file` and in the
+messages. Waypoints without times are timed by `timing.time_path`, which passes through all of them. Given times are kept, and
+refused if they break a limit.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from construction_twin.core.motion_errors import TrajectoryError, WaypointsError
-from construction_twin.planning.limit_usage import cycle_times, measured_usage, range_excess
+from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.trajectory import Trajectory
 
-#: How far the first waypoint may be from where the arm is; it is then taken to be there.
+#: Largest difference of the first waypoint from the arm's pose, which then replaces the first waypoint.
 START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
-#: What counts as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
+#: Largest velocity and acceleration that count as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
 #: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
@@ -32,7 +32,7 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Unit:
-    """How a joint's values are written in messages to whom they came from: ``value * factor`` is SI."""
+    """The unit in which the sender gave a joint's values, used in messages to the sender: ``value * factor`` is SI."""
 
     name: str
     factor: float
@@ -49,7 +49,7 @@ class Waypoints:
     Attributes
     ----------
     rows : tuple of int
-        What each is called in messages: a line of the file, or the number of the point.
+        Number of each waypoint in messages: a line of the file, or the index of the point.
     row_name : str
         ``line`` or ``point``.
     units : tuple of Unit, length n
@@ -70,7 +70,7 @@ class Waypoints:
     accelerations: np.ndarray | None = None
 
     def place(self, index: int) -> str:
-        """Return what a waypoint is called in a message."""
+        """Return how messages call a waypoint, e.g. ``line 7``."""
         return f"{self.row_name} {self.rows[index]}"
 
 
@@ -82,7 +82,7 @@ def from_points(
     accelerations: Sequence[Sequence[float]] | None = None,
     times: Sequence[float] | None = None,
 ) -> Waypoints:
-    """Take over the contents of a trajectory message.
+    """Return the waypoints in a trajectory message.
 
     Parameters
     ----------
@@ -112,17 +112,19 @@ def from_points(
     order = [list(joint_names).index(name) for name in robot.joint_names]
     timed = times is not None and any(time != 0.0 for time in times)
     units = tuple(Unit("m" if linear else "rad", 1.0) for linear in robot.linear)
-    arrays = {}
+    arrays: dict[str, np.ndarray | None] = {}
     for name, values in (("position", positions), ("velocity", velocities), ("acceleration", accelerations)):
-        given = name == "position" or (values is not None and any(len(row) for row in values))
+        given = values is not None and (name == "position" or any(len(row) for row in values))
         arrays[name] = _point_array(name, values, len(positions), len(order))[:, order] if given else None
-    if timed and len(times) != len(positions):
+    position_array = arrays["position"]
+    assert position_array is not None  # positions are always given
+    if timed and times is not None and len(times) != len(positions):
         raise WaypointsError(f"{len(times)} times for {len(positions)} points; expected as many")
     waypoints = Waypoints(
         tuple(range(len(positions))),
         "point",
         units,
-        arrays["position"],
+        position_array,
         np.array(times, dtype=float) if timed else None,
         arrays["velocity"] if timed else None,
         arrays["acceleration"] if timed else None,
@@ -145,7 +147,7 @@ def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
         )
     for name in ("positions", "velocities", "accelerations"):
         values = getattr(waypoints, name)
-        wrong = np.argwhere(~np.isfinite(values)) if values is not None else []
+        wrong = np.argwhere(~np.isfinite(values)) if values is not None else np.empty((0, 2), dtype=int)
         if len(wrong):
             row, joint = wrong[0]
             value, joint_name = values[row, joint], robot.joint_names[joint]
@@ -161,7 +163,7 @@ def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
 
 def plan_waypoints(
     waypoints: Waypoints,
-    present: Sequence[float],
+    present: JointValues,
     robot: RobotModel,
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
@@ -176,7 +178,7 @@ def plan_waypoints(
     ----------
     waypoints : Waypoints
     present : sequence of float, length n
-        Where the arm is. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and the
+        The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and the
         trajectory then begins exactly at `present`.
     robot : RobotModel
     speed_scale, acceleration_scale : float, optional
@@ -206,7 +208,7 @@ def plan_waypoints(
         return time_path(
             positions, robot, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
         )
-    _check_times(waypoints)
+    _check_times(waypoints, waypoints.times)
     bounds.check(float(waypoints.times[-1] - waypoints.times[0]))
     _check_rest(waypoints, robot)
     times = waypoints.times - waypoints.times[0]
@@ -244,7 +246,7 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
 
 
 def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) -> np.ndarray:
-    """Return the positions with the first one where the arm is."""
+    """Return the positions with the first one replaced by the arm's pose."""
     away = np.abs(waypoints.positions[0] - present)
     tolerance = np.where(robot.linear, START_TOLERANCE_M, START_TOLERANCE_RAD)
     if np.any(away > tolerance):
@@ -260,11 +262,11 @@ def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) 
     return positions
 
 
-def _check_times(waypoints: Waypoints) -> None:
-    late = np.flatnonzero(np.diff(waypoints.times) <= 0.0)
+def _check_times(waypoints: Waypoints, times: np.ndarray) -> None:
+    late = np.flatnonzero(np.diff(times) <= 0.0)
     if len(late):
         row = int(late[0]) + 1
-        before, time = waypoints.times[row - 1 : row + 1]
+        before, time = times[row - 1 : row + 1]
         message = f"{waypoints.place(row)}: its time {time:.9g} s is not after the {before:.9g} s of the one before"
         raise WaypointsError(f"{message}; times must increase", waypoints.rows[row], "", float(time))
 
@@ -286,7 +288,7 @@ def _check_rest(waypoints: Waypoints, robot: RobotModel) -> None:
 
 
 def _derivatives(times: np.ndarray, positions: np.ndarray, waypoints: Waypoints) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocities and accelerations at the waypoints, as given or of a smooth curve through them; 0 at the ends."""
+    """Return velocities and accelerations at the waypoints, as given or from a smooth curve through them; 0 at both ends."""
     if waypoints.velocities is None:
         rest = np.zeros(positions.shape[1])
         ends = [(1, rest), (2, rest)]
@@ -302,37 +304,40 @@ def _derivatives(times: np.ndarray, positions: np.ndarray, waypoints: Waypoints)
 
 
 def _fitted_accelerations(times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
-    """Return accelerations that fit positions and velocities: the mean of what the cubics on both sides have there."""
+    """Return accelerations that fit positions and velocities: the weighted mean of those of the cubics on both sides."""
     h = np.diff(times)[:, None]
     step, v0, v1 = np.diff(positions, axis=0), velocities[:-1], velocities[1:]
     first = (6.0 * step / h - 4.0 * v0 - 2.0 * v1) / h
     last = (2.0 * v0 + 4.0 * v1 - 6.0 * step / h) / h
     accelerations = np.zeros_like(positions)
-    # of two cubics the shorter says more about the place where they meet
+    # the shorter of the two cubics gets the larger weight
     accelerations[1:-1] = (last[:-1] * h[1:] + first[1:] * h[:-1]) / (h[:-1] + h[1:])
     return accelerations
 
 
 def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotModel) -> None:
-    """Check every 4 ms sample; name the waypoint that the motion is going to."""
-    excess = range_excess(trajectory, robot)
-    fractions = measured_usage(trajectory, robot)
-    checks = [("position", "", excess, 0.0, None)]
-    for (name, per), fraction in zip((("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")), fractions):
-        checks.append((name, per, fraction, 1.0 + ROUNDING, getattr(robot, name)))
-    for name, per, found, most, limits in checks:
-        beyond = np.argwhere(found > most)
-        if not len(beyond):
-            continue
-        sample, joint = beyond[0]
-        time = float(cycle_times(trajectory)[sample])
+    """Check every 4 ms sample; an error names the waypoint that the motion goes to at that time."""
+    sampled = sampled_usage(trajectory, robot)
+
+    def place(sample: int, joint: int) -> tuple[int, str]:
+        time = float(sampled.times[sample])
         row = int(np.clip(np.searchsorted(trajectory.times, time), 1, len(waypoints.rows) - 1))
-        unit, joint_name = waypoints.units[joint], robot.joint_names[joint]
-        where = f"{waypoints.place(row)} (on the way to it, {time:.3f} s after the start): {joint_name}"
-        if limits is None:
-            value = float(found[sample, joint])
-            message = f"{where} swings {unit.text(value)} past its range; give more waypoints or more time there"
-            raise WaypointsError(message, waypoints.rows[row], joint_name, value, 0.0)
-        value = float(found[sample, joint] * limits[joint])
-        message = f"{where} has a {name} of {unit.text(value, per)}; its limit is {unit.text(limits[joint], per)}"
-        raise WaypointsError(f"{message}, give it more time", waypoints.rows[row], joint_name, value, limits[joint])
+        where = f"{waypoints.place(row)} (on the path to it, {time:.3f} s after the start)"
+        return row, f"{where}: {robot.joint_names[joint]}"
+
+    excess = range_excess(sampled.positions, robot)
+    for sample, joint in np.argwhere(excess > 0.0)[:1].tolist():
+        row, where = place(sample, joint)
+        value = float(excess[sample, joint])
+        message = f"{where} overshoots its range by {waypoints.units[joint].text(value)}"
+        message = f"{message}; give more waypoints or more time there"
+        raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
+    for name, per in (("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
+        fractions, limits = getattr(sampled, name), getattr(robot, name)
+        for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():
+            row, where = place(sample, joint)
+            unit, limit = waypoints.units[joint], limits[joint]
+            value = float(fractions[sample, joint] * limit)
+            message = f"{where} has a {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
+            message = f"{message}, give it more time"
+            raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, limit)

@@ -6,7 +6,7 @@ Metres; poses in the root of the URDF's tree, where Pinocchio has its world (`Ro
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import coal
@@ -16,7 +16,7 @@ import pinocchio
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, read_mesh_file
 
@@ -63,7 +63,7 @@ class RobotBodies:
     robot : RobotModel
     model : pinocchio.Model
     order : array of int, shape (n,)
-        Place of each of ``robot.joint_names`` in Pinocchio's configuration.
+        Index of each of ``robot.joint_names`` in Pinocchio's configuration.
     bodies : tuple of Body
     root_T_base : pinocchio.SE3
     link_joints : dict of str to int
@@ -101,7 +101,7 @@ class RobotBodies:
             for shape in shapes.geometryObjects
         )  # fmt: skip
 
-    def link_pose(self, q: Sequence[float], link: str) -> Pose:
+    def link_pose(self, q: JointValues, link: str) -> Pose:
         """Return a link's pose in the base_link.
 
         Parameters
@@ -160,7 +160,7 @@ class RobotBodies:
 def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
     """Return the shape of a scene object, centred in the object's frame.
 
-    A closed convex mesh is solid. Any other mesh is a surface: an arm wholly inside of it is not seen.
+    A closed convex mesh is solid. Any other mesh is a surface: an arm completely inside it is not in contact with it.
 
     Raises
     ------
@@ -183,7 +183,8 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
         raise SceneError(
             where, item.mesh, "the file that the object was made with; it has changed, add the object again"
         )
-    vertices, triangles = parse_mesh(where, item.mesh, contents, item.size)
+    x, y, z = item.size
+    vertices, triangles = parse_mesh(where, item.mesh, contents, (x, y, z))
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(len(triangles), len(vertices))
     mesh.addVertices(vertices)
@@ -193,7 +194,7 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
         try:
             mesh.buildConvexHull(True, "Qt")
         except RuntimeError as error:
-            # Qhull's own message is about its source
+            # Qhull's own message is about its internals
             raise SceneError(where, item.mesh, "a closed convex mesh that has a volume") from error
         return mesh.convex
     return mesh
@@ -227,7 +228,7 @@ def is_convex(vertices: np.ndarray, triangles: np.ndarray) -> bool:
     lengths = np.linalg.norm(normals, axis=1)
     real = lengths > _CONVEX_TOLERANCE * size**2
     normals, first = normals[real] / lengths[real, None], first[real]
-    # one side of every face is empty; which one depends on how the file turns its triangles
+    # one side of every face must be empty; which one depends on the order of the triangles' corners in the file
     offsets = np.einsum("ij,ij->i", normals, first)
     for start in range(0, len(normals), 256):
         sides = normals[start : start + 256] @ vertices.T - offsets[start : start + 256, None]

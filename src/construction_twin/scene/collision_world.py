@@ -1,7 +1,7 @@
-"""Does the arm touch itself or anything in the scene, and how far is it from doing so? Pinocchio and Coal.
+"""Contacts and distances of the arm with itself and with everything in the scene, by Pinocchio and Coal.
 
-Joint values in rad (m for linear joints), in the order of ``robot.joint_names``; points in the robot's base_link [m].
-A world answers for the scene it was built from; a changed scene needs a new one (`CollisionWorld.with_scene`).
+Joint values in rad (m for prismatic joints), in the order of ``robot.joint_names``; points in the robot's base_link [m].
+A world belongs to one scene; a changed scene needs a new world (`CollisionWorld.with_scene`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import Body, RobotBodies
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
@@ -22,11 +22,12 @@ from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
 
-#: Pinocchio's broad phases: every box against every box is the fastest for few bodies, a tree for many.
+#: Pinocchio's broad phases: for few bodies, comparing every box with every box is fastest; for many bodies, a tree.
 _FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
 _MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
 _MANY_BODIES = 128
-#: With another arm in the world most bodies stand still: one box for all that moves together comes first.
+#: With another arm in the world most bodies stand still; this broad phase first compares one box around each group of bodies
+#: that move together.
 _WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
 
 
@@ -79,7 +80,7 @@ class CollisionWorld:
         self._build(RobotBodies(robot), scene, self_collision)
 
     def with_scene(self, scene: Scene) -> CollisionWorld:
-        """Return a world with the same robot in another scene; quicker than to build it anew."""
+        """Return a world with the same robot in another scene; faster than building it from the robot."""
         world = object.__new__(CollisionWorld)
         world._build(self._robot_bodies, scene, self.self_collision)
         return world
@@ -88,12 +89,12 @@ class CollisionWorld:
         """Return a world with the same robot and scene, and another arm in it; the scene's version stays the same.
 
         Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
-        obstacle's); what stands in the world is not.
+        obstacle's). Bodies that do not move are not checked.
 
         Parameters
         ----------
         obstacles : iterable of Obstacle
-            Replace those of before.
+            They replace the present ones.
         """
         world = object.__new__(CollisionWorld)
         world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles))
@@ -132,22 +133,23 @@ class CollisionWorld:
             request.security_margin = margin
         order = robot_bodies.order
         self._q = np.zeros(len(order))
-        # the usual order needs no index list, which would cost as much as a check of a few pairs
+        # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
         self._order = slice(None) if (order == np.arange(len(order))).all() else order
-        # whole configurations in, one call per question: boxes around the bodies first, shapes only where the boxes meet
+        # one call per question: boxes around the bodies first, shapes only where the boxes overlap
         manager = _WITH_NEIGHBOUR if reached else _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
 
     def _neighbour_pairs(
         self, own: tuple[Body, ...], obstacles: tuple[Obstacle, ...]
     ) -> tuple[list[Obstacle], list[tuple[int, int, float]]]:
-        """Return the obstacles that any moving body can reach, and the pairs that can meet, as of `checked_pairs`."""
+        """Return the obstacles that a moving body can reach, and the pairs that can touch, in the form of `checked_pairs`."""
         if not obstacles:
             return [], []
         _, reaches = body_levers(self._robot_bodies, own, self._robot_bodies.strokes)
         moving = np.array([body.joint > 0 for body in own])
         paddings = self.scene.padding + np.array([body.item.padding if body.item is not None else 0.0 for body in own])
-        reached, pairs = [], []
+        reached: list[Obstacle] = []
+        pairs: list[tuple[int, int, float]] = []
         for item in obstacles:
             margins = paddings + item.padding
             near = np.flatnonzero(moving & (item.distance <= np.array(reaches) + margins))
@@ -155,8 +157,8 @@ class CollisionWorld:
             reached += [item] if len(near) else []
         return reached, pairs
 
-    def is_free(self, q: Sequence[float]) -> bool:
-        """Return whether nothing touches: the fast question, it ends at the first contact.
+    def is_free(self, q: JointValues) -> bool:
+        """Return whether nothing touches. The fastest check: it ends at the first contact.
 
         Parameters
         ----------
@@ -166,7 +168,7 @@ class CollisionWorld:
         self._q[self._order] = q
         return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
 
-    def contact(self, q: Sequence[float]) -> Contact | None:
+    def contact(self, q: JointValues) -> Contact | None:
         """Return a pair that touches, or None where `is_free`; parameters as there."""
         for result in self._geometry_data.collisionResults:
             result.clear()
@@ -177,14 +179,14 @@ class CollisionWorld:
                 return Contact(names)
         raise AssertionError("a contact without a pair")
 
-    def contacts(self, q: Sequence[float]) -> list[Contact]:
+    def contacts(self, q: JointValues) -> list[Contact]:
         """Return every pair of names that touches; slower than `contact`; parameters as there."""
         self._q[self._order] = q
         pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
         results = zip(self._names, self._geometry_data.collisionResults)
         return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
 
-    def object_pose(self, q: Sequence[float], name: str) -> Pose:
+    def object_pose(self, q: JointValues, name: str) -> Pose:
         """Return an object's pose in the base_link, at joint values `q` when a link carries it.
 
         Raises
@@ -195,7 +197,7 @@ class CollisionWorld:
         item = self.scene.get(name)
         return product(self.link_pose(q, item.link), item.pose) if item.link else item.pose
 
-    def link_pose(self, q: Sequence[float], link: str) -> Pose:
+    def link_pose(self, q: JointValues, link: str) -> Pose:
         """Return a link's pose in the base_link; see `RobotBodies.link_pose`."""
         return self._robot_bodies.link_pose(q, link)
 
@@ -212,8 +214,8 @@ class CollisionWorld:
                 return row
         return None
 
-    def clearance(self, q: Sequence[float]) -> Clearance:
-        """Return the smallest distance of a checked pair, the padding not taken off.
+    def clearance(self, q: JointValues) -> Clearance:
+        """Return the smallest distance of a checked pair; the padding is not subtracted.
 
         Parameters
         ----------
@@ -223,7 +225,7 @@ class CollisionWorld:
         Returns
         -------
         clearance : Clearance
-            Negative where two bodies are in each other; inf when no pair is checked.
+            Negative for two bodies that penetrate each other; inf if no pair is checked.
         """
         if not self._pairs:
             return Clearance(np.inf)
@@ -232,7 +234,7 @@ class CollisionWorld:
     def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, int]:
         """Return the smallest distance over many poses, and the row where it is.
 
-        Neighbouring rows should be close to each other: then only few distances need to be measured, see `sweep`.
+        Successive rows should be close to each other: then only few distances need to be measured, see `distance_bounds`.
 
         Parameters
         ----------
@@ -242,7 +244,7 @@ class CollisionWorld:
         Returns
         -------
         clearance : Clearance
-            As of `clearance`, within 1e-6 m; its time is 0.
+            As from `clearance`, within 1e-6 m; its time is 0.
         row : int
         """
         if not self._pairs:
@@ -261,26 +263,28 @@ class CollisionWorld:
         measure(row, pair)
         return self._clearance(pair), row
 
-    def _measure(self, q: Sequence[float]) -> int:
+    def _measure(self, q: JointValues) -> int:
         """Measure every pair; return the closest one."""
         self._q[self._order] = q
         return pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, self._q)
 
-    def _distances(self, q: Sequence[float]) -> np.ndarray:
+    def _distances(self, q: JointValues) -> np.ndarray:
         self._measure(q)
         return np.array([result.min_distance for result in self._geometry_data.distanceResults])
 
     def _clearance(self, pair: int) -> Clearance:
-        """Return what was measured last for a pair."""
+        """Return the last measurement of a pair."""
         result = self._geometry_data.distanceResults[pair]
         point = self._robot_bodies.root_T_base.actInv(result.getNearestPoint1())
-        return Clearance(float(result.min_distance), self._names[pair], tuple(map(float, point)))
+        return Clearance(
+            float(result.min_distance), self._names[pair], (float(point[0]), float(point[1]), float(point[2]))
+        )
 
 
 def _forget_past_answers(data: pinocchio.GeometryData) -> None:
-    """Start no search where the last one ended: an answer depends on the pose alone, not on those asked for before."""
+    """Switch off the warm start of the distance search, so that a result depends on the pose alone, not on earlier ones."""
     with warnings.catch_warnings():
-        # the replacement of this switch has no effect while it is on, and it is on by default
+        # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
         warnings.simplefilter("ignore", DeprecationWarning)
         for request in (*data.collisionRequests, *data.distanceRequests):
             request.enable_cached_gjk_guess = False
@@ -302,9 +306,9 @@ def checked_pairs(
     Returns
     -------
     pairs : list of (int, int, float)
-        Indices into `bodies`, the one named first in reports first; margin [m].
+        Indices into `bodies`, in the order in which reports name them, and the margin [m].
     """
-    pairs = []
+    pairs: list[tuple[int, int, float]] = []
     for second, other in enumerate(bodies):
         for first, one in enumerate(bodies[:second]):
             if one.joint == other.joint:

@@ -1,24 +1,38 @@
-"""The smallest of many distances without measuring them all: between two poses a distance cannot change by more than the
-bodies move. Metres and radians; rows of joint values in Pinocchio's order.
+"""The smallest of many distances, found without measuring all of them.
+
+Between two poses the distance of two bodies changes by at most the motion of the bodies, which bounds the distances between two
+measured poses. Metres and radians; rows of joint values in Pinocchio's order.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from construction_twin.scene.collision_bodies import Body, RobotBodies
 
-#: How far a measured distance may be off [m]: Coal's own tolerance.
+#: Accuracy of a measured distance [m]: Coal's own tolerance.
 TOLERANCE = 1e-6
-#: Rows between two that are measured for every pair before the search begins.
+#: Every so many rows all pairs are measured before the search begins.
 _STRIDE = 64
 
 
+class _Gap(NamedTuple):
+    """A pair between two measured rows, ordered by the lower bound of its distance there."""
+
+    bound: float
+    low: int
+    high: int
+    pair: int
+    at_low: float
+    at_high: float
+
+
 def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], strokes: np.ndarray) -> np.ndarray:
-    """Return how far the bodies of a pair can move against each other when a joint moves by one unit.
+    """Return how far the two bodies of each pair can move relative to each other per unit of each joint.
 
     Parameters
     ----------
@@ -27,26 +41,26 @@ def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], s
     pairs : sequence of tuple
         Their first two entries are indices into `bodies`.
     strokes : array, shape (n,)
-        Largest absolute value of each joint, Pinocchio's order; used for the linear ones [m].
+        Largest absolute value of each joint, Pinocchio's order; used for prismatic joints [m].
 
     Returns
     -------
     levers : array, shape (n, p)
-        [m/rad], or 1 for linear joints; Pinocchio's order.
+        [m/rad], or 1 for prismatic joints; Pinocchio's order.
     """
     model = robot.model
     per_body, _ = body_levers(robot, bodies, strokes)
     ancestors = [_joints_below(robot, body) for body in bodies]
     result = np.zeros((model.nq, len(pairs)))
     for column, (first, second, *_) in enumerate(pairs):
-        # a joint below both bodies moves them together
+        # a joint that moves both bodies moves them together
         between = sorted(ancestors[first] ^ ancestors[second])
         result[between, column] = per_body[between, first] + per_body[between, second]
     return result
 
 
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
-    """Return how far any point of a body can move when a joint moves by one unit, and how far from the root it can be.
+    """Return bounds of the motion of a body's points per unit of each joint, and of their distance from the root.
 
     Parameters
     ----------
@@ -58,9 +72,9 @@ def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray)
     Returns
     -------
     levers : array, shape (n, b)
-        [m/rad], or 1 for linear joints; Pinocchio's order. 0 for a joint that does not move the body.
+        [m/rad], or 1 for prismatic joints; Pinocchio's order. 0 for a joint that does not move the body.
     reaches : list of float, length b
-        Largest distance of any point of it from the root, whatever the joints do [m].
+        Largest distance of any point of it from the root at any joint values [m].
     """
     model = robot.model
     per_body = np.zeros((model.nq, len(bodies)))
@@ -97,7 +111,7 @@ def smallest(
     Parameters
     ----------
     travel : array, shape (m, p)
-        For each pair how far its bodies have moved against each other, at most, from the first row to each [m].
+        For each pair, an upper bound of the relative motion of its bodies from the first row to each row [m].
     measure_row : callable
         Returns the distances of all pairs in a row, shape (p,) [m].
     measure : callable
@@ -106,20 +120,20 @@ def smallest(
     Returns
     -------
     row, pair : int
-        Where it is. No other is smaller by more than `TOLERANCE`.
+        Where the smallest distance is. No other is smaller by more than `TOLERANCE`.
     """
     rows = np.unique(np.linspace(0, len(travel) - 1, 1 + -(-len(travel) // _STRIDE)).astype(int))
     known = np.array([measure_row(int(row)) for row in rows])
-    at, pair = np.unravel_index(np.argmin(known), known.shape)
-    best, best_row, best_pair = known[at, pair], int(rows[at]), int(pair)
-    # what a pair's distance can be between two measured rows, at least
+    at, closest = np.unravel_index(np.argmin(known), known.shape)
+    best, best_row, best_pair = float(known[at, closest]), int(rows[at]), int(closest)
+    # lower bounds of each pair's distance between two measured rows
     bounds = (known[:-1] + known[1:] - np.diff(travel[rows], axis=0)) / 2
     heap = [
-        (bounds[gap, pair], int(rows[gap]), int(rows[gap + 1]), int(pair), known[gap, pair], known[gap + 1, pair])
+        _Gap(bounds[gap, pair], int(rows[gap]), int(rows[gap + 1]), int(pair), known[gap, pair], known[gap + 1, pair])
         for gap, pair in np.argwhere(bounds < best - TOLERANCE)
     ]
     heapq.heapify(heap)
-    while heap and heap[0][0] < best - TOLERANCE:
+    while heap and heap[0].bound < best - TOLERANCE:
         _, low, high, pair, at_low, at_high = heapq.heappop(heap)
         if high - low < 2:
             continue
@@ -133,5 +147,5 @@ def smallest(
         for start, end, first, second in ((low, row, at_low, distance), (row, high, distance, at_high)):
             bound = (first + second - (moved[end] - moved[start])) / 2
             if bound < best - TOLERANCE:
-                heapq.heappush(heap, (bound, start, end, pair, first, second))
+                heapq.heappush(heap, _Gap(bound, start, end, pair, first, second))
     return best_row, best_pair

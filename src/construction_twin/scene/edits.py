@@ -1,7 +1,7 @@
-"""What became of the scene at run time, kept in a file: who starts anew within the same run goes on where the last one ended.
+"""The edits of a scene at run time, kept in a file: a scene node that restarts within the same run continues with them.
 
-The file holds the whole scene as it is after the last edit, not the edits. It belongs to one run and to one scene at
-the start; metres and the numbers of `SceneObject`, to the last bit.
+The file holds the whole scene after the last edit, not the single edits. It belongs to one run and to one initial scene. Numbers
+are those of `SceneObject`, to the last bit; metres.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class SceneFile:
     ----------
     path : Path
     run : str
-        Id of the run: the file of another one says nothing about this one.
+        Id of the run; the file of another run is ignored.
     start : Scene
         The scene that the run began with.
     """
@@ -70,14 +70,14 @@ class SceneFile:
         ------
         SceneError
             If the file cannot be read, is of this run but of another start, or its contents (meshes included) do not have
-            the hash that it names. Then nobody knows what surrounds the arm.
+            the hash that it names: the surroundings of the arm are then unknown.
         """
         try:
             contents = read_file(self.path, _LARGEST)
         except FileNotFoundError:
             return self.start
         except OSError as error:
-            raise self._wrong(error.strerror, "a readable file") from error
+            raise self._wrong(str(error.strerror), "a readable file") from error
         try:
             found = _File.model_validate_json(contents)
         except pydantic.ValidationError as error:

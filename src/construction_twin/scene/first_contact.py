@@ -1,5 +1,7 @@
-"""Where do two sets of padded shapes meet first? Most pairs are answered without being measured: a measured distance holds for
-every pair of copies of the same two shapes that are near those two, less what they are apart. Metres.
+"""The first contact between two sets of padded shapes.
+
+Few pairs are measured. Many shapes are copies of one body at neighbouring poses: the distance measured for one pair of copies,
+less the distances between the copies, is a lower bound for every other pair of copies of the same two bodies. Metres.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import numpy as np
 
 from construction_twin.scene.neighbour import Obstacle
 
-#: Centres' distances are differences of squares: good to this much within 100 m [m].
+#: Accuracy of the distances between centres, which are computed from differences of squares, within 100 m [m].
 _ROUNDING = 1e-4
 
 
@@ -21,7 +23,7 @@ class Copies:
     Parameters
     ----------
     places : sequence of int
-        Where each is in the list that it was taken from, ascending.
+        Index of each in the list that it was taken from, ascending.
     items : sequence of Obstacle
         All of the same geometry.
     """
@@ -45,7 +47,7 @@ class Copies:
         self._transforms: dict[int, coal.Transform3s] = {}
 
     def with_more(self, other: Copies) -> Copies:
-        """Return these and more copies of the same shape; their places are of no use."""
+        """Return these and more copies of the same shape. The places of the result have no meaning."""
         made = object.__new__(Copies)
         made.places = np.arange(len(self.items) + len(other.items))
         made.items = self.items + other.items
@@ -55,13 +57,13 @@ class Copies:
         return made
 
     def near(self, other: Copies, padding: float) -> np.ndarray:
-        """Return which of these may be within a distance of any of the others, by the ball around all of those."""
+        """Return the indices of those copies that may be within a distance of the ball around all other copies."""
         middle, radius = other._ball
         reach = self.paddings + (radius + self.radius + padding + _ROUNDING)
         return np.flatnonzero(((self.centres - middle) ** 2).sum(axis=1) <= reach**2)
 
     def apart(self, index: int, wanted: np.ndarray) -> np.ndarray:
-        """Return how far any point of one copy is from the same point of some others, at most, shape (k,) [m]."""
+        """Return an upper bound of the distance between the same point of one copy and of some others, shape (k,) [m]."""
         shifts = np.linalg.norm(self.centres[wanted] - self.centres[index], axis=1)
         # a turn by w moves a point at distance r by 2 r sin(w / 2); the product of the matrices' entries is 1 + 2 cos(w)
         turns = np.sqrt(np.maximum(0.0, 3.0 - self._rotations[wanted] @ self._rotations[index]))
@@ -76,7 +78,7 @@ class Copies:
 
 
 def copies(items: Sequence[Obstacle]) -> list[Copies]:
-    """Return a list of obstacles by their shapes."""
+    """Return obstacles grouped by their shapes."""
     places: dict[int, list[int]] = {}
     for place, item in enumerate(items):
         places.setdefault(id(item.geometry), []).append(place)
@@ -84,7 +86,7 @@ def copies(items: Sequence[Obstacle]) -> list[Copies]:
 
 
 def joined(shapes: Sequence[Copies], more: Sequence[Copies]) -> list[Copies]:
-    """Return two results of `copies` as one."""
+    """Return two results of `copies` merged into one."""
     by_geometry = {id(item.items[0].geometry): item for item in shapes}
     for item in more:
         key = id(item.items[0].geometry)
@@ -93,7 +95,7 @@ def joined(shapes: Sequence[Copies], more: Sequence[Copies]) -> list[Copies]:
 
 
 def first_contact(own: Sequence[Copies], others: Sequence[Copies], padding: float) -> tuple[int, Obstacle] | None:
-    """Return the first of our obstacles that comes too close to any of the others, and to which; None where none does.
+    """Return the first of our obstacles that comes too close to one of the others, and that one; None if none does.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def first_contact(own: Sequence[Copies], others: Sequence[Copies], padding: floa
 def _contact(
     mine: Copies, theirs: Copies, count: int, padding: float, request: coal.DistanceRequest
 ) -> tuple[int, Obstacle] | None:
-    """Return the first of the first `count` copies of one shape that meets a copy of another, and which."""
+    """Return the first among the first `count` copies of one shape that touches a copy of another shape, and that copy."""
     wanted = theirs.near(mine, padding)
     if not len(wanted) or not count:
         return None
@@ -131,15 +133,15 @@ def _contact(
     squares = (
         mine.squares[:count, None] + theirs.squares[wanted] - 2.0 * (mine.centres[:count] @ theirs.centres[wanted].T)
     )
-    # what is left between the paddings of two copies, at least: first by the balls around them
+    # lower bounds of the distances between padded copies, at first from the balls around them
     left = np.sqrt(np.maximum(squares, 0.0))
     left -= paddings + (mine.radius + theirs.radius + _ROUNDING)
     left -= their_paddings
     first, second = mine.items[0].geometry, theirs.items[0].geometry
     found = None
     while len(left) and left.min() <= 0.0:
-        at, column = np.unravel_index(np.argmin(left), left.shape)
-        to = int(wanted[column])
+        row, column = np.unravel_index(np.argmin(left), left.shape)
+        at, to = int(row), int(wanted[column])
         result = coal.DistanceResult()
         distance = coal.distance(first, mine.transform(at), second, theirs.transform(to), request, result)
         if distance <= paddings[at, 0] + theirs.paddings[to]:
@@ -149,6 +151,6 @@ def _contact(
         covered = distance - mine.apart(at, rows[: len(left)])[:, None] - paddings[: len(left)]
         covered = covered - (theirs.apart(to, wanted) + their_paddings)
         np.maximum(left, covered, out=left)
-        # free by measurement, whatever rounding made of it
+        # this pair was measured and is free, even if rounding left its bound at 0
         left[at, column] = np.inf
     return found

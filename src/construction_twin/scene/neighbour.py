@@ -1,11 +1,11 @@
 """Another arm as an obstacle: its shapes where it stands, and along the path that it follows.
 
-A path is not kept as a cloud of all its poses, but as copies of each body at some of them, each with a padding that covers what
-lies between: two neighbouring copies are `step` apart at most, measured as the longest way that any point of the body can have
-gone, so every pose between them lies within half of that of one of the two. Nothing on the path is outside of the padded copies.
+A path is represented by copies of each body at selected poses, each with a padding that covers the poses between. Two successive
+copies are at most `step` apart, measured as the longest path that any point of the body can have travelled between them; so
+every pose between them is within half of that distance of one of the two, and the padded copies contain the whole path.
 
 Metres; poses of obstacles in the root of the URDF of the robot that must not touch them, where Pinocchio has its world. Joint
-values in rad (m for linear joints), in the order of the other robot's ``joint_names``.
+values in rad (m for prismatic joints), in the order of the other robot's ``joint_names``.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -24,17 +25,17 @@ from construction_twin.scene.collision_bodies import Body, RobotBodies
 from construction_twin.scene.distance_bounds import body_levers
 from construction_twin.scene.objects import SceneObject
 
-#: Added to every copy's padding [m]: between two rows of a path sampled every 4 ms a joint may go back and forth by 2e-5 rad.
+#: Added to every copy's padding [m]: between two 4 ms samples of a path a joint may move back and forth by 2e-5 rad.
 ROUNDING = 1e-3
 #: Largest difference of a joint between a measured pose and the row of the path that it belongs to [rad] or [m].
 ON_PATH = 0.01
-#: Rows of a path that are looked at in one go: the arm is mostly near the first.
+#: Rows of a path that are compared at once: the arm is usually near the first of them.
 _ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A copy of a body of the other arm. Two are the same only if they are one object.
+    """A copy of a body of the other arm. Compared by identity, not by value.
 
     Attributes
     ----------
@@ -60,13 +61,28 @@ class Obstacle:
 
     @cached_property
     def distance(self) -> float:
-        """Distance from the root of our URDF to its nearest point, at least, without the padding [m]; may be negative."""
+        """Lower bound of its distance from the root of our URDF, without the padding [m]; may be negative."""
         centre, radius = self.sphere
         return float(np.linalg.norm(centre)) - radius
 
     def padded(self, padding: float) -> Obstacle:
-        """Return the same body with so much more distance to keep [m]."""
+        """Return the same body with a padding that is larger by this [m]."""
         return replace(self, padding=self.padding + padding)
+
+
+class PathCopy(NamedTuple):
+    """A copy of a body along a path. A NamedTuple, because a path of an hour has a million of them.
+
+    Attributes
+    ----------
+    first, last : int
+        The rows of the path for which it is needed.
+    obstacle : Obstacle
+    """
+
+    first: int
+    last: int
+    obstacle: Obstacle
 
 
 @dataclass(frozen=True)
@@ -75,19 +91,19 @@ class SweptPath:
 
     Attributes
     ----------
-    copies : tuple of (int, int, Obstacle)
-        Each with the first and the last row that it is needed for, in the order of the first ones.
+    copies : tuple of PathCopy
+        In the order of their first rows.
     """
 
-    copies: tuple[tuple[int, int, Obstacle], ...]
+    copies: tuple[PathCopy, ...]
 
     def rest(self, row: int = 0) -> tuple[Obstacle, ...]:
-        """Return what the arm takes up from a row on; a subset of what it takes up from any earlier one."""
-        return tuple(obstacle for _, last, obstacle in self.copies if last >= row)
+        """Return the space that the arm occupies from a row on; a subset of that from any earlier row."""
+        return tuple(copy.obstacle for copy in self.copies if copy.last >= row)
 
 
 def row_of(rows: np.ndarray, q: Iterable[float], start: int = 0) -> int | None:
-    """Return the first row of a path, from `start` on, that a pose belongs to (`ON_PATH`); None for a pose off the path.
+    """Return the first row of a path, from `start` on, that is within `ON_PATH` of a pose; None for a pose off the path.
 
     Parameters
     ----------
@@ -104,7 +120,7 @@ def row_of(rows: np.ndarray, q: Iterable[float], start: int = 0) -> int | None:
 
 
 class Neighbour:
-    """Another robot, seen from where this one stands; or our own, for the watch, seen from its own root.
+    """Another robot, in the frame of ours. The watch (`coordination`) also makes one of our own robot, in its own root.
 
     Parameters
     ----------
@@ -113,7 +129,7 @@ class Neighbour:
     root_T_root : Pose
         Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
     step : float
-        Largest way of any point of a body between two copies of it [m].
+        Longest path of any point of a body between two copies of it [m].
 
     Raises
     ------
@@ -163,14 +179,14 @@ class Neighbour:
         self._anywhere = (Obstacle(f"{self.name}/whole reach", self._root_T_root, ball, ROUNDING),)
 
     def along(self, path: np.ndarray, standing: bool = True) -> SweptPath:
-        """Return everything that the arm takes up on a path.
+        """Return the space that the arm occupies on a path.
 
         Parameters
         ----------
         path : array, shape (m, n)
-            Joint values so close to each other that what lies between two rows hardly matters (every 4 ms).
+            Joint values, dense enough that the motion between two rows is covered by `ROUNDING` (every 4 ms).
         standing : bool, optional
-            With what no joint moves: its pedestal.
+            Include the bodies that no joint moves: the pedestal.
         """
         path = np.atleast_2d(np.asarray(path, dtype=float))
         rows = np.empty(path.shape)
@@ -182,61 +198,61 @@ class Neighbour:
             for body, column in zip(self._bodies, travel.T)
         ]
         placements = self._placements(rows, keys)
-        copies = []
+        copies: list[PathCopy] = []
         for index, body in enumerate(self._bodies):
             gaps = np.diff(travel[keys[index], index], prepend=0.0, append=travel[-1, index])
-            # one copy alone stands for the whole path, whichever end is farther
+            # a single copy must cover the whole path, not only half of it
             paddings = np.maximum(gaps[:-1], gaps[1:]) / (2.0 if len(keys[index]) > 1 else 1.0) + ROUNDING
             spans = zip([0, *keys[index]], [*keys[index][1:], len(rows) - 1])
             owner = f"{self.name}/{body.owner}"
             carried = _carried_padding(body)
             copies += [
-                (first, last, Obstacle(owner, placement, body.geometry, float(padding) + carried))
+                PathCopy(first, last, Obstacle(owner, placement, body.geometry, float(padding) + carried))
                 for (first, last), placement, padding in zip(spans, placements[index], paddings)
             ]
-        copies.sort(key=lambda copy: copy[0])
+        copies.sort(key=lambda copy: copy.first)
         return SweptPath(tuple(copies))
 
     def standing(self) -> tuple[Obstacle, ...]:
-        """Return what no joint moves: its pedestal; always the same objects."""
+        """Return the bodies that no joint moves (the pedestal); the same objects at every call."""
         return self._pedestal
 
     def between(self, start: Iterable[float], end: Iterable[float]) -> tuple[Obstacle, ...]:
-        """Return what the arm takes up at two poses and straight (in joint values) between them.
+        """Return the space that the arm occupies at two poses and on the straight joint motion between them.
 
-        For an arm whose measured pose trails its command: it may be anywhere on the way.
+        For an arm whose measured pose lags behind its command: it may be anywhere between the two.
         """
-        start, end = np.array(start, dtype=float), np.array(end, dtype=float)
+        begin, goal = np.array(start, dtype=float), np.array(end, dtype=float)
         if self._standing is not None:
             known_start, known_end, obstacles = self._standing
-            # noise within what the padding covers: who has looked at these need not look again
-            if max(self._displacement(start - known_start), self._displacement(end - known_end)) <= ROUNDING / 2.0:
+            # within noise that the padding covers, the same objects are returned, so that callers need not check them again
+            if max(self._displacement(begin - known_start), self._displacement(goal - known_end)) <= ROUNDING / 2.0:
                 return obstacles
-        count = 1 + int(np.ceil(self._displacement(end - start) / self.step))
+        count = 1 + int(np.ceil(self._displacement(goal - begin) / self.step))
         fractions = np.linspace(0.0, 1.0, count + 1)[:, None]
-        obstacles = tuple(item.padded(ROUNDING) for item in self.along(start + fractions * (end - start)).rest())
-        self._standing = start, end, obstacles
+        obstacles = tuple(item.padded(ROUNDING) for item in self.along(begin + fractions * (goal - begin)).rest())
+        self._standing = begin, goal, obstacles
         return obstacles
 
     def _displacement(self, change: np.ndarray) -> float:
-        """Return how far any point of any body moves, at most, when the joints change by so much [m]."""
+        """Return an upper bound of the motion of any point of any body when the joints change by this much [m]."""
         ordered = np.zeros(len(change))
         ordered[self._robot_bodies.order] = np.abs(change)
         return float((ordered @ self._levers).max(initial=0.0))
 
     def anywhere(self) -> tuple[Obstacle, ...]:
-        """Return all that the arm can reach, with what it carries, as one ball: for an arm of which no pose is known."""
+        """Return a ball around everything that the arm with its load can reach: for an arm whose pose is unknown."""
         return self._anywhere
 
     def _placements(self, rows: np.ndarray, keys: list[list[int]]) -> list[list[pinocchio.SE3]]:
-        """Return where each body is at rows of its own."""
+        """Return the placements of each body at the rows selected for it."""
         model = self._robot_bodies.model
         data = model.createData()
         wanted: dict[int, list[int]] = {}
         for index, found in enumerate(keys):
             for row in found:
                 wanted.setdefault(row, []).append(index)
-        placements = [[] for _ in keys]
+        placements: list[list[pinocchio.SE3]] = [[] for _ in keys]
         for row in sorted(wanted):
             pinocchio.forwardKinematics(model, data, rows[row])
             for index in wanted[row]:
@@ -255,13 +271,13 @@ def key_rows(travel: np.ndarray, step: float) -> list[int]:
     Parameters
     ----------
     travel : array, shape (m,)
-        Way from the first row to each; never falls.
+        Distance travelled from the first row to each; never decreases [m].
     step : float
 
     Returns
     -------
     rows : list of int
-        Ascending. Just the first where the whole way is shorter than `ROUNDING`.
+        Ascending. Only the first row if the whole distance is at most `ROUNDING`.
     """
     total = float(travel[-1])
     if total <= ROUNDING:

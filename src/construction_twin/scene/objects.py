@@ -1,7 +1,7 @@
-"""What surrounds the arm: obstacles, tools, workpieces. A scene is a value: every change makes a new one with a new hash.
+"""The surroundings of the arm: obstacles, tools, workpieces. A scene is immutable: every change makes a new one with a new hash.
 
-Metres; poses in the robot's base_link, or in the link that carries the object. Degrees only in `load_scene` (``rpy_deg``).
-Whether something touches something is `scene.world`'s question.
+Metres; poses in the robot's base_link, or in the link that carries the object.
+Contacts are computed in `scene.collision_world`; scenes are read from YAML in `scene.scene_yaml`.
 """
 
 from __future__ import annotations
@@ -9,16 +9,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-import pydantic
-import yaml
-from scipy.spatial.transform import Rotation
 
 from construction_twin.core.files import read_file
 from construction_twin.core.motion_errors import SceneError
@@ -27,10 +23,10 @@ from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_q
 
 #: Numbers in `SceneObject.size` for each shape, and what they are.
 SIZES = {"box": (3, "x y z"), "cylinder": (2, "radius length"), "sphere": (1, "radius"), "mesh": (3, "scale x y z")}
-#: How far a quaternion's norm may be from 1 before it is refused, and before it is normalised. Between the two it is
-#: normalised once; a normalised one stays as it is to the last bit, so that a scene sent as a message keeps its hash.
+#: A quaternion whose norm differs from 1 by more than the first value is refused, by more than the second it is normalised. A
+#: normalised one is not changed again, so that a scene sent as a message keeps its hash.
 _QUATERNION_REFUSED, _QUATERNION_EXACT = 1e-3, 1e-12
-#: Largest coordinate, size and padding [m]: with numbers far beyond a hall the distances of Coal overflow.
+#: Largest coordinate, size and padding [m]: the distances of Coal overflow with numbers far beyond the size of a hall.
 _FARTHEST = 1e4
 _MESH_SUFFIXES = (".stl", ".obj")
 #: Largest mesh file [bytes]: enough for the triangles that `mesh_file` takes.
@@ -48,7 +44,7 @@ def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
 
 
 def read_mesh_file(name: str, mesh: str) -> bytes:
-    """Return the contents of an object's mesh file; what is in them is `mesh_file`'s question.
+    """Return the contents of an object's mesh file, which `mesh_file` parses.
 
     Raises
     ------
@@ -150,7 +146,7 @@ class SceneObject:
             raise self._wrong(key, values, f"{count} numbers: {expected}") from error
         if len(numbers) != count or not all(math.isfinite(number) and allowed(number) for number in numbers):
             raise self._wrong(key, numbers, f"{count} finite numbers: {expected}")
-        # minus zero equals zero, but would make another hash
+        # adding 0.0 turns -0.0 into 0.0: they are equal, but would give different hashes
         return tuple(number + 0.0 for number in numbers)
 
     def _unit_quaternion(self) -> tuple:
@@ -167,13 +163,12 @@ class SceneObject:
 
     def moved(self, pose: Pose, link: str = "", touch: Iterable[str] = ()) -> SceneObject:
         """Return the same body elsewhere: at `pose` in `link`, or in the base_link when that is empty."""
-        quaternion = tuple(map(float, rotation_to_quaternion(pose.rotation)))
-        return replace(
-            self, position=tuple(map(float, pose.position)), quaternion=quaternion, link=link, touch=tuple(touch)
-        )
+        x, y, z = map(float, pose.position)
+        qx, qy, qz, qw = map(float, rotation_to_quaternion(pose.rotation))
+        return replace(self, position=(x, y, z), quaternion=(qx, qy, qz, qw), link=link, touch=tuple(touch))
 
     def contents(self) -> dict:
-        """Return what the scene's hash is made of: the body itself, whatever its file is called."""
+        """Return the object's part of the scene's hash; a mesh enters by its contents, not by its file name."""
         return {
             "name": self.name,
             "shape": self.shape,
@@ -263,7 +258,7 @@ class Scene:
     def remove(self, name: str) -> Scene:
         """Return the scene without the object of that name; raises like `get`.
 
-        Nothing may touch it any more, either: an object that takes the name later is another one.
+        Its name is also removed from what other objects may touch: a later object of that name is a different one.
         """
         gone = self.get(name)
         return self._only(tuple(item for item in self.objects if item is not gone))
@@ -275,11 +270,11 @@ class Scene:
         ----------
         name : str
         link : str
-            Which carries it from now on.
+            The link that carries it from now on.
         pose : Pose
             Of the object in `link`.
         touch : iterable of str, optional
-            Links and objects it may touch besides `link`; replaces what it might touch before.
+            Links and objects it may touch besides `link`; replaces the present ones.
 
         Raises
         ------
@@ -316,84 +311,3 @@ class Scene:
 
     def _with(self, changed: SceneObject) -> Scene:
         return replace(self, objects=tuple(changed if item.name == changed.name else item for item in self.objects))
-
-
-_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
-
-
-class _ObjectDescription(pydantic.BaseModel):
-    """One object in YAML: see the comments in config/scene.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-    shape: Literal["box", "cylinder", "sphere", "mesh"]
-    size: tuple[_Finite, ...] = ()
-    position: tuple[_Finite, _Finite, _Finite] = (0.0, 0.0, 0.0)
-    rpy_deg: tuple[_Finite, _Finite, _Finite] = (0.0, 0.0, 0.0)
-    padding: _Finite = 0.0
-    mesh: str = ""
-    link: str = ""
-    touch: tuple[str, ...] = ()
-    fixed: bool = False
-
-
-class _SceneDescription(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-    padding: _Finite
-    objects: dict[str, _ObjectDescription]
-
-
-def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
-    """Build a scene from a parsed YAML file.
-
-    Parameters
-    ----------
-    description : Mapping
-        Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about the
-        fixed x, y and z axes, in this order [deg].
-    base_dir : str or Path
-        Directory that mesh files are relative to.
-
-    Returns
-    -------
-    scene : Scene
-
-    Raises
-    ------
-    SceneError
-        Naming the key (``objects/wall/size``) or the object, its value and what was expected.
-    """
-    try:
-        parsed = _SceneDescription.model_validate(dict(description))
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        value = None if first["type"] == "missing" else first["input"]
-        where = "/".join(["scene", *map(str, first["loc"])])
-        raise SceneError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
-    objects = (_object(name, item, Path(base_dir)) for name, item in parsed.objects.items())
-    return Scene(tuple(objects), parsed.padding)
-
-
-def read_scene(path: str | Path) -> Scene:
-    """Read a scene from a YAML file; see `load_scene`, also for what it raises.
-
-    Raises
-    ------
-    SceneError
-        Also if the file cannot be read.
-    """
-    try:
-        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SceneError(str(path), str(error), "a YAML file of a scene") from error
-    if not isinstance(description, dict):
-        raise SceneError(str(path), description, "a mapping with the keys padding and objects")
-    return load_scene(description, Path(path).parent)
-
-
-def _object(name: str, item: _ObjectDescription, base_dir: Path) -> SceneObject:
-    values = item.model_dump(exclude={"rpy_deg", "mesh"})
-    quaternion = Rotation.from_euler("xyz", item.rpy_deg, degrees=True).as_quat(canonical=True)
-    mesh = str((base_dir / item.mesh).resolve()) if item.mesh else ""
-    return SceneObject(name=name, quaternion=tuple(map(float, quaternion)), mesh=mesh, **values)

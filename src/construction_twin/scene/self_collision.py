@@ -1,9 +1,9 @@
-"""Which pairs of a robot's links need no check against each other, and why: found by sampling, kept in a YAML file.
+"""The pairs of a robot's links that need no collision check, and why. Found by sampling, kept in a YAML file.
 
 A pair is left out when it is ``adjacent`` (joined by one joint, or by two joints with one origin, like A5 and A6 in a
 spherical wrist: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses (then the
-shapes overlap and the check says nothing), or ``never``, not even nearly. The file carries a hash of the geometry that it
-was made from; it is refused with any other.
+shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of the
+geometry that it was made from, and is refused for any other geometry.
 """
 
 from __future__ import annotations
@@ -117,7 +117,8 @@ def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[
     """Return the pairs of links that move against each other: those to sample, and the adjacent ones."""
     joints = {body.link: body.joint for body in bodies.bodies}
     links = list(joints)
-    pairs, adjacent = [], []
+    pairs: list[tuple[str, str]] = []
+    adjacent: list[tuple[str, str]] = []
     for index, second in enumerate(links):
         for first in links[:index]:
             if joints[first] != joints[second]:

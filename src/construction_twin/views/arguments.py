@@ -39,9 +39,9 @@ class Exit(enum.IntEnum):
     """What the command's exit code says; `docs/reference/command_line.md` lists them for scripts."""
 
     DONE = 0
-    #: The system has refused; its sentence is on standard error.
+    #: The system refused; its reason is on standard error.
     REFUSED = 1
-    #: The command line does not make sense.
+    #: The command line is wrong.
     USAGE = 2
     #: No ROS master, no robot of this name, or a node that does not answer.
     SILENT = 3

@@ -19,7 +19,7 @@ from construction_twin.views.texts import because, joint_value, under_review
 
 #: Cells of a bar; a full bar is an error at its threshold.
 BAR = 24
-#: Colours of the state words; anything else is under way, and yellow.
+#: States shown in green and in red; the others are transitions, shown in yellow.
 _GOOD = {"ARMED", "IN_SYNC", "IDLE", "PLAYING", "MIRROR"}
 _BAD = {"DISCONNECTED", "GATEWAY_OFFLINE", "NO_CONTROLLER", "MISMATCH", "NEEDS_RESET", "STALE", "STOPPED", "FAULT"}
 #: Counters of the gateway that mean something was late or lost, with the words for them.

@@ -1,4 +1,4 @@
-"""Whether there is a display to show a window on, and a view file for a robot of another name."""
+"""Whether a display can show a window; and a view file for a robot of another name."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def display_problem(display: str, connect: Callable[[str, int], None]) -> str:
 
 
 def connect_display(host: str, number: int) -> None:
-    """Reach an X11 display and hang up again.
+    """Open a connection to an X11 display and close it again.
 
     Raises
     ------

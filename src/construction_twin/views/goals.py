@@ -1,4 +1,4 @@
-"""Goals as a person gives them, in deg and mm, as the library's values in rad and m."""
+"""Converts the goals of the command line from deg and mm to rad and m."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
     Returns
     -------
     q : tuple of float, length n
-        [rad] or [m]; ranges are the planner's business.
+        [rad] or [m]; not checked against the ranges, which the planner does.
 
     Raises
     ------
     ConfigurationError
-        If their number is another one.
+        If their number is not the number of joints.
     """
     if len(values) != len(robot.joint_names):
         expected = f"{len(robot.joint_names)} values, one for each of {', '.join(robot.joint_names)}"

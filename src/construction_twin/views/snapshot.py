@@ -1,4 +1,4 @@
-"""What the command line knows of one robot at one moment; values only, so that every text and picture can be made without ROS.
+"""The state of one robot at one moment, as values: texts and pictures are made of it without ROS.
 
 SI; joint tuples in the order of `Snapshot.joints`. None stands for "not reported".
 """
@@ -82,7 +82,7 @@ class ExecutionFacts:
     speed_limit: float = 1.0
 
     def progress(self, now: float) -> float | None:
-        """Return how much of a plan's time is over at `now` [s], 0 to 1; None while none is played at its own pace."""
+        """Return how much of a plan's time is over at `now` [s], 0 to 1; None unless a plan is being played."""
         if self.text != "PLAYING" or not self.start or self.duration <= 0.0:
             return None
         return min(1.0, max(0.0, (now - self.start) / self.duration))
@@ -116,7 +116,7 @@ class Snapshot:
         Messages per second on the 250 Hz topics.
     nodes : tuple of NodeFacts
     silent : Mapping of str to float
-        How long ``link``, ``sync``, ``execution`` have been silent [s], of those that should have spoken.
+        How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
     """
 
     robot: str

@@ -1,6 +1,6 @@
 """What rviz shows of the monitor: the physical arm's shapes in a colour by sync state, and a text when it is not in sync.
 
-Pure; metres, rad in, degrees and mm in the text for people.
+Pure. Values are in rad and m, texts for people in deg and mm.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def headline(state: SyncState, reason: str, worst: str) -> str:
 def worst_joint(
     names: Sequence[str], errors: Sequence[float], thresholds: Sequence[float], linear: Sequence[bool]
 ) -> str:
-    """Return which joint uses most of its threshold, and how much; empty when nothing was measured.
+    """Return which joint is closest to its threshold, and its difference; empty if nothing was measured.
 
     Parameters
     ----------

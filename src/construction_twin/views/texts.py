@@ -16,7 +16,7 @@ def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
 
 
 def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
-    """Return what a reviewer has to know of a plan.
+    """Return the lines about a plan that a reviewer needs.
 
     Parameters
     ----------

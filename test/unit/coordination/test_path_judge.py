@@ -10,6 +10,7 @@ from planning_cell import HOME, ROBOT
 from construction_twin.coordination import conflict, path_judge
 from construction_twin.coordination.conflict import Claim
 from construction_twin.coordination.path_judge import Others, PathJudge
+from construction_twin.coordination.path_sweep import PlanPosition
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -45,9 +46,9 @@ def settled(judged):
 
 def test_a_waiting_plan_may_not_start_before_its_whole_way_was_compared(judge):
     first = judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY)
-    assert first.blocked and "% of its way has been checked against other so far" in first.sentence
+    assert first.blocked and "% of its path has been checked against other so far" in first.sentence
     verdict = settled(lambda: judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY))
-    assert (verdict.blocked, verdict.time, verdict.sentence) == (False, -1.0, "its way is free")
+    assert (verdict.blocked, verdict.time, verdict.sentence) == (False, -1.0, "its path is free")
 
 
 def test_a_plan_that_runs_goes_on_while_what_is_far_ahead_is_still_being_compared(judge):
@@ -56,7 +57,7 @@ def test_a_plan_that_runs_goes_on_while_what_is_far_ahead_is_still_being_compare
     moving = Others(other().along(line(AWAY, AWAY + 0.3)).rest(), Claim(9, "other"))
     verdict = judge.followed(CLEAR_PLAN, EMPTY, moving, 5, pose(CLEAR_PLAN, 0.5))
     assert not verdict.blocked
-    assert judge._ways["p2"]._batches[0].checked < len(judge._ways["p2"]._sweep.copies)
+    assert judge._paths["p2"]._batches[0].checked < len(judge._paths["p2"]._sweep.copies)
 
 
 def test_a_conflict_far_ahead_is_found_as_the_looks_go_on(judge):
@@ -96,7 +97,7 @@ def test_a_plan_begins_at_its_first_row_wherever_the_last_one_ended(judge):
     judge.followed(PLAN, EMPTY, STANDS_AWAY, 5, pose(PLAN, 3.5))
     back = plan(NEAR, CLEAR, "back")
     judge.followed(back, EMPTY, STANDS_AWAY, 6, pose(back, 0.0))
-    assert judge._at == ("back", 0)
+    assert judge._at == PlanPosition("back", 0)
 
 
 def test_an_arm_that_is_nowhere_takes_up_all_that_it_can_reach_and_the_sentence_says_so(judge):
@@ -128,4 +129,4 @@ def test_plans_that_are_over_are_forgotten(judge):
     judge.waiting(PLAN, EMPTY, STANDS_AWAY)
     judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY)
     judge.forget({"p2"})
-    assert set(judge._ways) == {"p2"}
+    assert set(judge._paths) == {"p2"}

@@ -18,7 +18,7 @@ PLAN = plan(AWAY, TOWARDS)
 @pytest.fixture(autouse=True, scope="module")
 def short_sections():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(path_sweep, "SECTION", 150)
+        patch.setattr(path_sweep, "CHUNK", 150)
         yield
 
 

@@ -158,41 +158,13 @@ def test_inconsistent_messages_say_so(tmp_path):
             read_recording(tmp_path / "x.bag")
 
 
-def write_foreign(bag, topic, datatype="sensor_msgs/JointState"):
-    """Write a message whose definition, brought along by the bag, is not the one installed here."""
-    header = {"topic": topic, "type": datatype, "md5sum": "0" * 32, "message_definition": "string evil"}
-    bag.write(topic, (datatype, b"\0\0\0\0", "0" * 32, JointState), at(BASE), raw=True, connection_header=header)
-
-
-@pytest.fixture
-def no_code(monkeypatch):
-    """rosbag makes Python code of a bag's definitions with this function."""
-    monkeypatch.setattr(genpy.dynamic, "generate_dynamic", lambda *_: pytest.fail("ran code that a bag brought along"))
-
-
-def test_a_bag_s_own_definitions_are_never_run(recording, tmp_path, no_code):
-    path = tmp_path / "foreign.bag"
-    with rosbag.Bag(str(path), "w") as bag:
-        write_robot(bag, recording)
-        write_foreign(bag, "/kr120/link", "construction_twin/Link")
-    with pytest.raises(EvaluationError, match="/kr120/link in the bag was recorded with another definition"):
-        read_recording(path)
-
-
-def test_a_foreign_topic_that_is_not_needed_is_no_obstacle(recording, tmp_path, no_code):
+def test_a_foreign_topic_that_is_not_needed_is_no_obstacle(recording, tmp_path, generated):
     path = tmp_path / "chatter.bag"
     with rosbag.Bag(str(path), "w") as bag:
         write_robot(bag, recording)
-        write_foreign(bag, "/chatter")
+        bag.write("/chatter", with_definition(String, HOSTILE, "0" * 32)("x"), at(BASE))
     assert read_recording(path).robot == "/kr120"
-
-
-def test_after_reading_rosbag_is_as_before(full_bag):
-    before = rosbag.bag._get_message_type
-    read_recording(full_bag)
-    with pytest.raises(EvaluationError):
-        read_recording(full_bag, "/nobody")
-    assert rosbag.bag._get_message_type is before
+    assert not generated
 
 
 def test_bag_that_was_not_closed_names_the_remedy(full_bag, tmp_path):
@@ -216,3 +188,70 @@ def test_command_line_answers_an_error_with_one_sentence(tmp_path, capsys):
     assert main([str(tmp_path / "none.bag")]) == 1
     captured = capsys.readouterr()
     assert captured.err.startswith("evaluate: ") and captured.err.count("\n") == 1 and captured.out == ""
+
+
+def with_definition(kind, definition: str, md5: str | None = None) -> type:
+    """Return a message class of the same name whose bag carries another definition."""
+    return type(
+        kind.__name__, (kind,), {"_full_text": definition, "_md5sum": md5 or kind._md5sum, "__slots__": kind.__slots__}
+    )
+
+
+#: In genpy's generated code, a constant's name stands outside of any quotes.
+HOSTILE = "int32 A=1\nstring B=x\nfloat64[] position\n"
+
+
+@pytest.fixture
+def generated(monkeypatch):
+    """Definitions from which rosbag generated code."""
+    seen = []
+
+    def generate(name, definition):
+        seen.append(name)
+        raise AssertionError(f"code was generated for {name}")
+
+    monkeypatch.setattr(genpy.dynamic, "generate_dynamic", generate)
+    monkeypatch.setattr(rosbag.bag, "_message_types", {})
+    return seen
+
+
+def test_a_bag_s_own_definitions_are_never_run(recording, tmp_path, generated):
+    hostile = with_definition(JointState, HOSTILE)
+    with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
+        for topic in ("twin", "physical"):
+            for step in range(3):
+                message = hostile(header=Header(stamp=at(BASE + step)), name=["j"], position=[float(step)])
+                bag.write(f"/a/{topic}/joint_states", message, at(BASE + step))
+        bag.write("/a/other", with_definition(String, HOSTILE, "0" * 32)("x"), at(BASE))
+    assert HOSTILE.encode() in (tmp_path / "x.bag").read_bytes()
+    read = read_recording(tmp_path / "x.bag")
+    assert read.twin.positions.ravel().tolist() == [0.0, 1.0, 2.0] and not generated
+
+
+def test_another_definition_of_a_known_type_is_refused_in_one_sentence(tmp_path, generated):
+    other = with_definition(JointState, "float64[] position\n", "1" * 32)
+    with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
+        for topic in ("twin", "physical"):
+            bag.write(f"/a/{topic}/joint_states", other(), at(BASE))
+    with pytest.raises(
+        EvaluationError, match=f"another definition of sensor_msgs/JointState .md5 {'1' * 32}, installed is"
+    ):
+        read_recording(tmp_path / "x.bag")
+    assert not generated
+
+
+def test_a_second_connection_of_a_topic_cannot_bring_another_type(recording, tmp_path, generated):
+    with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
+        bag.write("/a/twin/joint_states", with_definition(String, HOSTILE)("x"), at(BASE))
+        write_robot(bag, recording, "/a")
+    with pytest.raises(EvaluationError, match="/a/twin/joint_states in the bag is a std_msgs/String"):
+        read_recording(tmp_path / "x.bag")
+    assert not generated
+
+
+def test_rosbag_s_own_reader_is_back_after_reading(full_bag):
+    before = rosbag.bag._get_message_type
+    read_recording(full_bag)
+    with pytest.raises(EvaluationError):
+        read_recording(full_bag, "/nobody")
+    assert rosbag.bag._get_message_type is before

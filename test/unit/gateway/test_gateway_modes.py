@@ -18,7 +18,8 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
-from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.config import MockConfig
+from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo
 from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout

@@ -84,7 +84,7 @@ def test_a_telegram_with_only_an_ipoc_is_answered_with_zero_and_counted():
 
 @pytest.mark.parametrize("lost", ["setpoint", "measured"])
 def test_a_session_whose_telegrams_lack_a_pose_is_not_answered_and_says_what_to_declare(lost):
-    # the arm may stand displaced: zero would take it to its start pose in one cycle (design, law 2)
+    # the arm may stand displaced: zero would take it to its start pose in one cycle (docs/architecture.md, law 2)
     cell = Cell()
     assert cell.cycle(**{lost: None}) is None
     assert cell.cycle(**{lost: None}) is None

@@ -45,7 +45,7 @@ def test_guards_and_actions_are_all_used_and_rows_are_in_words():
     assert {row.guard for row in TABLE} == set(Guard)
     assert {row.action for row in TABLE} == set(Action)
     assert {row.event for row in TABLE} == set(Event)
-    assert len(TABLE) == len(set(TABLE)) and len(rows()) == len({row[1:] for row in rows()})
+    assert len(rows()) == len(TABLE) == len(set(TABLE))
     for state, event, guard, action, target in rows():
         assert state and event and isinstance(guard, str) and isinstance(action, str)
         assert target in {"", *(each.value for each in State)}

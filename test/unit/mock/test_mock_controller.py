@@ -1,4 +1,4 @@
-"""The mock controller's core: acceptance checks (a) to (j) of rsi.md section 13, on a simulated clock."""
+"""The mock controller's core: acceptance checks (a) to (j) of docs/rsi.md, section 13, on a simulated clock."""
 
 from __future__ import annotations
 

@@ -9,7 +9,8 @@ import pytest
 from processes import ROOT
 
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
-from construction_twin.mock.controller import MockConfig, MockController
+from construction_twin.mock.config import MockConfig
+from construction_twin.mock.controller import MockController
 from construction_twin.mock.program import MockSettings, _arguments, _settings, build_controller, gateway_address
 from construction_twin.mock.servo import IdealServo
 from construction_twin.robot.description import read_robot_files

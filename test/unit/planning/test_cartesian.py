@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from limit_use import limit_use
 from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import CartesianPathError, PlanningError
@@ -18,7 +19,6 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.kinematics.solution import IkSettings
 from construction_twin.planning.cartesian import DEVIATION_M, DEVIATION_RAD, plan_cartesian
-from construction_twin.planning.limit_usage import limit_use
 from construction_twin.planning.timing import LIMIT_FRACTION
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.robot.description import read_robot_files

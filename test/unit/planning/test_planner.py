@@ -6,6 +6,7 @@ import numpy as np
 import pydantic
 import pytest
 import yaml
+from limit_use import limit_use
 from planning_cell import CHAIN, HOME, QUICK, REQUEST, ROBOT, ROOT, planner, world
 
 from construction_twin.core.motion_errors import (
@@ -18,7 +19,6 @@ from construction_twin.core.motion_errors import (
 )
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
-from construction_twin.planning.timing import limit_use
 
 GOAL = HOME + np.array([0.9, 0.4, -0.5, 1.0, -0.6, 2.0])
 EMPTY = world()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from limit_use import limit_use
 from planning_cell import CHAIN, HOME, LEFT, REQUEST, RIGHT, ROBOT, ROOT, WALL, bench_world, planner, solver, world
 
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.search import planner_kinds
-from construction_twin.planning.timing import limit_use
 from construction_twin.scene.objects import Scene, SceneObject
 
 WALLED = world(WALL)

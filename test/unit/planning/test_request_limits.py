@@ -26,7 +26,7 @@ from construction_twin.planning.timing import time_path
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import from_points
 from construction_twin.ros.messages.plan_requests import read_waypoints
-from construction_twin.ros.nodes.planner import PlannerNode
+from construction_twin.ros.nodes.planner import Answer, PlannerNode
 from construction_twin.scene.objects import Scene
 
 START = CHAIN.forward(HOME)
@@ -182,7 +182,7 @@ class Cell:
 
     def _published(self, plan, asked):
         self.outcomes.append((True, plan.id))
-        return True, "made", plan.id, plan.hash, plan.trajectory.duration, 1.0
+        return Answer(True, "made", plan.id, plan.hash, plan.trajectory.duration, 1.0)
 
     def _publish_outcome(self, success, asked, sentence, plan_id):
         self.outcomes.append((success, sentence))
@@ -203,9 +203,9 @@ def test_what_no_check_foresaw_is_answered_too(error, while_reading):
         raise error
 
     answer = cell._answer_read(fail, REQUEST) if while_reading else cell._answer(fail, REQUEST)
-    assert answer[0] is False and type(error).__name__ in answer[1]
-    assert cell.outcomes == [(False, answer[1])] and cell.refused == {type(error).__name__: 1}
-    assert cell._answer(plan_in(cell), REQUEST)[0] is True  # and the lock is free
+    assert answer.success is False and type(error).__name__ in answer.sentence
+    assert cell.outcomes == [(False, answer.sentence)] and cell.refused == {type(error).__name__: 1}
+    assert cell._answer(plan_in(cell), REQUEST).success  # and the lock is free
 
 
 def test_reading_holds_nobody_up():
@@ -215,17 +215,17 @@ def test_reading_holds_nobody_up():
         assert not cell._busy.locked()
         return plan_in(cell)
 
-    assert cell._answer_read(read, REQUEST)[0] is True
+    assert cell._answer_read(read, REQUEST).success
 
 
 def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes():
     cell = Cell(publishers=0)
-    success, sentence, *_ = cell._answer(plan_in(cell), REQUEST)
-    assert not success and "the scene node is not running" in sentence
+    answer = cell._answer(plan_in(cell), REQUEST)
+    assert not answer.success and "the scene node is not running" in answer.sentence
     cell._scene_subscriber.get_num_connections = lambda: 1
-    assert not cell._answer(plan_in(cell), REQUEST)[0]
+    assert not cell._answer(plan_in(cell), REQUEST).success
     cell._pipeline.set_scene(EMPTY)
-    assert cell._answer(plan_in(cell), REQUEST)[0]
+    assert cell._answer(plan_in(cell), REQUEST).success
 
 
 def test_a_scene_that_came_meanwhile_is_not_forgotten():

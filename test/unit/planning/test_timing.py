@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from limit_use import limit_use
 from scipy.interpolate import CubicSpline
 
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.planning.curves import JointCurve
-from construction_twin.planning.limit_usage import limit_usage, limit_use
+from construction_twin.planning.limit_usage import limit_usage
 from construction_twin.planning.time_scaling import RestToRest
 from construction_twin.planning.timing import LIMIT_FRACTION, minimum_duration, time_curve, time_path, with_midpoints
 from construction_twin.robot.description import read_robot_files

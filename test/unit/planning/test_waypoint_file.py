@@ -67,7 +67,7 @@ def test_velocities():
         (GOOD.replace("joint_a3_deg", "joint_a3"), 1, "unknown column 'joint_a3'; expected joint_a1_deg"),
         (GOOD.replace("joint_a3_deg", "joint_b3_deg"), 1, "unknown column 'joint_b3_deg'"),
         (GOOD.replace("joint_a3_deg", "joint_a2_rad"), 1, "columns 'joint_a2_deg' and 'joint_a2_rad' are the same"),
-        (GOOD.replace("joint_a3_deg", "joint_a3_mm"), 1, "of a turning joint; expected its unit to be deg or rad"),
+        (GOOD.replace("joint_a3_deg", "joint_a3_mm"), 1, "of a revolute joint; expected its unit to be deg or rad"),
         (GOOD.replace(",joint_a6_deg", ""), 1, "no column for joint_a6"),
         (GOOD.replace("\n", ",x\n", 1), 1, "unknown column 'x'"),
         ("0,-90,90,0,90,0\n10,-80,85,5,80,20\n", 1, "unknown column '0'"),

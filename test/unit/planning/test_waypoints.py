@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from limit_use import limit_use
 
 from construction_twin.core.motion_errors import WaypointsError
-from construction_twin.planning.limit_usage import limit_use
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints
 from construction_twin.robot.description import read_robot_files
@@ -146,7 +146,7 @@ def test_a_swing_past_the_range_between_waypoints_is_refused():
     rows = np.tile(HOME, (4, 1))
     rows[1:, 1] = ROBOT.upper[1] - np.array([0.8, 1e-4, 1e-4])
     error = refused(rows, times=[0.0, 4.0, 6.0, 8.0])
-    assert error.joint == "joint_a2" and "swings" in str(error)
+    assert error.joint == "joint_a2" and "overshoots" in str(error)
 
 
 @pytest.mark.parametrize("end", [0, -1])

@@ -76,7 +76,7 @@ def test_fleet_and_smoothness_have_the_promised_figures(files):
 def test_end_to_end_shows_the_playout_delay_apart(files):
     parts = files[1]["end_to_end"]
     assert parts["playout"]["delay_ms"] >= 16.0
-    # the playout holds a command back for most of its delay; without it the way would take a few ms
+    # the playout holds a command back for most of its delay; without it a command would take a few ms
     assert parts["command_to_rsi_packet"]["p50_ms"] >= 8.0
     assert parts["rsi_reply_to_ros"]["p50_ms"] > 0.0 and parts["command_to_broker"]["p50_ms"] > 0.0
 
@@ -120,7 +120,7 @@ def test_knee_is_where_latency_doubles_or_replies_are_late(modules, rows, expect
 
 def test_command_to_rsi_uses_the_reply_that_carried_the_target(modules):
     states = [("r", 1, 1000, 0), ("r", 2, 5000, 900), ("r", 4, 13_000, 8800), ("r", 5, 17_000, 12_800)]
-    # seq 3 is missing, so nobody knows when its reply went out
+    # seq 3 is missing: the time of its reply is not known
     assert modules("link_fleet").command_to_rsi(states) == [100, 200]
 
 
@@ -202,7 +202,7 @@ def test_replies_are_compared_within_stretches_only(modules):
     replies, quiet = modules("machine").Replies(), {"intervals": [], "above": True}
     cycle = 4_000_000
     assert [replies.add(k, k * cycle) for k in (1, 2, 3)] == [0, 0, 0]
-    # two states lost: nobody knows what the gateway did there
+    # two states lost: what the gateway did there is not known
     assert replies.add(6, 6 * cycle) == 2
     assert replies.taken(quiet) == (0, 0)
     # the next one is compared with the last one before

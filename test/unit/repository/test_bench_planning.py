@@ -52,7 +52,7 @@ def test_most_window_problems_go_through_the_window(bench_modules):
     problems = bench_modules("planning_problems").read("window")
     sides = [[CHAIN.forward(q).position[0] > 1.6 for q in pair] for pair in problems]
     assert sum(start != goal for start, goal in sides) >= 50
-    assert sum(start and not goal for start, goal in sides) > 10  # both ways
+    assert sum(start and not goal for start, goal in sides) > 10  # in both directions
     assert sum(goal and not start for start, goal in sides) > 10
 
 

@@ -1,4 +1,4 @@
-"""The seeded, short run of `make fuzz`; and that the judge of it does find what it looks for."""
+"""The seeded, short run of `make fuzz`; and a check that its verdict does find faults."""
 
 from __future__ import annotations
 

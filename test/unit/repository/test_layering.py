@@ -96,7 +96,7 @@ def undocumented(path: Path) -> list[str]:
     tree = ast.parse(path.read_text())
     missing = [] if ast.get_docstring(tree) or not tree.body else ["module"]
 
-    def look(node, prefix: str) -> None:
+    def visit(node, prefix: str) -> None:
         for child in node.body:
             if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or child.name.startswith(
                 "_"
@@ -105,9 +105,9 @@ def undocumented(path: Path) -> list[str]:
             if not ast.get_docstring(child):
                 missing.append(prefix + child.name)
             if isinstance(child, ast.ClassDef):
-                look(child, prefix + child.name + ".")
+                visit(child, prefix + child.name + ".")
 
-    look(tree, "")
+    visit(tree, "")
     return missing
 
 

@@ -142,7 +142,7 @@ def test_inertias_are_those_of_the_solids(name):
     assert moments[0] > 0 and moments[2] <= moments[0] + moments[1]
 
 
-#: KUKA's public principal moments of the sibling KR 120 R2700-2 (rsi.md section 10) [kg m^2].
+#: KUKA's public principal moments of the sibling KR 120 R2700-2 (docs/rsi.md, section 10) [kg m^2].
 SIBLING = {
     "link_0": (12.83, 9.01, 14.30),
     "link_1": (13.21, 31.50, 33.88),

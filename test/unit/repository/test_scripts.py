@@ -29,7 +29,7 @@ demo = load("demo")  # imports check_ports
 
 @pytest.fixture
 def free_master(monkeypatch):
-    """A port of the ROS master that nobody holds."""
+    """A free port for the ROS master."""
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as free:
         free.bind(("127.0.0.1", 0))
         monkeypatch.setenv("ROS_MASTER_PORT", str(free.getsockname()[1]))

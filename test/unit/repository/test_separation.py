@@ -118,10 +118,10 @@ def test_the_node_takes_a_sensor_for_silent_although_the_wall_clock_was_set_back
     wall, steady, said = [1000 * NANOSECONDS], [50 * NANOSECONDS], []
     monkeypatch.setattr(module.time, "monotonic_ns", lambda: steady[0])
     monkeypatch.setattr(module, "read_parameters", lambda _: module.Settings(table=ROWS, deadline=0.3, rate=20))
-    monkeypatch.setattr(module, "NodeDiagnostics", lambda *_: None)
+    monkeypatch.setattr(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=None))
     monkeypatch.setattr(module, "Publisher", lambda *_, **__: SimpleNamespace(publish=said.append))
-    for name in ("Subscriber", "Timer"):
-        monkeypatch.setattr(rospy, name, lambda *_, **__: None)
+    monkeypatch.setattr(module, "Subscriber", lambda *_, **__: None)
+    monkeypatch.setattr(rospy, "Timer", lambda *_, **__: None)
     monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time.from_sec(wall[0] / NANOSECONDS))
     node = module.SeparationNode()
     node._on_range(Range(range=math.inf, max_range=5.0))

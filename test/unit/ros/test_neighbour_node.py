@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import rospy
 from construction_twin.msg import Conflict
-from neighbour_cell import AWAY, CLEAR, NEAR, other, plan
+from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STEP, other, plan
+from planning_cell import ROBOT
 
 from construction_twin.coordination.path_judge import Judgement
 from construction_twin.coordination.plan_book import PlanUnknownError
@@ -17,8 +18,9 @@ from construction_twin.core.motion_errors import NeighbourUnknownError, Planning
 from construction_twin.ros.nodes import neighbour as neighbour_node
 from construction_twin.ros.nodes import planner as planner_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
-from construction_twin.ros.shared.arm_listener import OtherArm
+from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
+from construction_twin.scene.neighbour import Neighbour
 from construction_twin.scene.objects import Scene, SceneObject
 
 EMPTY = Scene((), 0.0)
@@ -41,7 +43,7 @@ class Bench:
         patch(neighbour_node, "neighbour_settings", lambda: settings)
         patch(neighbour_node, "robot_from_parameters", lambda: SimpleNamespace(name="a"))
         patch(neighbour_node, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
-        patch(neighbour_node, "OtherArm", lambda *_, **__: there)
+        patch(neighbour_node, "listen_to_other_arm", lambda *_, **__: there)
         patch(neighbour_node, "ArmListener", lambda *_, **__: own)
         patch(neighbour_node, "braking_horizon", lambda *_: 2.9)
         patch(neighbour_node, "PathJudge", lambda *_: judge)
@@ -53,7 +55,7 @@ class Bench:
         return STAMP
 
     def plans(self):
-        return plan(CLEAR, NEAR, "played"), 5, plan(CLEAR, NEAR, "waiting")
+        return ArmPlans(plan(CLEAR, NEAR, "played"), 5, plan(CLEAR, NEAR, "waiting"))
 
     def occupied(self, horizon):
         assert horizon == 2.9
@@ -87,10 +89,10 @@ def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_j
 
 def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_others_from_starting(bench):
     waiting, calls = plan(CLEAR, NEAR, "waiting"), iter(range(9))
-    bench.node._own.plans = lambda: (None, 0, waiting) if next(calls) % 2 == 0 else (waiting, 5, None)
-    bench.node._judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its way has been checked so far")
+    bench.node._own.plans = lambda: ArmPlans(None, 0, waiting) if next(calls) % 2 == 0 else ArmPlans(waiting, 5, None)
+    bench.node._judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its path has been checked so far")
     assert not bench.check()
-    bench.node._own.plans = lambda: (None, 0, waiting)
+    bench.node._own.plans = lambda: ArmPlans(None, 0, waiting)
     assert bench.check()["waiting"].conflict
 
 
@@ -141,13 +143,10 @@ def test_what_nobody_foresaw_ends_the_process(bench, monkeypatch):
         bench.node.run()
 
 
-def arm(poses, plans=lambda: (None, 0, None), scene=EMPTY) -> OtherArm:
-    made = object.__new__(OtherArm)
-    made._settings = SimpleNamespace(name="b", max_pose_age=0.5)
-    made._listener = SimpleNamespace(poses=poses, plans=plans, scene=scene)
-    made._bare = made._shape = other()
-    made._carried_by, made._sweeps, made._at, made.claim, made.unknown = "", {}, ("", 0), None, ""
-    return made
+def arm(poses, plans=lambda: ArmPlans(None, 0, None), scene=EMPTY) -> OtherArm:
+    return OtherArm(
+        SimpleNamespace(poses=poses, plans=plans, scene=scene, robot=ROBOT), Neighbour("b", ROBOT, BESIDE, STEP), 0.5
+    )
 
 
 def here(*_):
@@ -165,7 +164,7 @@ def without_plan():
 @pytest.mark.parametrize("found", [arm(nowhere), arm(here, without_plan)])
 def test_of_an_arm_whose_pose_or_path_nobody_knows_the_whole_reach_counts(found):
     (ball,) = found.occupied()
-    assert ball.owner == "other/whole reach" and found.claim is None
+    assert ball.owner == "b/whole reach" and found.claim is None
     assert found.unknown.startswith("where b is, or goes, is not known")
     # the same again: who has looked at it need not look again
     assert found.occupied() == (ball,)
@@ -188,7 +187,7 @@ LONG = plan(AWAY, AWAY + 0.3, "long", 40.0)
 
 
 def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_after_some_looks():
-    found = arm(here, lambda: (LONG, 5, None))
+    found = arm(here, lambda: ArmPlans(LONG, 5, None))
     counts = [len(found.occupied(horizon=3.0))]
     assert not found.complete
     ends = [found._sweeps["long"].fraction * 40.0]
@@ -200,7 +199,7 @@ def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_af
 
 
 def test_the_horizon_goes_with_the_arm():
-    found = arm(lambda *_: (q, q), lambda: (LONG, 5, None))
+    found = arm(lambda *_: (q, q), lambda: ArmPlans(LONG, 5, None))
     for at in (0.0, 6.0, 11.0, 19.0):
         q = LONG.trajectory.sample_many(np.array([at]))[0][0]
         found.occupied(horizon=9.0)
@@ -208,18 +207,18 @@ def test_the_horizon_goes_with_the_arm():
 
 
 def test_a_planner_asks_for_the_whole_path():
-    found = arm(here, lambda: (LONG, 5, None))
+    found = arm(here, lambda: ArmPlans(LONG, 5, None))
     found.occupied()
     assert found.complete
 
 
 def test_a_path_is_prepared_while_its_plan_waits():
-    found = arm(here, lambda: (None, 0, LONG))
+    found = arm(here, lambda: ArmPlans(None, 0, LONG))
     for _ in range(9):
         assert found.claim is None and found.occupied(horizon=3.0)
     sweep = found._sweeps["long"]
     assert sweep.complete
-    found._listener.plans = lambda: (LONG, 5, None)
+    found._listener.plans = lambda: ArmPlans(LONG, 5, None)
     found.occupied(horizon=3.0)
     assert found._sweeps["long"] is sweep and found.complete
 
@@ -250,10 +249,10 @@ def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
         raise PlanningError("the start is in collision")
 
     node = planner("where b is, or goes, is not known: no message")
-    success, sentence, *_ = node._answer(lambda _: blocked(node), None)
-    assert not success
-    assert sentence.startswith(
+    answer = node._answer(lambda _: blocked(node), None)
+    assert not answer.success
+    assert answer.sentence.startswith(
         "the start is in collision; plans keep clear of the whole reach of b, because where b is"
     )
     node._other.unknown = ""
-    assert node._answer(lambda _: blocked(node), None)[1] == "the start is in collision"
+    assert node._answer(lambda _: blocked(node), None).sentence == "the start is in collision"

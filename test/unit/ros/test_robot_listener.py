@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
@@ -22,23 +23,25 @@ class World:
         patch = monkeypatch.setattr
         patch(module.time, "monotonic", lambda: self.now)
         patch(module.rospy, "get_time", lambda: self.now)
-        patch(
-            module.rospy,
-            "Subscriber",
-            lambda *_, **__: SimpleNamespace(get_num_connections=lambda: self.publishers),
-        )
+        self.callbacks: dict[str, Callable] = {}
+        patch(module, "Subscriber", self.subscribe)
+        patch(module.rospy, "Subscriber", self.subscribe)
         patch(module, "plan_from_msg", lambda message: make_plan(message.id))
         self.listener = RobotListener("/kr120", ROBOT, rates=True)
 
+    def subscribe(self, topic: str, _kind: type, callback: Callable, *_, **__) -> SimpleNamespace:
+        self.callbacks[topic] = callback
+        return SimpleNamespace(get_num_connections=lambda: self.publishers)
+
     def hear(self, name: str, message) -> None:
-        self.listener._receive(message, name)
+        self.callbacks[f"/kr120/{name}"](message)
 
     def all_report(self) -> None:
         self.hear("link", Link(text="ARMED"))
         self.hear("sync", Sync(text="IN_SYNC"))
         self.hear("execution", Execution(text="IDLE"))
         status = DiagnosticStatus(name="kr120/planner: planner", level=0, message="ready")
-        self.listener._on_diagnostics(DiagnosticArray(status=[status]))
+        self.callbacks["/diagnostics"](DiagnosticArray(status=[status]))
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.ros.transport import subscriber as module
 from construction_twin.ros.transport.subscriber import PUBLISHERS, Subscriber, publisher_of
 
@@ -80,6 +81,13 @@ def test_another_publisher_can_be_named_for_all_nodes_of_a_robot(master):
     }
     assert publisher_of("plan") == "/kr120/my_planner" and publisher_of("/kr120_b/plan") == "/elsewhere/planner"
     assert publisher_of("sync") == "/kr120/pca_monitor"
+
+
+@pytest.mark.parametrize("named", [[], "planner", {"plans": "planner"}, {"plan": 5}, {"plan": ""}])
+def test_a_parameter_that_names_no_publishers_is_refused_at_the_start(master, named):
+    master.parameters = {"/kr120/publishers": named}
+    with pytest.raises(ConfigurationError, match="/kr120/publishers"):
+        publisher_of("sync")
 
 
 @pytest.mark.parametrize("topic", sorted(GATE))

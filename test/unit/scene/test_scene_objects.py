@@ -15,7 +15,8 @@ from scene_samples import FLOOR, ROOT, box_triangles, clutter, write_stl
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import abc_to_rotation
-from construction_twin.scene.objects import Scene, SceneObject, load_scene
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_yaml import load_scene
 
 BALL = SceneObject("ball", "sphere", (0.1,), (1.0, 0.0, 1.0))
 SOMEWHERE = Pose(np.array([0.1, 0.2, 0.3]), abc_to_rotation(0.3, -0.2, 1.0))

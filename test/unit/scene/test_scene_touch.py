@@ -7,7 +7,8 @@ import pytest
 from planning_cell import CHAIN, HOME, REQUEST, planner, world
 
 from construction_twin.core.motion_errors import CollisionError, SceneError
-from construction_twin.scene.objects import Scene, SceneObject, load_scene, relative
+from construction_twin.scene.objects import Scene, SceneObject, relative
+from construction_twin.scene.scene_yaml import load_scene
 
 TOOL = CHAIN.forward(HOME).position
 #: A workpiece that hangs under the flange and stands on a table.

@@ -1,15 +1,13 @@
 """Reads a rosbag into a `Recording`. Needs no ROS master and no running node.
 
-A bag carries the definitions of its messages, and rosbag makes Python code of them and runs it: to read a bag from elsewhere in the
-usual way means to trust whoever made it. `open_bag` therefore reads messages only with the definitions that are installed here.
+A bag may come from elsewhere: it is opened by `known_bag.open_bag`, which runs no code from it.
 """
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 import genpy
@@ -27,7 +25,8 @@ from construction_twin.evaluation.recording import (
     StateChange,
     Stream,
 )
-from construction_twin.msg import Execution, Feedback, Link, Plan, Sync, Transition
+from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.ros.shared.known_bag import open_bag
 
 TWIN = "twin/joint_states"
 PHYSICAL = "physical/joint_states"
@@ -40,10 +39,10 @@ SYNC = "sync"
 MOCK = "mock_rsi/status"
 #: Topics read, relative to the robot's namespace. Only twin and physical have to be there.
 TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXECUTION, PLAN, LINK, SYNC, MOCK)
-#: Reports whose changes of state are listed, and the names of their sources.
+#: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
-#: Type each topic must have: a foreign message of the same name must not be read by accident.
+#: Type each topic must have. The bag is read with these classes; another definition of the same type is refused.
 TYPES: dict[str, type[genpy.Message]] = {
     TWIN: JointState,
     PHYSICAL: JointState,
@@ -55,49 +54,6 @@ TYPES: dict[str, type[genpy.Message]] = {
     SYNC: Sync,
     MOCK: String,
 }
-#: The messages that `open_bag` reads, by the MD5 sum of their definition.
-KNOWN = {message._md5sum: message for message in (*TYPES.values(), Transition)}
-
-
-@contextmanager
-def open_bag(path: str | Path) -> Iterator[rosbag.Bag]:
-    """Open a bag for reading, for the time of a ``with`` block.
-
-    Messages are read with the definitions of `KNOWN`; code that a bag brings along is never run. Not for several threads at once.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Raises
-    ------
-    EvaluationError
-        If the file cannot be read as a bag, or, while messages are read, if one has another definition than ours.
-    """
-    # rosbag offers no other way: it makes the class in this function, for every message of a definition that it has not seen yet
-    generate = rosbag.bag._get_message_type
-    rosbag.bag._get_message_type = _known_type
-    try:
-        with rosbag.Bag(str(path)) as bag:
-            yield bag
-    except rosbag.ROSBagUnindexedException as error:
-        raise EvaluationError(f"{path} was not closed properly; run `rosbag reindex {path}` and try again") from error
-    except (rosbag.ROSBagException, OSError) as error:
-        raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
-    finally:
-        rosbag.bag._get_message_type = generate
-
-
-def _known_type(connection) -> type[genpy.Message]:
-    """Return the class of a connection's messages."""
-    known = KNOWN.get(connection.md5sum)
-    if known is None or known._type != connection.datatype:
-        raise EvaluationError(
-            f"{connection.topic} in the bag was recorded with another definition of {connection.datatype} than the one installed "
-            f"here (MD5 sum {connection.md5sum}); take the topic out with `rosbag filter`, or, if you trust the bag, convert it "
-            "with `rosbag fix`"
-        )
-    return known
 
 
 def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
@@ -116,12 +72,18 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
     Raises
     ------
     EvaluationError
-        If the file cannot be read as a bag, holds no or several robots, a topic of another type or definition, or too little data.
+        If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
+        its type, or too little data.
     """
-    with open_bag(path) as bag:
-        types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
-        robot = _choose_robot(types, namespace)
-        messages = _read_messages(bag, robot, types)
+    try:
+        with open_bag(path, TYPES.values()) as bag:
+            types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
+            robot = _choose_robot(types, namespace)
+            messages = _read_messages(bag, robot, types)
+    except rosbag.ROSBagUnindexedException as error:
+        raise EvaluationError(f"{path} was not closed properly; run `rosbag reindex {path}` and try again") from error
+    except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
+        raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
     return _to_recording(robot, messages)
 
 
@@ -151,7 +113,7 @@ def _read_messages(bag: rosbag.Bag, robot: str, types: dict[str, str]) -> dict[s
         found = types.get(topic)
         if found not in (None, TYPES[name]._type):
             raise EvaluationError(f"{topic} in the bag is a {found}; expected a {TYPES[name]._type}")
-    messages = defaultdict(list)
+    messages: dict[str, list[tuple[int, object]]] = defaultdict(list)
     for topic, message, received in bag.read_messages(topics=list(relative)):
         messages[relative[topic]].append((received.to_nsec(), message))
     return messages
@@ -179,12 +141,12 @@ def _to_recording(robot: str, messages: dict[str, list]) -> Recording:
 
 
 def _changes(messages: dict[str, list]) -> tuple[StateChange, ...]:
-    """Return when the reported states changed; the first report counts as a change."""
+    """Return when the reported states became others; what a report says first counts too."""
     changes = []
     for topic, source in REPORTS.items():
         before = None
         for _, message in messages[topic]:
-            # by name: in older bags the numbers stand for other states
+            # the words, not the numbers: those of older bags meant other states
             if message.text != before:
                 before = message.text
                 changes.append(StateChange(message.header.stamp.to_nsec(), source, before, message.reason))

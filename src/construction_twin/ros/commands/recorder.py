@@ -44,7 +44,7 @@ class Recorder:
         self._name = name
         self._master = rosgraph.Master(name)
         namespace, _, base = name.rpartition("/")
-        # --buffsize 0: no limit, a slow disk must not cost samples.
+        # --buffsize 0: no limit, so that a slow disk loses no samples
         options = ["--buffsize", "0", "-O", str(path), f"__name:={base}", f"__ns:={namespace or '/'}"]
         self._process = subprocess.Popen([programs[0], *options, *topics], stdout=subprocess.DEVNULL)
 

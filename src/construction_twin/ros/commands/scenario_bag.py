@@ -8,9 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from construction_twin.core.errors import EvaluationError
-from construction_twin.ros.commands.bag import open_bag, read_recording
+from construction_twin.msg import Execution, Link, Sync, Transition
+from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.shared.known_bag import open_bag
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 BAG, NOTES, TRACE, VERDICT = "scenario.bag", "run.json", "gateway.trace", "verdict.json"
@@ -53,7 +57,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     notes = json.loads((folder / NOTES).read_text())
     changes = [Change(**change) for change in notes["actions"]]
     messages: dict[str, list] = {}
-    with open_bag(path) as bag:
+    with open_bag(path, (Execution, Link, Sync, Transition, JointState, String)) as bag:
         wanted = {f"{prefix}/{name}": name for name in ("sync", "transitions", "link", "execution", MOCK, ARM)}
         for topic, message, _ in bag.read_messages(topics=list(wanted)):
             messages.setdefault(wanted[topic], []).append(message)

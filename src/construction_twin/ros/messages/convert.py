@@ -1,6 +1,6 @@
-"""Between ROS messages and the library's values: one direction per function, named by it; no parameters, no clock.
+"""Conversions between ROS messages and the library's values, one direction per function; no parameters, no clock.
 
-Numbers cross unchanged to the last bit: float64 fields as they are, times as whole nanoseconds.
+Numbers are converted without loss: float64 fields unchanged, times as whole nanoseconds.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ def trajectory_from_msg(msg: JointTrajectory) -> Trajectory:
     Raises
     ------
     TrajectoryError
-        If the message is none: also when velocities or accelerations are missing.
+        If the message is not a trajectory, or velocities or accelerations are missing.
     """
     return Trajectory(
         joint_names=tuple(msg.joint_names),
-        times=[point.time_from_start.to_nsec() / NANOSECONDS for point in msg.points],
-        positions=[point.positions for point in msg.points],
-        velocities=[point.velocities for point in msg.points],
-        accelerations=[point.accelerations for point in msg.points],
+        times=np.array([point.time_from_start.to_nsec() / NANOSECONDS for point in msg.points]),
+        positions=[point.positions for point in msg.points],  # type: ignore[arg-type]  # rows may differ in length; Trajectory checks
+        velocities=[point.velocities for point in msg.points],  # type: ignore[arg-type]  # rows may differ in length; Trajectory checks
+        accelerations=[point.accelerations for point in msg.points],  # type: ignore[arg-type]  # rows may differ in length; Trajectory checks
     )
 
 
@@ -71,7 +71,7 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
     -------
     msg : construction_twin/Plan
     """
-    clearance, fractions = plan.report.clearance, plan.report.usage
+    clearance, usage = plan.report.clearance, plan.report.usage
     msg = PlanMsg(
         id=plan.id,
         hash=plan.hash,
@@ -87,9 +87,9 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
         clearance_time=clearance.time,
         clearance_between=list(clearance.between),
         clearance_point=Point(*clearance.point),
-        velocity_use=list(fractions.velocity),
-        acceleration_use=list(fractions.acceleration),
-        jerk_use=list(fractions.jerk),
+        velocity_use=list(usage.velocity),
+        acceleration_use=list(usage.acceleration),
+        jerk_use=list(usage.jerk),
     )
     msg.header.stamp = genpy.Time(0, plan.created_ns)
     msg.header.frame_id = frame_id
@@ -102,7 +102,7 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
     Raises
     ------
     TrajectoryError
-        If its trajectory is none, its hash is another trajectory's, or what was measured on it are not numbers.
+        If its trajectory or its hash is invalid, or a measurement is not a number.
     """
     return Plan(
         id=msg.id,
@@ -120,9 +120,9 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
 def _report_from_msg(msg: PlanMsg) -> PlanReport:
     point = msg.clearance_point
     measured = (msg.clearance_time, point.x, point.y, point.z, *msg.velocity_use, *msg.acceleration_use, *msg.jerk_use)
-    # an infinite clearance is one: there is nothing to touch
+    # an infinite clearance is valid: there is nothing to touch
     if math.isnan(msg.clearance) or not all(map(math.isfinite, measured)):
-        found = f"clearance {msg.clearance} at {msg.clearance_time} s, limit shares {[*measured[4:]]}"
+        found = f"clearance {msg.clearance} at {msg.clearance_time} s, limit usage {[*measured[4:]]}"
         raise TrajectoryError(f"plan {msg.id} was measured as {found}; expected numbers")
     return PlanReport(
         Clearance(msg.clearance, tuple(msg.clearance_between), (point.x, point.y, point.z), msg.clearance_time),

@@ -1,4 +1,4 @@
-"""What the planner's services and topic ask for, as the library's values; no parameters, no clock."""
+"""Requests of the planner's services and topic, converted to the library's values; no parameters, no clock."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def plan_request(request, plan_id: str, created_ns: int, source: str = "request"
     plan_id : str
         Of the plan to be made.
     created_ns : int
-        ROS time at which the request arrived [ns]; what says itself when it was asked for counts from then.
+        ROS time at which the request arrived [ns]; used if the request does not say when it was asked for.
     source : str, optional
-        Who asks, when the request does not say.
+        Name of the requester if the request does not give one.
     """
     asked = getattr(request, "asked", None)
     return PlanRequest(
@@ -50,7 +50,7 @@ def plan_request(request, plan_id: str, created_ns: int, source: str = "request"
 
 
 def check_asked(asked: PlanRequest, now: int) -> None:
-    """Refuse a request that says it was asked for later than `now` [ns]: a stop before then would not void it.
+    """Refuse a request with a time of asking later than `now` [ns], because a stop between the two would not void it.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Between the scene's messages and its values, and the scene as rviz markers; no parameters, no clock.
+"""Conversions between the scene's messages and its values, and the scene as rviz markers; no parameters, no clock.
 
-Numbers cross unchanged to the last bit, so a scene has the same hash on both sides.
+Numbers are converted without loss, so a scene has the same hash on both sides.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SceneObject as ObjectMsg
 from construction_twin.scene.objects import Scene, SceneObject
 
-#: Colours r, g, b, a in rviz. In contact is the loudest; what is fixed (the floor) stays in the background.
+#: Colours r, g, b, a in rviz: contacts are the most visible, fixed objects (the floor) the least.
 _CONTACT = (0.9, 0.05, 0.05, 0.9)
 _FIXED = (0.55, 0.57, 0.6, 0.35)
 _CARRIED = (0.2, 0.65, 0.35, 0.9)

@@ -16,7 +16,7 @@ from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
-from construction_twin.ros.shared.arm_listener import ArmListener, OtherArm, neighbour_settings
+from construction_twin.ros.shared.arm_listener import ArmListener, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import robot_from_parameters
@@ -43,7 +43,7 @@ class NeighbourNode:
         self._failure = ""
         self._said: dict[str, tuple[bool, bool]] = {}
         self._diagnostics = NodeDiagnostics(robot.name, lambda: self._state)
-        self._other = OtherArm(robot.name, settings, self._diagnostics.refuse, streams=True)
+        self._other = listen_to_other_arm(robot.name, settings, self._diagnostics.refuse, streams=True)
         self._own = ArmListener(robot, self._diagnostics.refuse, streams=True)
         timeout = VERDICT_TIMEOUT / NANOSECONDS
         self._horizon = braking_horizon(robot, self._other.robot, settings.max_pose_age, timeout, DELAY)
@@ -66,16 +66,17 @@ class NeighbourNode:
         # a verdict is as old as what it goes by
         stamp = rospy.Time.now()
         try:
-            followed, started, waiting = self._own.plans()
+            plans = self._own.plans()
         except PlanUnknownError as error:
             self._report(WARN, f"our own plan is not known: {error}", {})
             return
+        followed, waiting = plans.followed, plans.waiting
         others = self._others()
         scene = self._own.scene
         verdicts: dict[str, Judgement] = {}
         if followed is not None:
             verdict = self._verdict(
-                others, lambda known: self._judge.followed(followed, scene, known, started, self._poses())
+                others, lambda known: self._judge.followed(followed, scene, known, plans.started, self._poses())
             )
             verdicts[followed.id] = verdict
             self._publish(followed.id, verdict, stamp)
@@ -90,7 +91,7 @@ class NeighbourNode:
 
     def _has_begun(self, plan_id: str) -> bool:
         try:
-            followed = self._own.plans()[0]
+            followed = self._own.plans().followed
         except PlanUnknownError:
             return False
         return followed is not None and followed.id == plan_id

@@ -1,4 +1,4 @@
-"""ROS shell of the planner: requests in, plans for review out. Nothing here moves anything."""
+"""ROS shell of the planner: requests in, plans for review out. It commands no motion."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import time
 import traceback
 import uuid
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -35,7 +36,7 @@ from construction_twin.ros.messages.plan_requests import (
     trajectory_waypoints,
 )
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
-from construction_twin.ros.shared.arm_listener import OtherArm, neighbour_settings
+from construction_twin.ros.shared.arm_listener import OtherArm, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -81,6 +82,35 @@ class Settings(PlannerSettings):
     tf_prefix: str
 
 
+@dataclass(frozen=True)
+class Answer:
+    """The answer to a request.
+
+    Attributes
+    ----------
+    success : bool
+    sentence : str
+    plan_id, plan_hash : str
+        Empty without a plan.
+    duration : float
+        Of the plan [s].
+    fraction : float
+        Fraction of a tool path that can be followed.
+    """
+
+    success: bool
+    sentence: str
+    plan_id: str = ""
+    plan_hash: str = ""
+    duration: float = 0.0
+    fraction: float = 0.0
+
+    @property
+    def fields(self) -> tuple[bool, str, str, str, float]:
+        """The fields that all services answer with, in their order."""
+        return self.success, self.sentence, self.plan_id, self.plan_hash, self.duration
+
+
 class PlannerNode:
     """Services `plan_to_joints`, `plan_to_pose`, `plan_cartesian`, `plan_from_csv`; topic `joint_trajectory`.
 
@@ -100,8 +130,11 @@ class PlannerNode:
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        # its topics are heard from the start, its poses only while somebody asks
-        self._other = self._beside and OtherArm(self._robot.name, self._beside, self._diagnostics.refuse, streams=False)
+        # it subscribes to the other arm's topics now, to its poses only while a plan is made
+        self._other: OtherArm | None = None
+        if self._beside is not None:
+            refuse = self._diagnostics.refuse
+            self._other = listen_to_other_arm(self._robot.name, self._beside, refuse, streams=False)
         self._tf = tf2_ros.Buffer()
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._publisher = Publisher("plan", PlanMsg, queue_size=1, latch=True)
@@ -127,21 +160,22 @@ class PlannerNode:
             time.monotonic,
             rng,
             rospy.resolve_name("scene"),
-            self._beside and self._occupied,
+            self._occupied if self._beside is not None else None,
         )
 
     def _occupied(self) -> list[Obstacle]:
-        """Return what the other arm takes up, and the distance that a plan keeps from it.
+        """Return the space that the other arm occupies, with the distance that a plan keeps from it.
 
-        An arm of which nobody knows where it is takes up all that it can reach.
+        If the other arm's pose is not known, this is its whole reach.
         """
+        assert self._other is not None and self._beside is not None
         obstacles = self._other.occupied(self._beside.max_pose_age)
         if self._other.unknown:
             self._unknown = f"plans keep clear of the whole reach of {self._beside.name}, because {self._other.unknown}"
             rospy.logwarn("%s", self._unknown)
         return [item.padded(self._beside.padding) for item in obstacles]
 
-    # -- what the node listens to
+    # -- subscriptions
 
     def _on_scene(self, msg: SceneMsg) -> None:
         try:
@@ -160,29 +194,30 @@ class PlannerNode:
                 check_asked(asked, arrived)
             return self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
 
-        return PlanToJointsResponse(*self._answer(plan, self._request(request))[:5])
+        return PlanToJointsResponse(*self._answer(plan, self._request(request)).fields)
 
     def _on_plan_to_pose(self, request) -> PlanToPoseResponse:
         def plan(asked: PlanRequest) -> Plan:
             goal = self._goal_in_base(request.goal)
             return self._pipeline.to_pose(self._present_pose(), goal, asked, request.configuration)
 
-        return PlanToPoseResponse(*self._answer(plan, self._request(request))[:5])
+        return PlanToPoseResponse(*self._answer(plan, self._request(request)).fields)
 
     def _on_plan_cartesian(self, request) -> PlanCartesianResponse:
         def plan(asked: PlanRequest) -> Plan:
             path = tool_waypoints(request.waypoints, self._base_T(request.frame_id, rospy.Time(0)))
             return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
 
-        success, message, *plan_fields, fraction = self._answer(plan, self._request(request))
-        return PlanCartesianResponse(success, message, fraction, *plan_fields)
+        answer = self._answer(plan, self._request(request))
+        success, message, *plan_fields = answer.fields
+        return PlanCartesianResponse(success, message, answer.fraction, *plan_fields)
 
     def _on_plan_from_csv(self, request) -> PlanFromCsvResponse:
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = read_waypoints(request.path, self._robot)
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
-        return PlanFromCsvResponse(*self._answer_read(read, self._request(request, request.path))[:5])
+        return PlanFromCsvResponse(*self._answer_read(read, self._request(request, request.path)).fields)
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
         def read() -> Callable[[PlanRequest], Plan]:
@@ -195,28 +230,25 @@ class PlannerNode:
     def _request(self, request, source: str = "request") -> PlanRequest:
         return plan_request(request, str(uuid.uuid4()), now_ns(), source)
 
-    def _answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> tuple:
+    def _answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
         """Make and publish a plan; see `_answer_read`."""
         return self._answer_read(lambda: make_plan, asked)
 
-    def _answer_read(self, read: Callable[[], Callable[[PlanRequest], Plan]], asked: PlanRequest) -> tuple:
-        """Read what a request refers to, then make and publish a plan; the one place where a failure becomes an answer.
-
-        Returns success, sentence, plan id, plan hash, duration, and the fraction of a tool path that can be followed.
-        """
+    def _answer_read(self, read: Callable[[], Callable[[PlanRequest], Plan]], asked: PlanRequest) -> Answer:
+        """Read what a request refers to, then make and publish a plan. Every failure becomes an answer here."""
         try:
-            make_plan = read()  # before the lock: nobody waits for another one's disk
+            make_plan = read()  # before taking the lock, so that no request waits while another one reads its file
             with self._busy:
                 return self._make(make_plan, asked)
         except ConstructionTwinError as error:
             return self._failed(error, asked, str(error))
         except (ArithmeticError, MemoryError, ValueError) as error:
-            # a request that no check foresaw must not end without an answer
+            # a request whose failure no check foresaw must get an answer, too
             rospy.logerr("%s", traceback.format_exc())
             kind = type(error).__name__
             return self._failed(error, asked, f"the request cannot be computed ({kind}: {error}); please report it")
 
-    def _make(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> tuple:
+    def _make(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
         self._unknown = ""
         self._demand_scene()
         try:
@@ -224,40 +256,40 @@ class PlannerNode:
         except ConstructionTwinError as error:
             if not self._unknown:
                 raise
-            # who reads that the start is in collision must also read why
+            # a sentence such as "the start is in collision" is understood only with the reason
             return self._failed(error, asked, f"{error}; {self._unknown}")
 
     def _demand_scene(self) -> None:
-        """Wait for a scene that somebody answers for: without its publisher, nobody knows what surrounds the arm now."""
+        """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
         seen = self._pipeline.scene
         if not self._scene_subscriber.get_num_connections():
             self._pipeline.forget_scene(seen)
         self._pipeline.wait_for_scene(self._settings.scene_timeout)
 
-    def _published(self, plan: Plan, asked: PlanRequest) -> tuple:
-        tool_path = [self._chain.forward(q).position for q in plan.trajectory.positions]
+    def _published(self, plan: Plan, asked: PlanRequest) -> Answer:
+        tool_path = np.array([self._chain.forward(q).position for q in plan.trajectory.positions])
         self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
         sentence = _sentence(plan)
         self._plans += 1
         self._last = sentence
         rospy.loginfo("%s", sentence)
         self._publish_outcome(True, asked, sentence, plan.id)
-        return True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0
+        return Answer(True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0)
 
-    def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> tuple:
+    def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> Answer:
         self._last = f"no plan: {sentence}"
         self._diagnostics.count(type(error).__name__, sentence)
         rospy.logwarn("%s", self._last)
         self._publish_outcome(False, asked, sentence, "")
         fraction = error.fraction if isinstance(error, CartesianPathError) else 0.0
-        return False, sentence, "", "", 0.0, fraction
+        return Answer(False, sentence, fraction=fraction)
 
     def _publish_outcome(self, success: bool, asked: PlanRequest, message: str, plan_id: str) -> None:
         outcome = PlanOutcome(success=success, source=asked.source, message=message, plan_id=plan_id)
         outcome.header.stamp = rospy.Time.now()
         self._outcome_publisher.publish(outcome)
 
-    # -- what requests need to know
+    # -- inputs of requests
 
     def _present_pose(self) -> tuple[float, ...]:
         oldest = self._settings.max_pose_age

@@ -27,7 +27,8 @@ from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
-from construction_twin.scene.objects import Scene, SceneObject, product, read_scene, relative
+from construction_twin.scene.objects import Scene, SceneObject, product, relative
+from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
     AddObject,

@@ -9,8 +9,8 @@ from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from tf2_ros import StaticTransformBroadcaster
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.robot.urdf import parse_urdf
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters

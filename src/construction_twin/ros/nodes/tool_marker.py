@@ -32,6 +32,7 @@ from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu
 from construction_twin.ros.shared.tool_marker_shapes import NAME, tool_marker, verdict_markers
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -98,7 +99,8 @@ class ToolMarkerNode:
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()
-        self._listener = RobotListener(namespace, self._robot)
+        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
+        self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
         self._menu = ToolMarkerMenu(
             OperatorClient(namespace, self._settings.service_timeout, "tool_marker"),
             self._listener.under_review,
@@ -107,12 +109,16 @@ class ToolMarkerNode:
             self._settings.reviewer,
             self._say,
         )
-        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         self._verdicts = Publisher("tool_marker/verdict", MarkerArray, queue_size=2, latch=True)
         self._server = InteractiveMarkerServer("tool_marker")
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
-        rospy.Subscriber("scene", SceneMsg, self._on_scene, queue_size=1)
-        rospy.Subscriber("tool_marker/feedback", InteractiveMarkerFeedback, self._menu.on_feedback, queue_size=50)
+        refuse = self._diagnostics.refuse
+        self._subscribers = (
+            Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1),
+            Subscriber(
+                "tool_marker/feedback", InteractiveMarkerFeedback, self._menu.on_feedback, refuse, queue_size=50
+            ),
+        )
 
     def run(self) -> None:
         """Judge the newest pose, or follow the tool, until shutdown."""

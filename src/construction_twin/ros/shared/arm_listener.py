@@ -1,10 +1,11 @@
-"""The other arm, as its own topics describe it: what it takes up now and on the path that it follows. For planner and watch."""
+"""The other arm, from its own topics: the space that it occupies now and on the path that it follows. For planner and watch."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +13,7 @@ import pydantic
 import rospy
 
 from construction_twin.coordination.conflict import Claim
-from construction_twin.coordination.path_sweep import PathSweep
+from construction_twin.coordination.path_sweep import PathSweep, PlanPosition
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
@@ -85,8 +86,27 @@ def neighbour_settings() -> NeighbourSettings | None:
         raise ConfigurationError(rospy.resolve_name(name), first.get("input"), first["msg"]) from error
 
 
+@dataclass(frozen=True)
+class ArmPlans:
+    """An arm's plans.
+
+    Attributes
+    ----------
+    followed : Plan or None
+        The approved plan that it follows.
+    started : int
+        Stamp of the first setpoint of that plan [ns]; 0: it has not begun.
+    waiting : Plan or None
+        The plan that waits for review.
+    """
+
+    followed: PlanValue | None
+    started: int
+    waiting: PlanValue | None
+
+
 class ArmListener:
-    """What an arm's own topics say about it.
+    """Listens to an arm's own topics.
 
     Parameters
     ----------
@@ -95,8 +115,8 @@ class ArmListener:
     refused : callable
         Called as ``refused(reason, sentence)`` for a message that is not used.
     streams : bool
-        Listen to the poses all the time; otherwise only while somebody asks, which takes some 50 ms more and costs nothing
-        in between.
+        True: subscribe to the poses permanently. False: only during `poses`, which makes it about 50 ms slower and costs nothing
+        otherwise.
     """
 
     def __init__(self, robot: RobotModel, refused: Refuse, streams: bool):
@@ -120,10 +140,10 @@ class ArmListener:
         """Its scene; None before the first."""
         return self._scene
 
-    def plans(self) -> tuple:
-        """Return the plan that is followed, its first stamp [ns], and the plan that waits; raises like `PlanBook.followed`."""
+    def plans(self) -> ArmPlans:
+        """Return the arm's plans; raises like `PlanBook.followed`."""
         with self._lock:
-            return self._book.followed(), self._book.started, self._book.waiting()
+            return ArmPlans(self._book.followed(), self._book.started, self._book.waiting())
 
     def poses(self, oldest: float, patience: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the commanded and the measured pose; the same twice for a robot without a physical arm.
@@ -189,79 +209,80 @@ class OtherArm:
 
     Parameters
     ----------
-    own : str
-        Name of our robot in the cell.
-    settings : NeighbourSettings
-    refused : callable
-        As of `ArmListener`.
-    streams : bool
-        As of `ArmListener`.
+    listener : ArmListener
+    arm : Neighbour
+        The other robot without what it carries.
+    max_pose_age : float
+        Older poses are not used [s].
 
-    Raises
-    ------
-    ConfigurationError
-        If the other robot's description is missing, or the cell does not hold both.
+    Attributes
+    ----------
+    robot : RobotModel
+    claim : Claim or None
+    unknown : str
+    complete : bool
+        See `occupied`.
     """
 
-    def __init__(self, own: str, settings: NeighbourSettings, refused: Refuse, streams: bool):
-        self._settings = settings
-        self.robot = robot_from_parameters(f"/{settings.name}/")
-        cell = load_cell(rospy.get_param("cell", None))
-        self._bare = Neighbour(settings.name, self.robot, cell.root_T_root(own, settings.name), settings.step)
-        self._listener = ArmListener(self.robot, refused, streams)
+    def __init__(self, listener: ArmListener, arm: Neighbour, max_pose_age: float):
+        self.robot = listener.robot
+        self._listener = listener
+        self._max_pose_age = max_pose_age
+        self._bare = arm
         self._carried_by = ""
-        self._shape = self._bare
+        self._shape = arm
         self._sweeps: dict[str, PathSweep] = {}
-        self._at = "", 0
+        self._at = PlanPosition("", 0)
         self.claim: Claim | None = None
         self.unknown = ""
         self.complete = True
 
     def occupied(self, patience: float = 0.0, horizon: float = np.inf) -> tuple[Obstacle, ...]:
-        """Return all that the arm takes up: where it is, and what is left of the path that it follows.
+        """Return the space that the arm occupies: at its present pose, and on the rest of the path that it follows.
 
-        `claim` goes with it; so does `unknown`, the sentence that says why the arm's whole reach is returned: nobody knows
-        where it is, or where it goes; and `complete`, whether the path is there to its end.
+        Sets `claim`; `unknown`, the reason why the arm's whole reach is returned (its pose or its plan is not known), or empty; and
+        `complete`, whether the result contains the path to its end.
 
         Parameters
         ----------
         patience : float, optional
-            How long to wait for what is not known yet [s].
+            How long to wait for the poses [s].
         horizon : float, optional
-            How far ahead the path must be known [s]. The rest follows section by section, as this is called again.
+            How far ahead the path must be included [s]. The rest is added in chunks by later calls.
 
         Raises
         ------
         NeighbourUnknownError
-            If it is not known what it carries: then nobody knows how far it reaches.
+            If its load is not known, because its reach is then unknown, too.
         """
-        name = self._settings.name
+        name = self._bare.name
         self.claim, self.unknown, self.complete = None, "", True
         try:
-            twin, physical = self._listener.poses(self._settings.max_pose_age, patience)
-            followed, started, waiting = self._listener.plans()
+            twin, physical = self._listener.poses(self._max_pose_age, patience)
+            plans = self._listener.plans()
         except (PoseUnknownError, PayloadError, PlanUnknownError) as error:
-            # after the wait: until then its scene may have come
+            # after waiting for the poses, because its scene may have arrived meanwhile
             self._take_carried()
             self.unknown = str(NeighbourUnknownError(name, str(error)))
             return self._shape.anywhere()
         self._take_carried()
-        self.claim = None if followed is None else Claim(started, name)
-        self._prepare(followed, waiting if horizon < np.inf else None)
+        followed = plans.followed
+        self.claim = None if followed is None else Claim(plans.started, name)
+        self._prepare(followed, plans.waiting if horizon < np.inf else None)
         if followed is None:
             return self._shape.between(physical, twin)
         sweep = self._sweeps[followed.id]
-        known = self._at[1] if self._at[0] == followed.id else 0
+        known = self._at.row if self._at.plan_id == followed.id else 0
         rows = [sweep.row_of(twin, known), sweep.row_of(physical, known)]
         sweep.grow(sweep.row_after(max(known if row is None else row for row in rows), horizon))
         self.complete = sweep.complete
-        self._at = followed.id, min(known if row is None else row for row in rows)
-        # off the path, after a fault or by hand, it is somewhere between the two poses
+        self._at = PlanPosition(followed.id, min(known if row is None else row for row in rows))
+        # an arm off the path (after a fault, or moved by hand) is somewhere between the two poses
         off = () if None not in rows else self._shape.between(physical, twin)
-        return sweep.rest(self._at[1]) + off
+        return sweep.rest(self._at.row) + off
 
     def _take_carried(self) -> None:
-        name, scene = self._settings.name, self._listener.scene
+        name, scene = self._bare.name, self._listener.scene
         if scene is None:
             raise NeighbourUnknownError(name, "its scene, with what it carries, was not received")
         if scene.hash != self._carried_by:
@@ -272,7 +293,7 @@ class OtherArm:
             self._carried_by, self._sweeps = scene.hash, {}
 
     def _prepare(self, *plans: PlanValue | None) -> None:
-        """Make one more section of the first of some plans that is not complete; forget all other plans."""
+        """Compute one more chunk of the first incomplete plan; forget all plans except the given ones."""
         wanted = [plan for plan in plans if plan is not None]
         self._sweeps = {
             plan.id: self._sweeps.get(plan.id) or PathSweep(self._shape, plan.trajectory) for plan in wanted
@@ -281,3 +302,27 @@ class OtherArm:
             if not sweep.complete:
                 sweep.grow()
                 return
+
+
+def listen_to_other_arm(own: str, settings: NeighbourSettings, refused: Refuse, streams: bool) -> OtherArm:
+    """Return the other arm of the cell, listening to its topics.
+
+    Parameters
+    ----------
+    own : str
+        Name of our robot in the cell.
+    settings : NeighbourSettings
+    refused : callable
+        As in `ArmListener`.
+    streams : bool
+        As in `ArmListener`.
+
+    Raises
+    ------
+    ConfigurationError
+        If the other robot's description is missing, or the cell does not hold both.
+    """
+    robot = robot_from_parameters(f"/{settings.name}/")
+    cell = load_cell(rospy.get_param("cell", None))
+    arm = Neighbour(settings.name, robot, cell.root_T_root(own, settings.name), settings.step)
+    return OtherArm(ArmListener(robot, refused, streams), arm, settings.max_pose_age)

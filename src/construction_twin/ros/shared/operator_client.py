@@ -1,4 +1,4 @@
-"""What an operator can ask of one robot, as calls: used by the command line and by the marker in rviz, so that both do the same."""
+"""The services an operator uses of one robot, as calls; the command line and the marker in rviz use the same ones."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class OperatorClient:
         return self._call("review_plan", ReviewPlan, reviewer=reviewer, reason=reason, **request)
 
     def trigger(self, service: str) -> str:
-        """Call `stop`, `pause`, `resume` or `reset`. A stop is called as it is, without a look whether somebody is there."""
+        """Call `stop`, `pause`, `resume` or `reset`. A stop is called at once, without waiting for the service to appear."""
         if service == "stop":
             try:
                 return _sentence(self._stop())

@@ -6,6 +6,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,18 +16,19 @@ from construction_twin.msg import Execution, Link, Plan, Review, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
 
 #: Streams whose rates are counted, with short names.
 STREAMS = {"twin": "twin/joint_states", "physical": "physical/joint_states", "command": "command/joint_states"}
-#: A report that is older, and a node that has said nothing on /diagnostics for longer, is silent [s]. `execution` comes on change.
+#: Age from which a report counts as silent [s], and a node that publishes on /diagnostics. `execution` is published on change only.
 SILENT = {"link": 3.0, "sync": 1.0}
 SILENT_NODE = 5.0
 _REPORTS = {"link": Link, "sync": Sync, "execution": Execution, "plan": Plan, "review": Review}
 
 
 class RobotListener:
-    """Keeps the newest of each report.
+    """Keeps the newest message of each report, from the node that publishes it.
 
     Parameters
     ----------
@@ -35,6 +37,8 @@ class RobotListener:
     robot : RobotModel
     rates : bool, optional
         Also count the 250 Hz streams, without unpacking them, and listen to `/diagnostics`.
+    refuse : callable, optional
+        Called as ``refuse(reason, sentence)`` for a report from another node than the one that publishes it; by default a warning.
 
     Attributes
     ----------
@@ -42,7 +46,14 @@ class RobotListener:
         Why the last plan that was received could not be read; empty when it could.
     """
 
-    def __init__(self, namespace: str, robot: RobotModel, rates: bool = False):
+    def __init__(
+        self,
+        namespace: str,
+        robot: RobotModel,
+        rates: bool = False,
+        refuse: Callable[[str, str], None] = lambda _, sentence: rospy.logwarn_throttle(5.0, sentence),
+    ):
+        self._refuse = refuse
         self._namespace = namespace.rstrip("/")
         self._robot = robot
         self._news = threading.Condition()
@@ -53,10 +64,10 @@ class RobotListener:
         self._counted: tuple[float, Counter[str]] = (time.monotonic(), Counter())
         self._nodes: dict[str, tuple[float, NodeFacts]] = {}
         self._heard: dict[str, float] = {}
-        self._subscribers = [self._subscribe(name, kind) for name, kind in _REPORTS.items()]
+        self._reports = {name: self._subscribe(name, kind) for name, kind in _REPORTS.items()}
+        self._streams = [self._count(name, topic) for name, topic in STREAMS.items()] if rates else []
         if rates:
-            self._subscribers += [self._count(name, topic) for name, topic in STREAMS.items()]
-            self._subscribers.append(rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics))
+            self._diagnostics = rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
 
     def wait(self, condition: Callable[[], object], timeout: float | None) -> bool:
         """Wait until `condition`, asked after every report, holds; return whether it does. None waits without end."""
@@ -66,7 +77,7 @@ class RobotListener:
                 left = 0.5 if deadline is None else min(0.5, deadline - time.monotonic())
                 if left <= 0.0 or rospy.is_shutdown():
                     return False
-                # in slices: a wait without end could not be interrupted
+                # in slices, because Ctrl-C does not interrupt a wait without a timeout
                 self._news.wait(left)
         return True
 
@@ -76,7 +87,7 @@ class RobotListener:
 
     def publishers(self, name: str) -> int:
         """Return how many nodes publish a report now."""
-        return self._subscribers[list(_REPORTS).index(name)].get_num_connections()
+        return self._reports[name].get_num_connections()
 
     def plan(self, plan_id: str) -> PlanValue | None:
         """Return the newest plan if it is the one with this id."""
@@ -84,7 +95,7 @@ class RobotListener:
         return plan if plan is not None and plan.id == plan_id else None
 
     def under_review(self) -> PlanValue | None:
-        """Return the plan that waits for a verdict, as far as the topics tell; the executor decides."""
+        """Return the plan that waits for a verdict according to the topics; the executor's own state decides."""
         plan = self._plan
         decided = {getattr(self._newest.get(name), "plan_id", None) for name in ("review", "execution")}
         return None if plan is None or plan.id in decided else plan
@@ -114,10 +125,10 @@ class RobotListener:
             silent=silent,
         )
 
-    def _subscribe(self, name: str, kind: type) -> rospy.Subscriber:
-        return rospy.Subscriber(f"{self._namespace}/{name}", kind, self._receive, callback_args=name, queue_size=20)
+    def _subscribe(self, name: str, kind: type) -> Subscriber:
+        return Subscriber(f"{self._namespace}/{name}", kind, partial(self._receive, name), self._refuse, queue_size=20)
 
-    def _receive(self, message, name: str) -> None:
+    def _receive(self, name: str, message) -> None:
         plan, refused = None, ""
         if name == "plan":
             try:
@@ -137,7 +148,7 @@ class RobotListener:
         return rospy.Subscriber(f"{self._namespace}/{topic}", rospy.AnyMsg, receive, queue_size=250, tcp_nodelay=True)
 
     def _rates(self) -> dict[str, float]:
-        if len(self._subscribers) == len(_REPORTS):
+        if not self._streams:
             return {}
         now, counts = time.monotonic(), Counter(self._counts)
         since, before = self._counted

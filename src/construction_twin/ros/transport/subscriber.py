@@ -12,6 +12,8 @@ from collections.abc import Callable
 
 import rospy
 
+from construction_twin.core.errors import ConfigurationError
+
 #: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
 #: that is not in the table is heard from everybody.
 PUBLISHERS = {
@@ -37,12 +39,22 @@ def publisher_of(topic: str) -> str | None:
     ----------
     topic : str
         A stream in the node's own namespace (``sync``), or in another robot's (``/kr120_b/sync``).
+
+    Raises
+    ------
+    ConfigurationError
+        When the parameter `publishers` is no mapping from these streams to names.
     """
     stream = next((name for name in PUBLISHERS if topic == name or topic.endswith(f"/{name}")), None)
     if stream is None:
         return None
     namespace = topic.removesuffix(stream)
-    name = rospy.get_param(f"{namespace}publishers", {}).get(stream, PUBLISHERS[stream])
+    named = rospy.get_param(f"{namespace}publishers", {})
+    known = isinstance(named, dict) and named.keys() <= PUBLISHERS.keys()
+    if not known or not all(isinstance(name, str) and name for name in named.values()):
+        expected = f"a mapping from streams ({', '.join(PUBLISHERS)}) to names of nodes"
+        raise ConfigurationError(rospy.resolve_name(f"{namespace}publishers"), named, expected)
+    name = named.get(stream, PUBLISHERS[stream])
     return rospy.resolve_name(name if name.startswith("/") else namespace + name)
 
 

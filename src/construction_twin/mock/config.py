@@ -1,0 +1,93 @@
+"""What is set on the mock controller. Rad throughout."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.rsi.ethernet_xml import check_axes
+from construction_twin.rsi.layout import AxisUnit, RsiLayout
+
+_BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
+
+
+@dataclass(frozen=True)
+class MockConfig:
+    """What is set on the controller. Tuples are in the order of `axes`; rad throughout.
+
+    Attributes
+    ----------
+    axes : tuple of str, length n
+        Axis names in the telegrams.
+    start_pose : tuple of float
+        Pose in which the first session starts [rad], inside the soft limits.
+    lower, upper : tuple of float
+        Soft limits [rad].
+    velocity, acceleration : tuple of float
+        Limits that the supervision is a multiple of [rad/s], [rad/s^2].
+    layout : RsiLayout, optional
+        The Ethernet configuration; a reply that does not fit it does not count. Default: `RsiLayout.plain`.
+    units : tuple of AxisUnit, optional
+        How each axis is written in the telegrams; default: deg, and no axis linear.
+    precision : int
+        Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
+    timeout : int
+        Cycles without a valid reply after which RSI stops.
+    cumulative_delay : bool
+        True: `Delay` counts all missed cycles of the session; False: consecutive ones.
+    correction_lower, correction_upper : tuple of float, or None
+        AXISCORR: bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None: soft limit - start pose.
+    correction_monitor : tuple of float, or None
+        AXISCORRMON: RSI stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
+    velocity_factor : float
+        RSI stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
+    acceleration_factor : float
+        The same for `acceleration`. A single missed reply at speed v is an acceleration of v / 4 ms, hundreds of times the
+        limit; the default allows the step from rest that `velocity_factor` allows. 0 switches it off.
+    first_ipoc : int
+        IPOC of the first packet [ms].
+    restart_gap : int
+        How far the controller's clock has advanced when the next session starts [ms].
+    """
+
+    axes: tuple[str, ...]
+    start_pose: tuple[float, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    layout: RsiLayout | None = None
+    units: tuple[AxisUnit, ...] = ()
+    precision: int = 6
+    timeout: int = 100
+    cumulative_delay: bool = False
+    correction_lower: tuple[float, ...] | None = None
+    correction_upper: tuple[float, ...] | None = None
+    correction_monitor: tuple[float, ...] | None = None
+    velocity_factor: float = 2.0
+    acceleration_factor: float = 400.0
+    first_ipoc: int = 4_208_163_634
+    restart_gap: int = 10_000
+
+    def __post_init__(self) -> None:
+        if self.layout is None:
+            object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
+        check_axes(self.rsi_layout, self.axes, "Ethernet XML")
+        count = len(self.axes)
+        for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *_BOUNDS):
+            values = getattr(self, name)
+            if values is not None and (len(values) != count or not all(map(math.isfinite, values))):
+                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
+        for name, allowed in (("timeout", self.timeout >= 1), ("first_ipoc", self.first_ipoc >= 0)):
+            if not allowed:
+                raise ConfigurationError(name, getattr(self, name), "a larger number")
+        for name, sign in (("correction_lower", -1), ("correction_upper", 1), ("correction_monitor", 1)):
+            if any(sign * value < 0.0 for value in getattr(self, name) or ()):
+                raise ConfigurationError(name, getattr(self, name), f"numbers {'<=' if sign < 0 else '>='} 0")
+
+    @property
+    def rsi_layout(self) -> RsiLayout:
+        """`layout`, or its default."""
+        assert self.layout is not None  # set by __post_init__
+        return self.layout

@@ -1,0 +1,94 @@
+"""Scenes from YAML files. Metres; degrees in ``rpy_deg``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+import yaml
+from scipy.spatial.transform import Rotation
+
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.scene.objects import Scene, SceneObject
+
+_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
+
+
+class _ObjectDescription(pydantic.BaseModel):
+    """One object in YAML: see the comments in config/scene.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    shape: Literal["box", "cylinder", "sphere", "mesh"]
+    size: tuple[_Finite, ...] = ()
+    position: tuple[_Finite, _Finite, _Finite] = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[_Finite, _Finite, _Finite] = (0.0, 0.0, 0.0)
+    padding: _Finite = 0.0
+    mesh: str = ""
+    link: str = ""
+    touch: tuple[str, ...] = ()
+    fixed: bool = False
+
+
+class _SceneDescription(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    padding: _Finite
+    objects: dict[str, _ObjectDescription]
+
+
+def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
+    """Build a scene from a parsed YAML file.
+
+    Parameters
+    ----------
+    description : Mapping
+        Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about the
+        fixed x, y and z axes, in this order [deg].
+    base_dir : str or Path
+        Directory that mesh files are relative to.
+
+    Returns
+    -------
+    scene : Scene
+
+    Raises
+    ------
+    SceneError
+        Naming the key (``objects/wall/size``) or the object, its value and what was expected.
+    """
+    try:
+        parsed = _SceneDescription.model_validate(dict(description))
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        value = None if first["type"] == "missing" else first["input"]
+        where = "/".join(["scene", *map(str, first["loc"])])
+        raise SceneError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
+    objects = (_object(name, item, Path(base_dir)) for name, item in parsed.objects.items())
+    return Scene(tuple(objects), parsed.padding)
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read a scene from a YAML file; see `load_scene`, also for what it raises.
+
+    Raises
+    ------
+    SceneError
+        Also if the file cannot be read.
+    """
+    try:
+        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SceneError(str(path), str(error), "a YAML file of a scene") from error
+    if not isinstance(description, dict):
+        raise SceneError(str(path), description, "a mapping with the keys padding and objects")
+    return load_scene(description, Path(path).parent)
+
+
+def _object(name: str, item: _ObjectDescription, base_dir: Path) -> SceneObject:
+    values = item.model_dump(exclude={"rpy_deg", "mesh"})
+    x, y, z, w = map(float, Rotation.from_euler("xyz", item.rpy_deg, degrees=True).as_quat(canonical=True))
+    mesh = str((base_dir / item.mesh).resolve()) if item.mesh else ""
+    return SceneObject(name=name, quaternion=(x, y, z, w), mesh=mesh, **values)
