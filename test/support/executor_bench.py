@@ -98,7 +98,7 @@ class Bench:
         return self.approval.review(plan_id, plan_hash, approve, reviewer, reason)[1]
 
     def approve(self, plan: Plan) -> str:
-        """Put a plan on the desk and approve it."""
+        """Put a plan under review and approve it."""
         self.executor.offer(plan)
         return self.review(plan.id, plan.hash, True, "Ada")
 

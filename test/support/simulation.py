@@ -149,7 +149,7 @@ class SimulatedChain:
         return self.supervisor.state is LinkState.ARMED and self.executor.state is ExecutorState.IDLE
 
     def play(self, plan: Plan) -> None:
-        """Put a plan on the desk and approve it, in the scene it was made for."""
+        """Put a plan under review and approve it, in the scene it was made for."""
         self.executor.on_scene(plan.scene)
         self.executor.offer(plan)
         approval = Approval(self.executor, self.verdicts.append, nullcontext())

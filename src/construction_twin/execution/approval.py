@@ -92,8 +92,8 @@ class Approval:
             When it cannot be recorded; the plan is withdrawn.
         """
         with self._lock:
-            plan = self._executor.desk.plan if self._executor.is_ready() else None
-            scene = self._executor.desk.scene
+            plan = self._executor.queue.plan if self._executor.is_ready() else None
+            scene = self._executor.queue.scene
         if plan is None:
             return None
         if self._seen[0] != plan.id:
@@ -110,9 +110,9 @@ class Approval:
             return None
 
     def _examine(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Verdict:
-        """Return the verdict that could be carried out now; an approval at the wrong moment leaves the plan on the desk."""
-        desk = self._executor.desk
-        plan = desk.check(plan_id, plan_hash, reviewer)
+        """Return the verdict that could be carried out now; an approval at the wrong moment leaves the plan under review."""
+        queue = self._executor.queue
+        plan = queue.check(plan_id, plan_hash, reviewer)
         if approve:
             self._executor.check_start(plan)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
@@ -120,22 +120,22 @@ class Approval:
     def _carry_out(self, verdict: Verdict) -> str:
         """Apply a verdict that was recorded, if it still can be; return a sentence."""
         self._examine(verdict.plan_id, verdict.plan_hash, verdict.approved, verdict.reviewer)
-        plan = self._executor.desk.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
+        plan = self._executor.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         if not verdict.approved:
             return f"plan {plan.id} rejected by {verdict.reviewer}"
         self._executor.begin(plan, f"approved by {verdict.reviewer}")
         return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
 
     def _withdraw(self, plan_id: str, reason: str) -> None:
-        """Take a plan off the desk, if it still lies there."""
+        """Take a plan out of review, if it is still there."""
         executor = self._executor
-        if executor.desk.plan is not None and executor.desk.plan.id == plan_id:
-            executor.turn_down(executor.desk.clear(), reason)
+        if executor.queue.plan is not None and executor.queue.plan.id == plan_id:
+            executor.turn_down(executor.queue.clear(), reason)
 
     def _prove(self, plan_id: str) -> None:
         """Prove the named plan's hash once, outside of the lock: a plan cannot change, so that it holds when it is carried out."""
         with self._lock:
-            plan = self._executor.desk.plan
+            plan = self._executor.queue.plan
         if plan is not None and plan.id == plan_id:
             prove_hash(plan)
 
@@ -143,6 +143,6 @@ class Approval:
         if not approve:
             return
         with self._lock:
-            plan = self._executor.desk.plan
+            plan = self._executor.queue.plan
         known = plan if plan is not None and plan.id == plan_id else None
         self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known))

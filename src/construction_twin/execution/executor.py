@@ -27,7 +27,7 @@ from construction_twin.execution.states import (
 )
 from construction_twin.execution.stopping import distance_along
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
-from construction_twin.review.queue import EXECUTOR, WITHDRAWN, Ending, ReviewDesk, Verdict
+from construction_twin.review.queue import EXECUTOR, WITHDRAWN, Ending, ReviewQueue, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -84,7 +84,7 @@ class Executor:
         self._robot = robot
         self.lag = 0.0
         self.neighbour = NeighbourWatch()
-        self.desk = ReviewDesk()
+        self.queue = ReviewQueue()
         self.state = ExecutorState.WAITING
         self.cause = self.reason = "started; waits for twin and physical arm to agree"
         self.outcome = ""
@@ -164,9 +164,9 @@ class Executor:
 
     def on_scene(self, scene: str) -> None:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
-        before = self.desk.scene
+        before = self.queue.scene
         reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
-        self.turn_down(self.desk.on_scene(scene), f"{reason}; plan again")
+        self.turn_down(self.queue.on_scene(scene), f"{reason}; plan again")
         if self.state in ACTIVE and scene != self._run.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
 
@@ -189,7 +189,7 @@ class Executor:
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
-        self.turn_down(self.desk.void(now), reason)
+        self.turn_down(self.queue.void(now), reason)
         while self.state is not ExecutorState.WAITING:
             self._on(ExecutorEvent.NEW_SESSION, reason)
         self._on(ExecutorEvent.NEW_SESSION, reason)
@@ -199,14 +199,14 @@ class Executor:
         if not self.limit.standing:
             self._on(ExecutorEvent.STALLED, reason)
 
-    # -- the desk, and the start of a plan
+    # -- review, and the start of a plan
 
     def offer(self, plan: Plan) -> None:
-        """Put a plan on the desk in place of the one before; ReviewError when it cannot be reviewed."""
-        self.turn_down(self.desk.offer(plan), f"replaced by plan {plan.id}")
+        """Put a plan under review in place of the one before; ReviewError when it cannot be reviewed."""
+        self.turn_down(self.queue.offer(plan), f"replaced by plan {plan.id}")
 
     def check_start(self, plan: Plan) -> None:
-        """Check that the plan on the desk may start now.
+        """Check that the plan under review may start now.
 
         Raises
         ------
@@ -221,15 +221,15 @@ class Executor:
             raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
         if problem := self.neighbour.problem(plan.id):
             raise ReviewError(f"plan {plan.id} may not start: {problem}")
-        self.desk.check_scene()
+        self.queue.check_scene()
         assert self._setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, self._setpoint, self._robot)
 
     def is_ready(self) -> bool:
-        """Return whether a plan is on the desk and neither state nor missing scene is against approving it."""
+        """Return whether a plan is under review and neither state nor missing scene is against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
-        plan = self.desk.plan
-        if not ready or plan is None or not self.desk.scene or not self.desk.scene_alive:
+        plan = self.queue.plan
+        if not ready or plan is None or not self.queue.scene or not self.queue.scene_alive:
             return False
         return not self.neighbour.problem(plan.id)
 
@@ -239,7 +239,7 @@ class Executor:
         self._on(ExecutorEvent.APPROVED, reason)
 
     def turn_down(self, plan: Plan | None, reason: str) -> None:
-        """Tell that a plan is not, or no longer, on the desk."""
+        """Tell that a plan is not, or no longer, under review."""
         if plan is not None:
             self._events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
@@ -255,7 +255,7 @@ class Executor:
 
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
-        self.turn_down(self.desk.void(now), "stop requested")
+        self.turn_down(self.queue.void(now), "stop requested")
         if self.state not in ACTIVE:
             return f"nothing is playing ({self.state.name})"
         if self.plan_start == 0:
@@ -284,7 +284,7 @@ class Executor:
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
         before = self.state
         if before is ExecutorState.PLAYING:
-            self.desk.void_coming(now)
+            self.queue.void_coming(now)
         self._on(ExecutorEvent.PAUSE, "pause requested")
         if before is ExecutorState.HELD:
             return (

@@ -100,6 +100,11 @@ class LinkInputs:
         return str(self.status.get("reason"))
 
     @property
+    def gateway_failed(self) -> bool:
+        """True when the gateway's program has failed: it brakes, holds and takes nothing until it is started again."""
+        return self.gateway == "failed"
+
+    @property
     def reads_only(self) -> bool:
         """True when the controller takes no corrections (ONLYSEND)."""
         return self.gateway == "read_only"

@@ -1,6 +1,6 @@
 """`plan` and `review` on MQTT: what a tablet gets to see, and what it may answer. Pure; standard library only.
 
-SI: m, rad, s. A review is refused (PayloadError) unless it is exactly as written here; what is on the desk decides the rest.
+SI: m, rad, s. A review is refused (PayloadError) unless it is exactly as written here; what is under review decides the rest.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class LinkSupervisor:
             Action.TELL_GATEWAY: lambda reason, now: self._gateway_sentence,
             Action.TELL_STOP: self._tell_stop,
             Action.TELL_HALT: lambda reason, now: self._halted or "",
-            Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; call reset",
+            Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; {self._remedy}",
             Action.SEND_RESET: lambda reason, now: self._send("reset", self.session, now),
             Action.SEND_ARM: self._send_arm,
             Action.RESET_OLD_SESSION: lambda reason, now: self._send("reset", self._mirror.ended_session, now),
@@ -171,13 +171,13 @@ class LinkSupervisor:
         Raises
         ------
         ReviewError
-            When the arm leads, its pose is not known, or it moves.
+            When the arm leads, the gateway's program has failed, the arm's pose is not known, or it moves.
         """
         if self._mirror.active:
             raise ReviewError(
                 "cannot reset: the arm leads (mirror mode); call mirror with false, which ends in the same"
             )
-        if self.state in _NO_ARM:
+        if self.state in _NO_ARM or self.inputs.gateway_failed:
             raise ReviewError(f"cannot reset: {self.reason}")
         if not self.inputs.at_rest(now):
             raise ReviewError(
@@ -191,10 +191,12 @@ class LinkSupervisor:
         Raises
         ------
         ReviewError
-            When it is armed already, there is no arm, or twin and arm are not at rest within the start tolerance.
+            When it is armed already, there is no arm, the gateway's program has failed, or twin and arm are not at rest within the start tolerance.
         """
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(f"nothing to arm: {self.state.name}, {self.reason}")
+        if self.inputs.gateway_failed:
+            raise ReviewError(f"cannot arm: {self.reason}")
         if not (self.inputs.within_tolerance(now) and self.inputs.at_rest(now)):
             raise ReviewError(
                 "twin and arm are not at rest within the start tolerance of each other; call reset instead"
@@ -342,7 +344,12 @@ class LinkSupervisor:
         return f"gateway is {self.inputs.gateway}: {self.inputs.gateway_reason}"
 
     def _tell_stop(self, reason: str, now: int) -> str:
-        return f"gateway was stopped and is {self.inputs.gateway}: {self.inputs.gateway_reason}; call reset"
+        return f"gateway was stopped and is {self.inputs.gateway}: {self.inputs.gateway_reason}; {self._remedy}"
+
+    @property
+    def _remedy(self) -> str:
+        # a gateway whose program has failed takes no control message any more
+        return "restart rsi_gateway, then call reset" if self.inputs.gateway_failed else "call reset"
 
     def _send_arm(self, reason: str, now: int) -> str:
         return self._send("arm", self.session, now, arm_value(self._hash, self.status["run"]))

@@ -1,4 +1,4 @@
-"""Review: which plan lies on the desk, what was decided about it, and what became of it. Pure."""
+"""Review: which plan is under review, what was decided about it, and what became of it. Pure."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def prove_hash(plan: Plan) -> None:
         raise ReviewError(f"plan {plan.id} is no longer what its hash {plan.hash} says; plan again")
 
 
-class ReviewDesk:
+class ReviewQueue:
     """Holds the newest plan until it is approved, rejected, replaced or void.
 
     An approval covers one execution of one plan, in the scene it was checked against.
@@ -64,7 +64,7 @@ class ReviewDesk:
     Attributes
     ----------
     plan : Plan or None
-        On the desk.
+        Under review.
     scene : str
         Hash of the present scene; empty while none is known.
     scene_alive : bool
@@ -79,12 +79,12 @@ class ReviewDesk:
         self._void_before = 0
 
     def offer(self, plan: Plan) -> Plan | None:
-        """Put a plan on the desk, unless it was decided already; return the plan that it replaces.
+        """Put a plan under review, unless it was decided already; return the plan that it replaces.
 
         Raises
         ------
         ReviewError
-            When it does not start and end at rest, or was asked for before the desk was last voided. (That a plan's hash is that
+            When it does not start and end at rest, or was asked for before the queue was last voided. (That a plan's hash is that
             of its content is the Plan's own matter.)
         """
         trajectory = plan.trajectory
@@ -101,7 +101,7 @@ class ReviewDesk:
         return replaced
 
     def void(self, now: int) -> Plan | None:
-        """Clear the desk and refuse plans asked for until `now` [ns] that are not here yet; return what lay there."""
+        """Clear the queue and refuse plans asked for until `now` [ns] that are not here yet; return what lay there."""
         self.void_coming(now)
         return self.clear()
 
@@ -110,19 +110,19 @@ class ReviewDesk:
         self._void_before = now
 
     def on_scene(self, scene: str) -> Plan | None:
-        """Take the present scene's hash; return the plan taken off the desk because it was made for another."""
+        """Take the present scene's hash; return the plan taken out of review because it was made for another."""
         changed, self.scene = scene != self.scene, scene
         return self.clear() if changed and self.plan is not None and self.plan.scene != scene else None
 
     def clear(self) -> Plan | None:
-        """Take the plan off the desk and return it: it can no longer be approved."""
+        """Take the plan out of review and return it: it can no longer be approved."""
         plan, self.plan = self.plan, None
         if plan is not None:
             self._decided.add(plan.id)
         return plan
 
     def decide(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
-        """Take the named plan off the desk to carry out a verdict on it.
+        """Take the named plan out of review to carry out a verdict on it.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class ReviewDesk:
         return self.plan
 
     def check_scene(self) -> None:
-        """Raise ReviewError when the plan on the desk must not be executed: no scene is known, or it was made for another."""
+        """Raise ReviewError when the plan under review must not be executed: no scene is known, or it was made for another."""
         plan = self.plan
         if plan is None:
             raise ReviewError("no plan is under review")

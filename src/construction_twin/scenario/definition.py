@@ -70,7 +70,7 @@ class Step(_Model):
     after : float
         So long after that moment [s].
     move, approve, inject, call
-        Exactly one of them: plan (and have it started), approve the plan on the desk, a fault, a service of `Call`.
+        Exactly one of them: plan (and have it started), approve the plan under review, a fault, a service of `Call`.
     """
 
     when: Annotated[str, pydantic.Field(pattern=r"^(now|motion|rest|(sync|link|execution) [A-Z_]+)$")] = "now"

@@ -96,7 +96,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     _add_approve(command("approve", "approve the plan under review: it starts"))
     reject = command("reject", "reject the plan under review")
     _add_reviewer(reject)
-    command("stop", "brake on the path and take the plan off the desk")
+    command("stop", "brake on the path and take the plan out of review")
     command("pause", "rest on the path")
     command("resume", "go on along the path after a pause")
     command("reset", "after a fault: new session, the twin takes the arm's pose")

@@ -67,7 +67,7 @@ class TestApproval:
             return
         with pytest.raises(ReviewError, match=ROBOT.joint_names[joint]):
             bench.approve(plan)
-        assert bench.state is ExecutorState.IDLE and bench.executor.desk.plan is plan
+        assert bench.state is ExecutorState.IDLE and bench.executor.queue.plan is plan
 
     def test_only_with_the_hash_that_was_looked_at(self, bench):
         bench.executor.offer(make_plan())
@@ -162,7 +162,7 @@ class TestRecordFirst:
         with pytest.raises(RecordError, match="nothing is approved without a record"):
             bench.review("p", plan.hash, approve, "Ada")
         assert set(bench.run(100)) == {ROBOT.home}
-        assert bench.executor.desk.plan is plan and bench.executor.plan is None
+        assert bench.executor.queue.plan is plan and bench.executor.plan is None
 
     def test_a_hold_while_the_record_is_written_keeps_it_from_starting_and_that_is_recorded_too(self, bench):
         bench.executor.offer(make_plan())
@@ -184,7 +184,7 @@ class TestRecordFirst:
         bench.approval._record = self.refuse
         with pytest.raises(RecordError):
             bench.approval.approve_by_itself(bench.stamp)
-        assert bench.executor.desk.plan is None
+        assert bench.executor.queue.plan is None
         assert set(bench.run(100)) == {ROBOT.home}
 
 
@@ -192,19 +192,19 @@ class TestScene:
     def test_a_plan_for_another_scene_cannot_be_approved(self, bench):
         with pytest.raises(ReviewError, match="made for scene 0ther, the present one is 5ce0e"):
             bench.approve(make_plan(scene="0ther"))
-        assert bench.executor.desk.plan is not None
+        assert bench.executor.queue.plan is not None
         bench.executor.on_scene("0ther")
         bench.review("p", "", True, "Ada")
         assert bench.state is ExecutorState.PLAYING
 
     def test_nothing_can_be_approved_before_a_scene_is_known(self):
         bench = Bench()
-        bench.executor.desk.scene = ""
+        bench.executor.queue.scene = ""
         bench.ready()
         with pytest.raises(ReviewError, match="no scene is known"):
             bench.approve(make_plan())
 
-    def test_a_change_takes_the_waiting_plan_off_the_desk_and_says_so(self, bench):
+    def test_a_change_takes_the_waiting_plan_out_of_review_and_says_so(self, bench):
         plan = make_plan()
         bench.executor.offer(plan)
         bench.executor.on_scene("0ther")
@@ -218,15 +218,15 @@ class TestScene:
     def test_the_same_scene_again_changes_nothing(self, bench):
         bench.executor.offer(make_plan())
         bench.executor.on_scene(SCENE)
-        assert bench.executor.desk.plan is not None and bench.executor.take_events() == []
+        assert bench.executor.queue.plan is not None and bench.executor.take_events() == []
 
     def test_not_while_nobody_tells_of_the_scene(self, bench):
         bench.executor.offer(make_plan())
-        bench.executor.desk.scene_alive = False
+        bench.executor.queue.scene_alive = False
         assert bench.approval.approve_by_itself(bench.stamp) is None
         with pytest.raises(ReviewError, match="nobody publishes the scene"):
             bench.review("p", "", True, "Ada")
-        bench.executor.desk.scene_alive = True
+        bench.executor.queue.scene_alive = True
         assert "approved" in bench.review("p", "", True, "Ada")
 
     def test_a_rejection_needs_no_scene(self, bench):
@@ -325,4 +325,4 @@ class TestAutoApprove:
         assert bench.approval.approve_by_itself(0) is None
         assert bench.approval.approve_by_itself(SCENE_DELAY + 1) is None
         assert "made for scene n3w" in bench.executor.take_events()[0].reason
-        assert bench.executor.desk.plan is None
+        assert bench.executor.queue.plan is None

@@ -53,7 +53,7 @@ def test_a_free_way_is_played_to_its_end():
     assert bench.executor.outcome == "finished"
 
 
-def test_a_plan_in_conflict_is_refused_with_the_sentence_and_stays_on_the_desk():
+def test_a_plan_in_conflict_is_refused_with_the_sentence_and_stays_under_review():
     bench = Beside().offered()
     bench.say(PROBLEM)
     with pytest.raises(ReviewError, match=f"may not start: {PROBLEM}"):
@@ -75,7 +75,7 @@ def test_auto_approve_waits_until_the_way_is_free():
     bench = Beside().offered()
     bench.say(PROBLEM)
     assert bench.approval.approve_by_itself(bench.stamp) is None
-    assert bench.executor.desk.plan is bench.plan
+    assert bench.executor.queue.plan is bench.plan
     bench.say("")
     assert bench.approval.approve_by_itself(bench.stamp) is not None
 

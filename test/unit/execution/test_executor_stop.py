@@ -54,7 +54,7 @@ class TestStop:
         assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
         assert set(bench.run(100)) == {ROBOT.home}
 
-    def test_takes_the_waiting_plan_off_the_desk(self, bench):
+    def test_takes_the_waiting_plan_out_of_review(self, bench):
         plan = make_plan()
         bench.executor.offer(plan)
         assert "nothing is playing" in bench.executor.stop(bench.stamp)
@@ -145,12 +145,12 @@ class TestPause:
     def test_a_plan_asked_for_before_the_pause_is_void_when_it_arrives_and_one_that_waits_is_not(self, bench):
         bench.play(make_plan(), 250)
         waiting = make_plan("waits")
-        bench.executor.desk.offer(waiting)
+        bench.executor.queue.offer(waiting)
         bench.executor.pause(bench.stamp)
-        assert bench.executor.desk.plan is waiting
+        assert bench.executor.queue.plan is waiting
         with pytest.raises(ReviewError, match="before the last stop, pause or reset"):
-            bench.executor.desk.offer(make_plan("late", created_ns=bench.stamp - 1))
-        bench.executor.desk.offer(make_plan("new", created_ns=bench.stamp + 1))
+            bench.executor.queue.offer(make_plan("late", created_ns=bench.stamp - 1))
+        bench.executor.queue.offer(make_plan("new", created_ns=bench.stamp + 1))
 
     def test_goes_on_along_the_same_path_to_the_goal_without_another_approval(self, bench):
         pause_after(bench, 250)

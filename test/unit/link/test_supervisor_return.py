@@ -45,6 +45,17 @@ class TestReturn:
         armed.run(5.0)
         assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
 
+    def test_a_gateway_whose_program_has_failed_is_restarted_before_a_reset(self, armed):
+        armed.set_gateway("failed", FAULT)
+        armed.run(1.0)
+        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
+        assert armed.supervisor.reason.endswith("restart rsi_gateway, then call reset")
+        for request in (armed.supervisor.request_reset, armed.supervisor.request_arm):
+            with pytest.raises(ReviewError, match="restart rsi_gateway"):
+                request(armed.now)
+        armed.run(1.0)
+        assert armed.sent == []
+
     @pytest.mark.parametrize(
         "stop, state",
         [

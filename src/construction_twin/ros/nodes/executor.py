@@ -248,7 +248,7 @@ class ExecutorNode:
         """
         self._write_records()
         with self._lock:
-            self._executor.desk.scene_alive = self._scene.get_num_connections() > 0
+            self._executor.queue.scene_alive = self._scene.get_num_connections() > 0
         if not self._auto_approve:
             return
         try:
