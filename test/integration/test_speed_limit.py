@@ -76,6 +76,7 @@ class SpeedLimitTest(unittest.TestCase):
         return np.abs(end - begin) / ((last - first) * CYCLE)
 
     def test_slows_down_on_the_path_speeds_up_again_and_ends_at_the_goal(self):
+        self.client.wait(lambda: self.client.execution is not None, "the executor")
         self.client.wait(lambda: self.client.execution.speed_limit == 0.0, "the fraction of a sensor that says nothing")
         self.sensor.say(1.0)
         self.client.wait_until_ready()

@@ -493,6 +493,8 @@ def _run(arguments: argparse.Namespace) -> int:
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
+    # before the first line is logged: the log's thread may be the one that fails
+    threading.excepthook = service.on_thread_failure
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     log.info("configuration %s; listening on %s:%d; broker %s", config.hash[:12], *address, arguments.broker)
@@ -506,7 +508,6 @@ def _run(arguments: argparse.Namespace) -> int:
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()
-    threading.excepthook = service.on_thread_failure
     service.run()
     if trace is not None:
         trace.close()
