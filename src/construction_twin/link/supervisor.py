@@ -108,7 +108,7 @@ class LinkSupervisor:
             Action.TELL_GATEWAY: lambda reason, now: self._gateway_sentence,
             Action.TELL_STOP: self._tell_stop,
             Action.TELL_HALT: lambda reason, now: self._halted or "",
-            Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; {self._remedy}",
+            Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; call reset",
             Action.SEND_RESET: lambda reason, now: self._send("reset", self.session, now),
             Action.SEND_ARM: self._send_arm,
             Action.RESET_OLD_SESSION: lambda reason, now: self._send("reset", self._mirror.ended_session, now),
@@ -191,7 +191,8 @@ class LinkSupervisor:
         Raises
         ------
         ReviewError
-            When it is armed already, there is no arm, the gateway's program has failed, or twin and arm are not at rest within the start tolerance.
+            When it is armed already, there is no arm, the gateway's program has failed, or twin and arm are not at rest within
+            the start tolerance.
         """
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(f"nothing to arm: {self.state.name}, {self.reason}")
@@ -341,7 +342,8 @@ class LinkSupervisor:
 
     @property
     def _gateway_sentence(self) -> str:
-        return f"gateway is {self.inputs.gateway}: {self.inputs.gateway_reason}"
+        sentence = f"gateway is {self.inputs.gateway}: {self.inputs.gateway_reason}"
+        return f"{sentence}; {self._remedy}" if self.inputs.gateway_failed else sentence
 
     def _tell_stop(self, reason: str, now: int) -> str:
         return f"gateway was stopped and is {self.inputs.gateway}: {self.inputs.gateway_reason}; {self._remedy}"
