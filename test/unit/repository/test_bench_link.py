@@ -218,7 +218,7 @@ def test_replies_are_compared_within_stretches_only(modules):
 
 def test_soak_does_not_claim_to_know_what_it_does_not(soak):
     minutes = [soak.Minute((60.0, 40.0, 50.0), 3, 0, -4.0, held_up=3, held_up_by_us=by_us) for by_us in (1, None)]
-    assert "of 6 replies held up nobody knows how many" in soak.verdict(minutes)[0]
+    assert "of 6 replies held up an unknown number beside no pause" in soak.verdict(minutes)[0]
     assert "of 3 replies held up 1 beside" in soak.verdict(minutes[:1])[0]
 
 

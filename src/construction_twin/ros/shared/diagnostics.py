@@ -35,7 +35,8 @@ class NodeDiagnostics:
         self._updater.publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=1)
         self._updater.setHardwareID(hardware_id)
         self._updater.add("state", self._fill)
-        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.update())
+        # `update` would ask the master for a period, and raise when the master is gone: a motion goes on without one
+        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.force_update())
 
     @property
     def refused(self) -> Counter[str]:
