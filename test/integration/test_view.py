@@ -7,17 +7,19 @@ import sys
 import tempfile
 from pathlib import Path
 
-import rospy
-import rostest
-from construction_twin.msg import Sync
-from screenshot import VirtualDisplay, bare_view, extent, fraction
-from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
-from visualization_msgs.msg import Marker, MarkerArray
-
-from construction_twin.monitor.states import SyncState
-from construction_twin.views.sync_picture import COLOURS, visual_shapes
-
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+import rospy  # noqa: E402
+import rostest  # noqa: E402
+from construction_twin.msg import Sync  # noqa: E402
+from screenshot import VirtualDisplay, bare_view, extent, fraction  # noqa: E402
+from twin_client import LEFT, RobotTest, Stream, TwinClient, wait  # noqa: E402
+from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
+
+from construction_twin.monitor.states import SyncState  # noqa: E402
+from construction_twin.views.sync_picture import COLOURS, visual_shapes  # noqa: E402
+
 JOINT = "joint_a3"
 SIZE = (700, 500)
 #: Longest wait until the arm is drawn [s]: without a graphics card, on a busy machine.
