@@ -243,3 +243,23 @@ class TestStopping:
             assert chain.gate.violations == count
         assert chain.gate.state is SyncState.STOPPED and "held 3 times in 30 s" in chain.gate.reason
         self.stops(chain, SyncEvent.ESCALATED)
+
+
+@pytest.mark.parametrize("servo", ["ideal", "realistic"])
+@pytest.mark.parametrize("missed", [1, 3, 5])
+def test_the_shipped_gate_stays_open_beside_missed_replies(servo, missed):
+    """config/pca_monitor.yaml promises it for five: the arm stands still under HOLDON, then one reply makes up for them.
+
+    Not at full speed: there the controller stops such a step for its velocity, whatever the gate does.
+    """
+    chain = make_chain(3, servo=servo)
+    chain.run_for(0.5)
+    turn = make_plan(chain, radians((100.0, -90.0, 90.0, 0.0, 90.0, 0.0)), speed_scale=0.15)
+    chain.play(turn)
+    speeds = np.abs(turn.trajectory.sample_many(np.arange(0.0, turn.trajectory.duration, CYCLE))[1][:, 0])
+    chain.run_for(float(speeds.argmax()) * CYCLE)
+    receive, left = chain.controller.receive, iter(range(missed))
+    chain.controller.receive = lambda data: None if next(left, None) is not None else receive(data)
+    assert chain.run_until(lambda: chain.executor.outcome == "finished", 20.0), chain.gate.reason
+    assert chain.controller.counters["missed"] >= missed
+    assert [change.target for change in chain.transitions if change.source is SyncState.IN_SYNC] == []
