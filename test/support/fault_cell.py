@@ -32,7 +32,7 @@ from construction_twin.link.states import LinkState
 from construction_twin.mqtt.messages import Topics
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.rsi.gateway_codec import RobotDecoder
 from construction_twin.scenario.trace_check import trace_excesses
 

@@ -169,7 +169,7 @@ def test_roles_and_their_topics_are_documented():
         "gateway/service",
         "mock/program",
         "ros/commands/evaluate",
-        "ros/shared/gateway_config",
+        "ros/commands/export_gateway_config",
         "broker/start",
         "broker/make_site",
         "views/arguments",
