@@ -166,7 +166,7 @@ def test_roles_and_their_topics_are_documented():
 @pytest.mark.parametrize(
     "file",
     [
-        "gateway/service",
+        "gateway/command_line",
         "mock/program",
         "ros/commands/evaluate",
         "ros/commands/export_gateway_config",
