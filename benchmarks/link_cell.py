@@ -21,7 +21,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, read_state_properties
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.shared.gateway_config import gateway_config
 
 
 def gateway_settings() -> dict:

@@ -31,7 +31,7 @@ from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.mqtt.messages import read_command_properties, read_state_properties
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher
 
 PREFIX = "fleet"

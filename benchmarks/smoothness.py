@@ -27,7 +27,7 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.rsi.telegram import RobotTelegram
 
 ROOT = Path(__file__).resolve().parents[1]

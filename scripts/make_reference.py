@@ -323,10 +323,9 @@ def state_rows(module: str) -> list[tuple[str, ...]]:
     States with the same row share one; "any" stands for all of them. The monitor's table has neither guards nor actions.
     """
     code = importlib.import_module(module)
-    for name in ("table_cells", "table_rows", "rows"):
-        if hasattr(code, name):
-            rows = [tuple(row) for row in getattr(code, name)()]
-            return rows if any(row[0] == "any" or ", " in row[0] for row in rows) else _shared_rows(rows)
+    if hasattr(code, "table_cells"):
+        rows = [tuple(row) for row in code.table_cells()]
+        return rows if any(row[0] == "any" or ", " in row[0] for row in rows) else _shared_rows(rows)
     table = [(s.name, f"`{e.value}`", t.name) for s, row in code.TABLE.items() for e, t in row.items()]
     return _shared_rows(table)
 

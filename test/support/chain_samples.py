@@ -16,7 +16,7 @@ from construction_twin.monitor.gate import GateSettings
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.shared.gateway_config import gateway_config
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = read_robot_files(ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml")

@@ -25,7 +25,7 @@ class _Known:
     problem: str
 
 
-class NeighbourWatch:
+class ConflictVerdicts:
     """Keeps verdicts, and forgets those that are too old.
 
     Parameters

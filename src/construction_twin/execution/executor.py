@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.conflict_verdicts import NeighbourWatch
+from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.playback import Braking, Playback
 from construction_twin.execution.speed_limit import PlayRate
 from construction_twin.execution.states import (
@@ -73,7 +73,7 @@ class Executor:
     ----------
     lag : float
         How long the arm trails the setpoints, as far as is known [s]; only stated, never acted upon.
-    neighbour : NeighbourWatch
+    neighbour : ConflictVerdicts
         Says whether another arm blocks the path of a plan; by default there is none.
     limit : PlayRate, set by `limit_rate`
     cause, reason : str
@@ -83,7 +83,7 @@ class Executor:
     def __init__(self, robot: RobotModel):
         self._robot = robot
         self.lag = 0.0
-        self.neighbour = NeighbourWatch()
+        self.neighbour = ConflictVerdicts()
         self.queue = ReviewQueue()
         self.state = ExecutorState.WAITING
         self.cause = self.reason = "started; waits for twin and physical arm to agree"

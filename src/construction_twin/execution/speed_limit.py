@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from enum import Enum
 
-from construction_twin.core.deadline import SpeedLimitSource
 from construction_twin.core.errors import ExecutionError
+from construction_twin.core.speed_limit_source import SpeedLimitSource
 
 
 class LimitState(Enum):

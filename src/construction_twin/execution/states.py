@@ -151,6 +151,6 @@ def rows_for(state: ExecutorState, event: ExecutorEvent) -> tuple[Row, ...]:
     return _BY_CAUSE[state, event]
 
 
-def table_rows() -> list[tuple[str, str, str, str, str]]:
+def table_cells() -> list[tuple[str, str, str, str, str]]:
     """Return the table in words, for the documentation: state, event, guard, action, next state."""
     return [(row.state.name, row.event.value, row.guard.value, row.action.value, row.target.name) for row in TABLE]

@@ -2,7 +2,7 @@
 
 import sys
 
-from construction_twin.gateway.service import main
+from construction_twin.gateway.command_line import main
 
 if __name__ == "__main__":
     sys.exit(main())

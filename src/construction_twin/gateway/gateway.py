@@ -15,8 +15,9 @@ from construction_twin.core.follower import Follower
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
-from construction_twin.gateway.refusals import Ownership, Refusals
+from construction_twin.gateway.refusals import Refusals
 from construction_twin.gateway.rsi_session import ControllerSession, distance_off
 from construction_twin.gateway.speed_limit import SpeedLimit
 from construction_twin.gateway.states import CAUSES, NOTES, Action, Event, Guard, Machine, Mode, Occasion, State

@@ -6,15 +6,10 @@ One thread, one select loop: RSI datagrams first, then MQTT. An exception that n
 
 from __future__ import annotations
 
-import argparse
-import gc
 import json
 import logging
-import secrets
 import selectors
-import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -24,22 +19,16 @@ from typing import TypeVar
 from paho.mqtt import client as paho
 
 from construction_twin.core.errors import (
-    ConfigurationError,
-    ConstructionTwinError,
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
-from construction_twin.core.network import is_loopback
-from construction_twin.core.realtime import lock_memory, request_realtime
-from construction_twin.gateway.config import GatewayConfig, load_config
+from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.last_resort import LastResort
-from construction_twin.gateway.log import LineLimiter, log_beside_the_loop
-from construction_twin.gateway.states import NOTES, Mode, State
+from construction_twin.gateway.log import LineLimiter
+from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
-from construction_twin.gateway.trace import TraceWriter
-from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import (
     Broker,
     make_client,
@@ -49,9 +38,8 @@ from construction_twin.mqtt.client import (
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import VERBS, CommandProperties, Topics, parse_control, read_command_properties
 from construction_twin.mqtt.polled_client import PolledClient
-from construction_twin.rsi.ethernet_xml import controller_sends_to
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.udp import address_of, bind, receive
+from construction_twin.rsi.udp import receive
 
 log = logging.getLogger("rsi_gateway")
 
@@ -428,117 +416,3 @@ class GatewayService:
             "decimals": config.decimals,
             "properties": config.properties,
         }
-
-
-def _arguments(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="rsi_gateway",
-        description="Bridge between MQTT joint strings and KUKA RSI. Needs no ROS. Not safety rated.",
-    )
-    parser.add_argument(
-        "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
-    )
-    parser.add_argument(
-        "--listen",
-        default="127.0.0.1:0",
-        metavar="HOST:PORT",
-        help="UDP address for RSI; port 0: PORT of the Ethernet XML [%(default)s]",
-    )
-    parser.add_argument(
-        "--ethernet-xml",
-        metavar="FILE",
-        help="the file that was copied to the controller: do not start when the configuration was made from another one",
-    )
-    parser.add_argument(
-        "--commissioning",
-        nargs="?",
-        const="true",
-        default="false",
-        choices=["true", "false"],
-        help="send every correction as zero; everything else runs and is reported as usual",
-    )
-    parser.add_argument(
-        "--controller",
-        metavar="HOST",
-        help="read telegrams from this address only; a name is looked up once, at the start; without one --listen must be"
-        " a loopback address",
-    )
-    parser.add_argument("--broker", default="127.0.0.1:1883", metavar="HOST:PORT", help="MQTT broker [%(default)s]")
-    parser.add_argument(
-        "--account",
-        metavar="FILE",
-        help="account file for the broker, as make_site writes it; without: anonymous, no TLS",
-    )
-    parser.add_argument("--protocol", default="5", choices=["5", "3.1.1"], help="MQTT version [%(default)s]")
-    parser.add_argument("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
-    parser.add_argument(
-        "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
-    )
-    parser.add_argument("--trace", metavar="FILE", help="record what is really sent, cycle by cycle, for an hour")
-    return parser.parse_args(argv)
-
-
-def _address(text: str, option: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    lowest = 0 if option == "--listen" else 1
-    if not host or not (port.isascii() and port.isdigit()) or not lowest <= int(port) < 65536:
-        raise ConfigurationError(option, text, "HOST:PORT")
-    return host, int(port)
-
-
-def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
-    host, port = _address(text, "--listen")
-    return host, port or config.layout.port
-
-
-def _run(arguments: argparse.Namespace) -> int:
-    try:
-        config = load_config(arguments.config)
-        account = load_account(arguments.account) if arguments.account else None
-        broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
-        topics = Topics(arguments.prefix, config.robot)
-        address = _listen_address(arguments.listen, config)
-        told = controller_sends_to(arguments.ethernet_xml, config.layout) if arguments.ethernet_xml else address[0]
-        controller = address_of(arguments.controller, "--controller") if arguments.controller else None
-        if controller is None and not is_loopback(address[0]):
-            expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"
-            raise ConfigurationError("--controller", "", expected)
-        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
-        run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
-        service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
-        if trace is not None:
-            service.gateway.trace = trace.record
-    except ConstructionTwinError as error:
-        log.error("%s", error)
-        return 2
-    # before the first line is logged: the log's thread may be the one that fails
-    threading.excepthook = service.on_thread_failure
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: service.stop())
-    log.info("configuration %s; listening on %s:%d; broker %s", config.hash[:12], *address, arguments.broker)
-    log.info("telegrams are read from %s", f"{controller} only" if controller else "whoever begins a session")
-    if address[1] != config.layout.port:
-        log.warning("the Ethernet XML tells the controller to send to port %d, not %d", config.layout.port, address[1])
-    if told != address[0] and address[0] != "0.0.0.0":
-        log.warning("the Ethernet XML tells the controller to send to address %s, not %s", told, address[0])
-    if service.gateway.mode is not Mode.NORMAL:
-        log.warning("mode %s%s", service.gateway.mode.value, NOTES[service.gateway.mode])
-    log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
-    # a full collection over everything imported would take longer than the controller waits
-    gc.freeze()
-    service.run()
-    if trace is not None:
-        trace.close()
-    return 1 if service.failure else 0
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the gateway until SIGINT or SIGTERM; return the exit code."""
-    arguments = _arguments(sys.argv[1:] if argv is None else argv)
-    # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
-    sys.setswitchinterval(0.001)
-    listener = log_beside_the_loop()
-    try:
-        return _run(arguments)
-    finally:
-        listener.stop()

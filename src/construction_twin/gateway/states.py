@@ -172,7 +172,7 @@ CAUSES = {
 }
 
 
-def rows() -> list[tuple[str, str, str, str, str]]:
+def table_cells() -> list[tuple[str, str, str, str, str]]:
     """Return the table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
     return [
         (row.state.value, row.event.value, row.guard.value, row.action.value, row.target.value if row.target else "")

@@ -6,7 +6,7 @@ Pure: time is an argument [ns].
 from __future__ import annotations
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.link.inputs import LinkInputs
+from construction_twin.link.observations import LinkObservations
 
 _LEADS = "the arm leads, the twin follows; nothing is commanded"
 
@@ -16,7 +16,7 @@ class MirrorMode:
 
     Parameters
     ----------
-    inputs : LinkInputs
+    inputs : LinkObservations
     active : bool
         Whether the arm leads from the start.
 
@@ -27,7 +27,7 @@ class MirrorMode:
         The session that commanded before; it is ended at the gateway too.
     """
 
-    def __init__(self, inputs: LinkInputs, active: bool):
+    def __init__(self, inputs: LinkObservations, active: bool):
         self._inputs = inputs
         self.active = active
         self.ended_session = ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from construction_twin.core.deadline import SpeedLimitSource
+from construction_twin.core.speed_limit_source import SpeedLimitSource
 from construction_twin.core.units import NANOSECONDS
 
 #: An unchanged limit is repeated no faster than this [ns].

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.inputs import LinkInputs
 from construction_twin.link.mirror_mode import MirrorMode
+from construction_twin.link.observations import LinkObservations
 from construction_twin.link.states import ROWS, Action, Guard, LinkEvent, LinkState
 from construction_twin.mqtt.messages import Control, arm_value
 
@@ -48,7 +48,7 @@ class LinkSupervisor:
         One sentence.
     session : str
         "" before the first.
-    inputs : LinkInputs
+    inputs : LinkObservations
         What is known of gateway, arm and command stream.
     """
 
@@ -63,7 +63,7 @@ class LinkSupervisor:
     ):
         self._hash = config_hash
         self._new_id = new_id
-        self.inputs = LinkInputs(config_hash, decimals, start_tolerances, last_digits)
+        self.inputs = LinkObservations(config_hash, decimals, start_tolerances, last_digits)
         self.state = LinkState.DISCONNECTED
         self.reason = "not connected to the broker yet"
         self.session = new_id() if mirrors else ""

@@ -195,6 +195,23 @@ class Gate:
             self._forget()
         self.mirrored = leads
 
+    def check_rest(self, now: int) -> None:
+        """Refuse a change of settings while the arm moves or may move, or while the gate holds; `now` in ns.
+
+        Raises
+        ------
+        ConfigurationError
+        """
+        if self.mirrored:
+            raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
+        if self._moved_at is not None and now - self._moved_at < REST:
+            raise ConfigurationError(
+                "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
+            )
+        if self.state in HELD_STATES:
+            expected = "WAITING, IN_SYNC or STOPPED: settings must not open a gate that a violation has closed"
+            raise ConfigurationError("the gate", self.state.name, expected)
+
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
         """Go on with other settings, from rest; the change is a transition.
 
@@ -209,15 +226,9 @@ class Gate:
         Raises
         ------
         ConfigurationError
-            When the arm moves, when the gate holds, or when `thresholds` names a joint that is unknown. Nothing is changed then.
+            As `check_rest`, or when `thresholds` names a joint that is unknown. Nothing is changed then.
         """
-        if self._moved_at is not None and now - self._moved_at < REST:
-            raise ConfigurationError(
-                "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
-            )
-        if self.state in HELD_STATES:
-            expected = "WAITING, IN_SYNC or STOPPED: settings must not open a gate that a violation has closed"
-            raise ConfigurationError("the gate", self.state.name, expected)
+        self.check_rest(now)
         comparison = settings.comparison(self._limits)
         self.comparison.configure(comparison)
         self.settings = settings

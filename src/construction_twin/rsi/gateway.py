@@ -5,7 +5,7 @@ The one module that imports upwards, as the import contract names.
 
 import sys
 
-from construction_twin.gateway.service import main
+from construction_twin.gateway.command_line import main
 
 if __name__ == "__main__":
     sys.exit(main())

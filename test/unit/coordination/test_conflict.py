@@ -17,7 +17,7 @@ from construction_twin.coordination import conflict as conflict_module
 from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, braking_horizon, gives_way
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import PayloadError
-from construction_twin.execution.conflict_verdicts import AHEAD, VERDICT_TIMEOUT, NeighbourWatch
+from construction_twin.execution.conflict_verdicts import AHEAD, VERDICT_TIMEOUT, ConflictVerdicts
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.first_contact import copies, first_contact
@@ -219,13 +219,13 @@ def test_the_horizon_holds_both_braking_times_and_the_age_of_all_that_is_known()
     assert braking_horizon(ROBOT, slower, 0.2, 0.3, 0.1) == pytest.approx(3 * braking + 0.6)
 
 
-def problem(watch: NeighbourWatch, plan_id: str, now: int) -> str:
+def problem(watch: ConflictVerdicts, plan_id: str, now: int) -> str:
     watch.now = now
     return watch.problem(plan_id)
 
 
 def test_a_verdict_holds_for_its_plan_and_for_half_a_second():
-    watch = NeighbourWatch("b")
+    watch = ConflictVerdicts("b")
     assert "not checked against b yet" in problem(watch, "p1", 0)
     watch.on_verdict("p1", "", 1000)
     assert problem(watch, "p1", 1000 + VERDICT_TIMEOUT) == ""
@@ -236,7 +236,7 @@ def test_a_verdict_holds_for_its_plan_and_for_half_a_second():
 
 
 def test_a_verdict_is_as_old_as_the_poses_it_goes_by():
-    watch = NeighbourWatch("b")
+    watch = ConflictVerdicts("b")
     watch.on_verdict("p1", "", 1000, VERDICT_TIMEOUT // 2)
     assert problem(watch, "p1", 1000 + VERDICT_TIMEOUT // 2) == ""
     assert "last checked" in problem(watch, "p1", 1001 + VERDICT_TIMEOUT // 2)
@@ -244,7 +244,7 @@ def test_a_verdict_is_as_old_as_the_poses_it_goes_by():
 
 @pytest.mark.parametrize("age", [VERDICT_TIMEOUT + 1, -AHEAD - 1])
 def test_a_verdict_that_comes_too_late_or_from_the_future_is_refused_and_the_last_one_grows_old(age):
-    watch = NeighbourWatch("b")
+    watch = ConflictVerdicts("b")
     watch.on_verdict("p1", "", 0)
     with pytest.raises(PayloadError, match="expected -0.01 to 0.5 s") as caught:
         watch.on_verdict("p1", "", 1000, age)
@@ -253,17 +253,17 @@ def test_a_verdict_that_comes_too_late_or_from_the_future_is_refused_and_the_las
 
 
 def test_a_clock_that_is_set_a_little_makes_no_verdict_younger_than_its_arrival():
-    watch = NeighbourWatch("b")
+    watch = ConflictVerdicts("b")
     watch.on_verdict("p1", "", 0, -AHEAD)
     assert "last checked" in problem(watch, "p1", VERDICT_TIMEOUT + 1)
 
 
 def test_an_arm_alone_has_no_problem():
-    assert problem(NeighbourWatch(), "p1", 0) == ""
+    assert problem(ConflictVerdicts(), "p1", 0) == ""
 
 
 def test_old_verdicts_are_forgotten():
-    watch = NeighbourWatch("b")
+    watch = ConflictVerdicts("b")
     for number in range(20):
         watch.on_verdict(f"p{number}", "", number)
     assert problem(watch, "p19", 19) == "" and "not checked" in problem(watch, "p1", 19)

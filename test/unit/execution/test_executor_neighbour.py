@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.units import CYCLE_NS
-from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT, NeighbourWatch
+from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT, ConflictVerdicts
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.review.queue import Ending
 
@@ -21,7 +21,7 @@ class Beside(Bench):
 
     def __init__(self):
         super().__init__()
-        self.executor.neighbour = NeighbourWatch("b")
+        self.executor.neighbour = ConflictVerdicts("b")
         self.verdict: str | None = ""
         self.plan = make_plan()
 

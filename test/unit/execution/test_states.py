@@ -16,7 +16,7 @@ from construction_twin.execution.states import (
     ExecutorState,
     Guard,
     rows_for,
-    table_rows,
+    table_cells,
 )
 from construction_twin.monitor.gate import RESUME, SyncState
 
@@ -62,8 +62,8 @@ def test_values_are_those_of_the_message():
 
 
 def test_the_rows_for_the_documentation_are_words():
-    assert len(table_rows()) == len(TABLE)
-    assert table_rows()[0] == ("WAITING", "agreed", "", "the setpoint begins at the twin's pose", "IDLE")
+    assert len(table_cells()) == len(TABLE)
+    assert table_cells()[0] == ("WAITING", "agreed", "", "the setpoint begins at the twin's pose", "IDLE")
 
 
 def bench_in(state: ExecutorState) -> Bench:

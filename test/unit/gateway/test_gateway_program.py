@@ -26,8 +26,9 @@ from service_cell import (
 )
 
 from construction_twin.core.units import CYCLE, format_allowance
-from construction_twin.gateway.service import bind, main
+from construction_twin.gateway.command_line import main
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
+from construction_twin.rsi.udp import bind
 
 
 @pytest.fixture
@@ -182,8 +183,9 @@ def test_telegrams_from_another_address_are_told_once(broker, topics, config_fil
 
 
 def test_its_other_threads_hand_the_interpreter_over_within_a_quarter_of_a_cycle():
-    code = "import sys; from construction_twin.gateway import service; service._run = lambda _: print(sys.getswitchinterval()); "
-    run = [sys.executable, "-c", code + "service.main(['--config', 'x'])"]
+    code = "import sys; from construction_twin.gateway import command_line as program; "
+    code += "program._run = lambda _: print(sys.getswitchinterval()); program.main(['--config', 'x'])"
+    run = [sys.executable, "-c", code]
     said = subprocess.run(run, capture_output=True, text=True, timeout=60.0, check=True).stdout
     assert float(said) <= CYCLE / 4
 
@@ -297,7 +299,7 @@ def test_the_name_of_before_still_starts_the_gateway():
 def test_with_a_paho_that_was_not_tested_it_runs_on_the_public_interface_and_says_so_once(broker, topics, config_file):
     code = (
         "import sys; from construction_twin.mqtt import fast_client; fast_client.TESTED_VERSIONS = ('1.2.3',); "
-        "from construction_twin.gateway.service import main; sys.exit(main(sys.argv[1:]))"
+        "from construction_twin.gateway.command_line import main; sys.exit(main(sys.argv[1:]))"
     )
     with client_of(broker, topics) as client, bind("127.0.0.1", 0) as sock:
         address = sock.getsockname()
@@ -335,7 +337,7 @@ _BROKEN = {
 @pytest.mark.parametrize("part", _BROKEN)
 def test_a_program_that_has_failed_holds_on_and_says_so(broker, topics, config_file, part):
     code = (
-        "import logging.handlers, sys; from construction_twin.gateway import service\n"
+        "import logging.handlers, sys; from construction_twin.gateway import command_line, service\n"
         "calls = []\n"
         "def broken(self, *arguments):\n"
         "    calls.append(self)\n"
@@ -345,7 +347,7 @@ def test_a_program_that_has_failed_holds_on_and_says_so(broker, topics, config_f
             "CONNECTS", str(part == "connecting thread")
         )
         + _BROKEN[part]
-        + "\nsys.exit(service.main(sys.argv[1:]))"
+        + "\nsys.exit(command_line.main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", code, "--config", config_file, "--prefix", topics.prefix]
     command += ["--broker", f"127.0.0.1:{broker}", "--listen", "127.0.0.1:0"]

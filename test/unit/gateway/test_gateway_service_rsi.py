@@ -14,9 +14,8 @@ from service_cell import (
 )
 
 from construction_twin.core.errors import ConfigurationError, TransportError
-from construction_twin.gateway.service import bind
 from construction_twin.rsi.telegram import MAX_TELEGRAM
-from construction_twin.rsi.udp import address_of
+from construction_twin.rsi.udp import address_of, bind
 
 
 def test_every_telegram_is_answered_without_any_broker(topics):

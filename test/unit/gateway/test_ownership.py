@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from construction_twin.gateway.refusals import MEMORY, Ownership
+from construction_twin.gateway.ownership import MEMORY, Ownership
 from construction_twin.mqtt.messages import Control
 
 

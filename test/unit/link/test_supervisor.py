@@ -7,7 +7,7 @@ from supervisor_bench import FAULT, HASH, RUN, SILENCE, TOLERANCE, armed, bench,
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.inputs import FRESH, STATUS_TIMEOUT
+from construction_twin.link.observations import FRESH, STATUS_TIMEOUT
 from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import RETRY
 from construction_twin.mqtt.messages import arm_value

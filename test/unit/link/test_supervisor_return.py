@@ -9,7 +9,7 @@ from supervisor_bench import DECIMALS, FAULT, POLL, POSE, SILENCE, STOP, TOLERAN
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.inputs import FRESH, REST
+from construction_twin.link.observations import FRESH, REST
 from construction_twin.link.states import LinkState
 
 #: Fixtures of the bench.

@@ -62,6 +62,17 @@ class TestThresholds:
         gate.on_physical(moved(START, 0.2), 0, gate.held_stamp)
         assert gate.state is SyncState.HOLDING
 
+    @pytest.mark.parametrize("stopped", [False, True])
+    def test_do_not_change_while_the_arm_leads(self, stopped):
+        gate = bench().gate
+        before = gate.settings
+        if stopped:
+            gate.stay_stopped("by an earlier monitor", gate.held_stamp)
+        gate.mirror(True, gate.held_stamp)
+        with pytest.raises(ConfigurationError, match="the arm leads"):
+            gate.configure(GateSettings(threshold=0.3), "Ada", gate.held_stamp)
+        assert gate.settings is before
+
 
 class TestClosing:
     def test_the_first_sample_above_the_threshold_closes_before_any_setpoint(self):

@@ -25,7 +25,7 @@ from gateway_cell import following
 
 from construction_twin.broker.access import PLC, ROLES
 from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.execution.states import ExecutorEvent, ExecutorState, table_rows
+from construction_twin.execution.states import ExecutorEvent, ExecutorState, table_cells
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
 from construction_twin.link.remote_review import PlanView, review_answer
@@ -166,10 +166,10 @@ def test_roles_and_their_topics_are_documented():
 @pytest.mark.parametrize(
     "file",
     [
-        "gateway/service",
+        "gateway/command_line",
         "mock/program",
         "ros/commands/evaluate",
-        "ros/shared/gateway_config",
+        "ros/commands/export_gateway_config",
         "broker/start",
         "broker/make_site",
         "views/arguments",
@@ -223,7 +223,7 @@ def test_gateway_states_and_events_are_explained():
 def test_rows_that_states_share_keep_the_order_in_which_guards_are_asked():
     shared = make_reference.state_rows("construction_twin.execution.states")
     asked = [(state, row[1], row[2:]) for row in shared for state in row[0].split(", ")]
-    rows = table_rows()
+    rows = table_cells()
     for state, event in {(row[0], row[1]) for row in rows}:
         expected = [tuple(row[2:]) for row in rows if (row[0], row[1]) == (state, event)]
         assert [rest for of, on, rest in asked if (of, on) == (state, event)] == expected

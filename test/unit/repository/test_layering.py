@@ -23,7 +23,7 @@ from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
 from construction_twin.ros.nodes.tool_marker import Settings as MarkerSettings
 from construction_twin.ros.shared.arm_listener import NeighbourSettings
-from construction_twin.ros.shared.gateway_export import gateway_config
+from construction_twin.ros.shared.gateway_config import gateway_config
 
 ROOT = Path(__file__).parents[3]
 PACKAGE = ROOT / "src" / "construction_twin"

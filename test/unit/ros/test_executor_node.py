@@ -13,7 +13,7 @@ from construction_twin.srv import ReviewPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.execution.conflict_verdicts import NeighbourWatch
+from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.review.queue import Verdict
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
@@ -107,7 +107,7 @@ def limit(fraction: float) -> SpeedLimit:
 
 @pytest.mark.parametrize("age, refused", [(0.2, 0), (0.6, 1), (-0.5, 1)])
 def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age, refused):
-    watch, taken = NeighbourWatch("b"), []
+    watch, taken = ConflictVerdicts("b"), []
     on_verdict = watch.on_verdict
     monkeypatch.setattr(watch, "on_verdict", lambda *given: taken.append(given[3]) or on_verdict(*given))
     world.node._executor.neighbour = watch

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from construction_twin.ros.shared.gateway_config import write_whole
+from construction_twin.core.files import write_whole
 
 
 def test_a_second_start_replaces_the_file_and_leaves_nothing_else(tmp_path):

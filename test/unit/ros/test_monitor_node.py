@@ -13,6 +13,7 @@ from executor_bench import ROBOT
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.transport.joint_stream import to_time
@@ -113,7 +114,7 @@ def opened(world: World, session: str = "s1"):
 
 
 def test_settings_of_this_test_are_all_there_are():
-    assert set(SETTINGS) | {"thresholds"} == set(module.Behaviour.model_fields)
+    assert set(SETTINGS) | {"thresholds"} == set(Behaviour.model_fields)
 
 
 class TestSettings:
@@ -151,6 +152,8 @@ class TestSettings:
             ("{policy", "Ada", "YAML"),
             ("", "Ada", "mapping"),
             ("[1]", "Ada", "mapping"),
+            ("{policy: 2001-99-99}", "Ada", "YAML"),
+            (3000 * "[", "Ada", "YAML"),
             ("{policy: stop}", " ", "operator"),
         ],
     )
@@ -171,6 +174,16 @@ class TestSettings:
         assert not answer.success and f"plan p is {state}" in answer.message
         node._on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
         assert self.change(world, "{threshold: 0.5}").success
+
+    def test_are_not_even_read_unless_a_named_person_asks_at_rest(self, world, monkeypatch):
+        node = opened(world)
+        monkeypatch.setattr(Behaviour, "changed", lambda *_: pytest.fail("read the settings"))
+        assert "operator" in self.change(world, "{policy: stop}", "").message
+        node._on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
+        assert "plan p" in self.change(world, "{policy: stop}").message
+        node._on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
+        node._on_link(Link(session="s1", state=Link.MIRROR))
+        assert "the arm leads" in self.change(world, "{policy: stop}").message
 
 
 def test_a_plan_without_points_is_refused_with_a_sentence(world):

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, RecordError, ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval
-from construction_twin.execution.conflict_verdicts import NeighbourWatch
+from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.speed_limit import LimitState, SpeedLimit
 from construction_twin.monitor.gate import SyncState
@@ -79,7 +79,7 @@ class ExecutorNode:
         robot = robot_from_parameters()
         self._robot = robot
         self._executor = Executor(robot)
-        self._executor.neighbour = NeighbourWatch(settings.neighbour)
+        self._executor.neighbour = ConflictVerdicts(settings.neighbour)
         self._limit = SpeedLimit(
             settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required
         )

@@ -40,7 +40,7 @@ from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Feedback, Link, SpeedLimit
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
 from construction_twin.ros.shared.gateway_config import config_from_parameters
-from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, report_of
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
@@ -141,19 +141,12 @@ class MqttBridge:
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
-        client = self._client
-        self._connection.watch(client)
-        client.on_connect = self.on_connect
-        client.on_disconnect = self.on_disconnect
-        client.on_stream(self._topics.state, self.on_state)
-        client.message_callback_add(
-            self._topics.status, lambda _client, _data, message: self.on_status(bytes(message.payload))
-        )
-        client.message_callback_add(
-            self._topics.control_ack, lambda _client, _data, message: self.on_answer(bytes(message.payload))
-        )
-        client.connect_async(self._broker.host, self._broker.port, self._broker.keepalive)
-        client.loop_start()
+        self._client.on_stream(self._topics.state, self.on_state)
+        on_message = {
+            self._topics.status: lambda message: self.on_status(bytes(message.payload)),
+            self._topics.control_ack: lambda message: self.on_answer(bytes(message.payload)),
+        }
+        connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
     def link(self) -> LinkState:

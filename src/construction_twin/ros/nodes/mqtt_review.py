@@ -20,7 +20,7 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Link, Plan, Review
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
-from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, report_of
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.subscriber import Subscriber
@@ -85,18 +85,11 @@ class MqttReview:
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
-        client = self._client
-        self._connection.watch(client)
-        client.on_connect = self.on_connect
-        client.on_disconnect = self.on_disconnect
-        client.message_callback_add(
-            self._topics.review, lambda _client, _data, message: self.on_review(bytes(message.payload), message.retain)
-        )
-        client.message_callback_add(
-            self._topics.plan, lambda _client, _data, message: self.on_own_plan(bytes(message.payload))
-        )
-        client.connect_async(self._broker.host, self._broker.port, self._broker.keepalive)
-        client.loop_start()
+        on_message = {
+            self._topics.review: lambda message: self.on_review(bytes(message.payload), message.retain),
+            self._topics.plan: lambda message: self.on_own_plan(bytes(message.payload)),
+        }
+        connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
     def refuse(self) -> Callable[[str, str], None]:

@@ -12,13 +12,13 @@ from typing import Annotated, Literal
 
 import pydantic
 import rospy
-import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
+from construction_twin.monitor.gate import REPLAN, Gate
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
+from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
@@ -42,68 +42,6 @@ from construction_twin.srv import ConfigureGate, ConfigureGateRequest, Configure
 SETPOINTS_KEPT = 25
 #: Poses of the arm kept while the gate is busy.
 FEEDBACK_KEPT = 50
-
-
-_Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
-_NotNegative = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
-
-
-class Behaviour(pydantic.BaseModel):
-    """How strict the gate is: what the service `configure_gate` can change at rest; see config/pca_monitor.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-    threshold: _Positive
-    threshold_linear: _Positive
-    thresholds: dict[str, _Positive] = {}
-    comparison: Literal["aligned", "instant"]
-    lag_allowance: _NotNegative
-    lag_margin: _NotNegative
-    feedback_timeout: _Positive
-    agree_share: float = pydantic.Field(gt=0, le=1)
-    agree_time: _NotNegative
-    policy: Literal["replan", "resume", "stop"]
-    give_up_time: _Positive
-    escalate_count: int = pydantic.Field(ge=1)
-    escalate_time: _Positive
-
-    def gate_settings(self, compares: bool) -> GateSettings:
-        """Return the same for the gate; `compares` is False without a physical arm."""
-        values = {name: getattr(self, name) for name in Behaviour.model_fields if name in GateSettings.__match_args__}
-        return GateSettings(**values, aligned=self.comparison == "aligned", compares=compares)
-
-    def changed(self, text: str) -> Behaviour:
-        """Return the behaviour with some settings changed.
-
-        Parameters
-        ----------
-        text : str
-            YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
-
-        Raises
-        ------
-        ConfigurationError
-            When one of them does not exist or makes no sense.
-        """
-        try:
-            changes = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ConfigurationError("settings", text, f"YAML ({' '.join(str(error).split())})") from error
-        if not isinstance(changes, dict):
-            raise ConfigurationError("settings", text, "a YAML mapping, e.g. {policy: resume}")
-        try:
-            return Behaviour.model_validate(self.model_dump() | changes)
-        except pydantic.ValidationError as error:
-            first = error.errors()[0]
-            raise ConfigurationError("/".join(map(str, first["loc"])), first.get("input"), first["msg"]) from error
-
-    def difference(self, other: Behaviour) -> str:
-        """Return what another behaviour changes, as words; empty when nothing."""
-        return ", ".join(
-            f"{name} {getattr(self, name)} -> {getattr(other, name)}"
-            for name in Behaviour.model_fields
-            if getattr(self, name) != getattr(other, name)
-        )
 
 
 class Settings(NodeSettings, Behaviour):
@@ -222,14 +160,16 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         try:
             with self._lock:
-                behaviour = self._behaviour.changed(request.settings)
-                difference = self._behaviour.difference(behaviour)
                 if not request.operator.strip():
                     raise ConfigurationError(
                         "operator", request.operator, "the name of a person: the change is recorded"
                     )
                 if self._executing:
                     raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
+                # before the text is read: whatever reading it costs, it costs at rest
+                self._gate.check_rest(now)
+                behaviour = self._behaviour.changed(request.settings)
+                difference = self._behaviour.difference(behaviour)
                 if difference:
                     settings = behaviour.gate_settings(self._compares)
                     self._gate.configure(settings, f"{request.operator.strip()} changed {difference}", now)

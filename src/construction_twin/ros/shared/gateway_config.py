@@ -1,21 +1,20 @@
-"""The gateway's configuration from the parameter server: exported to a file, or handed to a gateway on this machine."""
+"""The gateway's configuration, from robot model and link settings on the parameter server.
+
+Used by the exporter, by the gateway's start on this machine, and by the bridge, which compares hashes.
+"""
 
 from __future__ import annotations
 
-import argparse
-import os
-import re
-import sys
-from pathlib import Path
+from collections.abc import Mapping
 
-import rosgraph
 import rospy
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.files import write_whole
+from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.ros.shared.gateway_export import gateway_config
-from construction_twin.ros.shared.params import robot_from_parameters, ros_home
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
 
 
 def config_from_parameters(namespace: str = "") -> GatewayConfig:
@@ -39,43 +38,62 @@ def config_from_parameters(namespace: str = "") -> GatewayConfig:
     return gateway_config(robot_from_parameters(namespace), settings)
 
 
-def export_main() -> None:
-    """Write the configuration file for a gateway on another machine."""
-    parser = argparse.ArgumentParser(
-        prog="export_gateway_config",
-        description="Write the configuration of rsi_gateway for the cell PC, from the parameters of a running bringup.",
-    )
-    parser.add_argument("output", help="file to write, e.g. kr120_gateway.json; - for the terminal")
-    parser.add_argument("--namespace", default="kr120", help="namespace of the robot [%(default)s]")
-    arguments = parser.parse_args(rospy.myargv(sys.argv)[1:])
-    rospy.init_node("export_gateway_config", anonymous=True, disable_signals=True)
+def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
+    """Return the configuration of the gateway of `robot`.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Its joint ranges are turned into ranges of the controller's axes (sign and offset).
+    settings : Mapping
+        The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `ethernet_xml`: the text
+        of the controller's Ethernet XML.
+
+    Returns
+    -------
+    config : GatewayConfig
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown key, or a value that does not fit: also a range that the joint string cannot carry.
+    EthernetXmlError
+        If the Ethernet XML does not fit the robot.
+    """
+    axes = tuple(axis.rsi for axis in robot.axes)
+    settings = dict(settings)
+    if "ethernet_xml" in settings:
+        ethernet = read_ethernet_xml(settings.pop("ethernet_xml"), "Ethernet XML")
+        check_gateway(ethernet.layout, axes, ethernet.where)
+        settings["layout"] = ethernet.layout
+    ends = [
+        sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
+        for axis, low, high in zip(robot.axes, robot.lower, robot.upper)
+    ]
     try:
-        config = config_from_parameters(f"/{arguments.namespace.strip('/')}/")
-    except ConstructionTwinError as error:
-        sys.exit(f"export_gateway_config: {error}")
-    if arguments.output == "-":
-        print(config.to_json(), end="")
-        return
-    Path(arguments.output).write_text(config.to_json(), encoding="utf-8")
-    layout = config.layout
-    print(
-        f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; RSI on UDP port "
-        f"{layout.port}, SENTYPE {layout.sentype}, "
-        + ("read-only" if layout.onlysend else f"channels {', '.join(layout.receive)}")
-    )
+        config = GatewayConfig(
+            robot=robot.name,
+            axes=axes,
+            lower=tuple(low for low, _ in ends),
+            upper=tuple(high for _, high in ends),
+            velocity=robot.velocity,
+            acceleration=robot.acceleration,
+            linear=tuple(axis.rsi for axis, linear in zip(robot.axes, robot.linear) if linear),
+            **settings,
+        )
+    except TypeError as error:
+        raise ConfigurationError("gateway", settings, f"the keys of config/gateway.yaml ({error})") from error
+    _check_format(robot, config)
+    return config
 
 
-def run_gateway() -> None:
-    """Start the gateway on this machine as roslaunch would start a node; ROS ends where the gateway begins."""
-    rospy.init_node("rsi_gateway", disable_signals=True, disable_rosout=True)
-    try:
-        config = config_from_parameters()
-    except ConstructionTwinError as error:
-        sys.exit(f"rsi_gateway cannot run: {error}")
-    # one file per node and ROS master: two masters of one user must not hand each other's configuration over
-    name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
-    path = ros_home() / f"{name}.json"
-    write_whole(path, config.to_json())
-    rospy.signal_shutdown("handing over to the gateway")
-    arguments = rospy.myargv(sys.argv)[1:]
-    os.execv(sys.executable, [sys.executable, "-m", "construction_twin.gateway", "--config", str(path), *arguments])
+def _check_format(robot: RobotModel, config: GatewayConfig) -> None:
+    """Refuse what could be commanded, but not be sent."""
+    codec = JointStringCodec.of(robot, config.decimals)
+    for end, q in (("lower", robot.lower), ("upper", robot.upper)):
+        try:
+            codec.encode(q)
+        except PayloadError as error:
+            raise ConfigurationError(
+                f"{end} limits of {robot.name}", q, f"a range the wire can carry ({error})"
+            ) from error

@@ -1,13 +1,17 @@
-"""What the nodes that speak MQTT have in common: their parameters, and reports on the connection."""
+"""What the nodes that speak MQTT have in common: their parameters, the connection, and reports on it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import pydantic
 import rospy
+from paho.mqtt.client import MQTTMessage
 
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.ros.shared.params import NodeSettings
 
 
@@ -42,3 +46,39 @@ def broker_of(settings: MqttSettings) -> Broker:
 def report_of(broker: Broker) -> ConnectionReport:
     """Return a report that goes to the node's log."""
     return ConnectionReport(broker, lambda sentence: rospy.logerr("%s", sentence))
+
+
+def connect(
+    client: PlainClient,
+    broker: Broker,
+    report: ConnectionReport,
+    on_connect: Callable[..., None],
+    on_disconnect: Callable[..., None],
+    on_message: Mapping[str, Callable[[MQTTMessage], None]],
+) -> None:
+    """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls.
+
+    Parameters
+    ----------
+    client : PlainClient
+        Not connected yet.
+    broker : Broker
+    report : ConnectionReport
+        Told of connections that fail.
+    on_connect, on_disconnect : callable
+        As paho calls them.
+    on_message : mapping of str to callable
+        For each topic what takes its messages.
+    """
+    report.watch(client)
+    client.on_connect = on_connect
+    client.on_disconnect = on_disconnect
+    for topic, take in on_message.items():
+        client.message_callback_add(topic, _alone(take))
+    client.connect_async(broker.host, broker.port, broker.keepalive)
+    client.loop_start()
+
+
+def _alone(take: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
+    """Return a callback for paho that hands on the message alone."""
+    return lambda _client, _data, message: take(message)

@@ -19,7 +19,7 @@ REST = NANOSECONDS // 5
 STATUS_TIMEOUT = 3 * NANOSECONDS
 
 
-class LinkInputs:
+class LinkObservations:
     """The newest of everything that the link is decided by.
 
     Parameters
