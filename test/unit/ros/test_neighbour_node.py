@@ -16,10 +16,10 @@ from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
 from construction_twin.ros.nodes import neighbour as neighbour_node
-from construction_twin.ros.nodes import planner as planner_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
 from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
+from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.scene.neighbour import Neighbour
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -232,27 +232,23 @@ def test_without_knowing_what_it_carries_nobody_knows_how_far_it_reaches(poses):
         arm(poses, scene=Scene((foreign,), 0.0)).occupied()
 
 
-def planner(unknown: str) -> planner_node.PlannerNode:
-    node = object.__new__(planner_node.PlannerNode)
-    node._beside = SimpleNamespace(name="b", max_pose_age=0.5, padding=0.1)
-    node._other = SimpleNamespace(occupied=lambda _: other().anywhere(), unknown=unknown)
-    node._busy = planner_node.threading.Lock()
-    node._demand_scene = lambda: None
-    node._diagnostics = SimpleNamespace(count=lambda *_: None)
-    node._publish_outcome = lambda *_: None
-    return node
-
-
 def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
-    def blocked(node):
-        assert [item.padding for item in node._occupied()] == [pytest.approx(0.1, abs=2e-3)]
+    beside = SimpleNamespace(
+        occupied=lambda _: other().anywhere(), unknown="where b is, or goes, is not known: no message"
+    )
+    space = OccupiedSpace(beside, "b", 0.5, 0.1)
+    pipeline = SimpleNamespace(scene=EMPTY, wait_for_scene=lambda _: None)
+    count = SimpleNamespace(count=lambda *_: None)
+    handler = RequestHandler(pipeline, count, lambda: 1, 0.0, str, lambda *_: None, space)
+
+    def blocked(_):
+        assert [item.padding for item in space.obstacles()] == [pytest.approx(0.1, abs=2e-3)]
         raise PlanningError("the start is in collision")
 
-    node = planner("where b is, or goes, is not known: no message")
-    answer = node._answer(lambda _: blocked(node), None)
+    answer = handler.answer(blocked, None)
     assert not answer.success
     assert answer.sentence.startswith(
         "the start is in collision; plans keep clear of the whole reach of b, because where b is"
     )
-    node._other.unknown = ""
-    assert node._answer(lambda _: blocked(node), None).sentence == "the start is in collision"
+    beside.unknown = ""
+    assert handler.answer(blocked, None).sentence == "the start is in collision"
