@@ -84,7 +84,7 @@ def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_j
     bench.check()
     names = [item.plan_id if isinstance(item, Conflict) else item for item in bench.did]
     assert names == ["time", "read", "judge played", "played", "judge waiting", "waiting"]
-    assert bench.node._state[0] == OK
+    assert bench.node._state.level == OK
 
 
 def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_others_from_starting(bench):
@@ -108,11 +108,11 @@ def test_a_load_that_cannot_be_used_blocks_its_plan_and_is_an_error_on_diagnosti
     verdicts = bench.check()
     assert not verdicts["played"].conflict
     assert verdicts["waiting"].conflict and "/gone.stl" in verdicts["waiting"].reason
-    level, sentence, _ = bench.node._state
-    assert level == ERROR and "/gone.stl" in sentence
+    state = bench.node._state
+    assert state.level == ERROR and "/gone.stl" in state.sentence
     bench.node._judge.waiting = lambda *_: FREE
     assert not bench.check()["waiting"].conflict
-    assert bench.node._state[0] == OK
+    assert bench.node._state.level == OK
 
 
 def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostics(bench):
@@ -122,13 +122,13 @@ def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostic
     bench.node._other.occupied = unknown
     verdicts = bench.check()
     assert all(message.conflict and "cannot be used" in message.reason for message in verdicts.values())
-    assert set(verdicts) == {"played", "waiting"} and bench.node._state[0] == ERROR
+    assert set(verdicts) == {"played", "waiting"} and bench.node._state.level == ERROR
 
 
 def test_an_arm_of_unknown_pose_is_a_warning(bench):
     bench.node._other.unknown = "where b is, is not known"
     bench.check()
-    assert bench.node._state[:2] == (WARN, "where b is, is not known")
+    assert (bench.node._state.level, bench.node._state.sentence) == (WARN, "where b is, is not known")
 
 
 def test_what_nobody_foresaw_ends_the_process(bench, monkeypatch):

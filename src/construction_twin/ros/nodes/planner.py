@@ -33,7 +33,7 @@ from construction_twin.ros.messages.plan_requests import (
 )
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
@@ -231,10 +231,10 @@ class PlannerNode:
             raise PlanningError(f"no transform from goal frame {frame!r} to {self._base_frame!r}: {error}") from error
         return pose_from_transform_msg(transform.transform)
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         scene = self._pipeline.scene
         values = {"plans": self._plans, "scene": scene.hash if scene is not None else "none"}
-        return OK if scene is not None else WARN, self._last, values
+        return Report(OK if scene is not None else WARN, self._last, values)
 
 
 def _sentence(plan: Plan) -> str:
