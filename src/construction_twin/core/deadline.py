@@ -67,6 +67,10 @@ class SpeedLimitSource:
             raise PayloadError(
                 "speed_limit", f"{name} sent the speed limit {fraction}; expected a fraction from 0 to 1"
             )
+        if not name:
+            raise PayloadError(
+                "speed_limit_source", "a speed limit came without its sender's name; expected a node's name"
+            )
         if name != self.name and self.is_heard(now):
             raise PayloadError(
                 "speed_limit_source", f"{name} sent a speed limit while {self.name} does; let only one of them"

@@ -338,8 +338,8 @@ class Gateway:
         self.counters["commands_received"] += 1
 
     def _on_stream_began(self, event: Event, occasion: Occasion) -> None:
-        if self._player.follower is not None:
-            self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
+        assert self._player.follower is not None  # an armed gateway has one
+        self._stream.start(self._player.follower.position, occasion.stamp, occasion.q)
 
     # -- control
 

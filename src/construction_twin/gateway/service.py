@@ -17,8 +17,8 @@ import socket
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from paho.mqtt import client as paho
@@ -108,15 +108,17 @@ class GatewayService:
         # the datagram read last, and its source
         self._datagram: tuple[bytes, tuple] | None = None
         self._thread_failure: BaseException | None = None
+        # what failed, until it has been told
+        self._cause: BaseException | None = None
         self._selector = selectors.DefaultSelector()
         self._selector.register(sock, selectors.EVENT_READ, None)
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status)
         self._connection = ConnectionReport(broker, log.error)
         # guarded here, because paho would handle a message again whose callback raised
-        client.on_connect = lambda *arguments: self.guarded(self._on_connect, *arguments)
-        client.on_disconnect = lambda *arguments: self.guarded(self._on_disconnect, *arguments)
-        client.on_stream(self._topics.command, lambda *arguments: self.guarded(self._on_command, *arguments))
-        client.message_callback_add(self._topics.control, lambda *arguments: self.guarded(self._on_control, *arguments))
+        client.on_connect = partial(self.guarded, self._on_connect)
+        client.on_disconnect = partial(self.guarded, self._on_disconnect)
+        client.on_stream(self._topics.command, partial(self.guarded, self._on_command))
+        client.message_callback_add(self._topics.control, partial(self.guarded, self._on_control))
         client.connect_async(broker.host, broker.port, broker.keepalive)
         self._mqtt = PolledClient(client, self._selector, self._connection.failed)
         self._state_properties = broker.protocol == "5"
@@ -143,6 +145,7 @@ class GatewayService:
             while self._ends and time.monotonic() < deadline:
                 self._turn()
         finally:
+            self.guarded(self._tell_failure)
             self.guarded(self._publish_status, True)
             self.guarded(self._mqtt.close)
             self._sock.close()
@@ -186,16 +189,28 @@ class GatewayService:
             self.gateway.counters["failures"] += 1
             return
         self._last_resort.take_over()
-        self.failure = "failed"
+        self.failure = "the gateway has failed"
         self.gateway.counters["failures"] += 1
-        frames = traceback.extract_tb(error.__traceback__)
-        where = f" in {frames[-1].name}" if frames else ""
+        # told after the next reply: RSI waits neither for a sentence nor for a log line
+        self._cause = error
+
+    def _tell_failure(self) -> None:
+        error, self._cause = self._cause, None
+        if error is None:
+            return
+        frame = error.__traceback__
+        while frame is not None and frame.tb_next is not None:
+            frame = frame.tb_next
+        where = f" in {frame.tb_frame.f_code.co_name}" if frame is not None else ""
         what = f"{type(error).__name__}{where}: {error}"[:_LONGEST_FAILURE]
         self.failure = (
             f"{what}; the gateway has failed: it brakes, holds and takes no command; see its log, start it again"
         )
+        # a thread of its own, because a traceback is formatted from source files, and a disk may take longer than a cycle
+        threading.Thread(
+            target=log.critical, args=("%s", self.failure), kwargs={"exc_info": error}, daemon=True
+        ).start()
         self.gateway.fail(self.failure)
-        log.critical("%s", self.failure, exc_info=error)
 
     def _rescue(self) -> None:
         """Answer RSI as the last resort, then report the arm's pose as far as that works."""
@@ -232,6 +247,7 @@ class GatewayService:
             events = self.guarded(self._wait)
         if self.failure:
             self.guarded(self._rescue)
+            self.guarded(self._tell_failure)
             if events is None:
                 # a selector that fails must neither take the whole processor nor silence MQTT
                 time.sleep(0.001)
@@ -394,7 +410,9 @@ class GatewayService:
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
     def _document(self) -> dict:
-        return self.gateway.status() | {"reply_us": self.reply_time.summary()}
+        status = self.gateway.status() | {"reply_us": self.reply_time.summary()}
+        # said here once more, because the gateway's own state may be what has failed
+        return status | {"state": State.FAILED.value, "reason": self.failure, "fault": True} if self.failure else status
 
     def _document_of_failure(self) -> dict:
         """Return a status of what is certain, because the one of the gateway cannot be put together."""

@@ -224,10 +224,12 @@ class LinkSupervisor:
         Raises
         ------
         ReviewError
-            When the arm does not lead, its pose is not known, or it moves.
+            When the arm does not lead, its pose is not known, it moves, or the gateway's program has failed.
         """
         if not self._mirror.active:
             raise ReviewError(f"the arm does not lead: {self.state.name}, {self.reason}")
+        if self.inputs.gateway_failed:
+            raise ReviewError(f"mirror mode stays on: {self.reason}; {self._remedy}")
         self._mirror.end(now)
         if self.inputs.reads_only:
             return (

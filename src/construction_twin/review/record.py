@@ -102,7 +102,8 @@ class ReviewLog:
         self._clock = clock
         self._lock = threading.Lock()
         self._deferred: deque[tuple[int, Verdict | Ending]] = deque()
-        self.lost = self._unrecorded = 0
+        # `defer` counts the one, `flush` the other: they are called from two threads
+        self.lost = self._told = 0
         self._file = _open(self.path)
         try:
             self._state = verify(self.path)
@@ -122,7 +123,6 @@ class ReviewLog:
         if len(self._deferred) >= KEPT:
             # no verdict is taken meanwhile: `append` writes these first, and fails
             self.lost += 1
-            self._unrecorded += 1
             return
         self._deferred.append((self._clock(), record))
 
@@ -139,11 +139,11 @@ class ReviewLog:
                 now, record = self._deferred[0]
                 self._append(now, _fields(record))
                 self._deferred.popleft()
-            if self._unrecorded:
-                number = self._unrecorded
+            number = self.lost - self._told
+            if number:
                 reason = f"the file could not be written, and {KEPT} records waited already"
                 self._append(self._clock(), {"record": "gap", "lost": number, "reason": reason})
-                self._unrecorded -= number
+                self._told += number
 
     def append(self, record: Verdict | Ending) -> None:
         """Write one record, behind those that were deferred; when this returns it is on the disk.

@@ -43,6 +43,16 @@ def test_what_is_no_fraction_is_refused_and_the_deadline_runs_on(fraction):
     assert source.fraction == 0.4 and source.is_silent(SECOND // 2 + 1)
 
 
+def test_a_sender_without_a_name_is_refused_because_its_silence_could_not_be_noticed():
+    source = SpeedLimitSource(0.5, 0.1)
+    source.accept(0.4, "camera", 0)
+    for now in (SECOND // 4, SECOND):
+        with pytest.raises(PayloadError) as refusal:
+            source.accept(0.9, "", now)
+        assert refusal.value.reason == "speed_limit_source"
+    assert (source.name, source.fraction) == ("camera", 0.4) and source.is_silent(SECOND)
+
+
 def test_another_source_is_refused_while_one_is_heard_and_taken_after_its_silence():
     source = SpeedLimitSource(0.5)
     source.accept(0.4, "camera", 0)

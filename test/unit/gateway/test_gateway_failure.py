@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import linecache
 import logging
 import socket
 import threading
@@ -105,6 +106,32 @@ def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, 
                 answer = client.arm(PATIENT, "s2") if verb == "arm" else client.control(verb)
                 assert not answer["ok"] and "failed" in answer["reason"]
         assert len([record for record in caplog.records if record.levelno == logging.CRITICAL]) == 1
+
+
+def test_a_slow_disk_and_a_broken_state_machine_hold_no_reply_up(broker, topics, caplog, monkeypatch):
+    """The sentence, the state and the log line come after the reply, and the traceback is formatted elsewhere."""
+    looked_up = []
+
+    def slow(*_):
+        looked_up.append(threading.current_thread())
+        time.sleep(0.1)
+        return []
+
+    monkeypatch.setattr(linecache, "getlines", slow)
+    monkeypatch.setattr(linecache, "checkcache", slow)
+    with (
+        caplog.at_level(logging.CRITICAL, "rsi_gateway"),
+        cell(broker, topics, config=PATIENT) as (service, controller, client),
+    ):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(80)))
+        begin = len(controller.replies)
+        service.gateway.fail = broken
+        service.gateway._player._playout.advance = broken
+        assert_it_brakes_and_holds(controller, begin)
+        assert "injected" in service.failure and service.gateway.counters["failures"] >= 2
+        assert client.wait_for_status(state="failed")
+    assert looked_up
 
 
 def test_what_fails_while_nobody_moves_leads_there_as_well(broker, topics):

@@ -176,6 +176,17 @@ def test_mirror_mode_is_kept_where_the_next_process_finds_it(bench, monkeypatch)
     assert not bench.bridge.on_mirror(SimpleNamespace(data=False)).success and kept == {MIRROR_MODE: False}
 
 
+def test_without_a_master_halt_and_mirror_are_carried_out_all_the_same(bench, monkeypatch):
+    def refuse(name, value):
+        raise ConnectionRefusedError(111, "Connection refused")
+
+    monkeypatch.setattr(rospy, "set_param", refuse)
+    bench.arm()
+    answer = bench.bridge.on_mirror(SimpleNamespace(data=True))
+    assert answer.success and "would not outlast this node" in answer.message
+    assert bench.bridge.on_halt(None).success
+
+
 def test_a_bridge_that_is_told_so_begins_in_mirror_mode(clocks):
     bench = BridgeBench(clocks, mirrors=True)
     bench.connect()

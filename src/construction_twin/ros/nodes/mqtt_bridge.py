@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+import http.client
 import json
 import sys
 import threading
 import time
 import uuid
+import xmlrpc.client
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -332,7 +334,7 @@ class MqttBridge:
             self._supervisor.halt("stopped at the gateway on request; call reset")
         self._send_control(control)
         if mirrored:
-            rospy.set_param(MIRROR_MODE, False)
+            self._remember_mirror(False)
         if not self._client.is_connected():
             return TriggerResponse(
                 False,
@@ -348,8 +350,16 @@ class MqttBridge:
                 sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
         except ReviewError as error:
             return SetBoolResponse(False, str(error))
-        rospy.set_param(MIRROR_MODE, request.data)
-        return SetBoolResponse(True, sentence)
+        return SetBoolResponse(True, sentence + self._remember_mirror(request.data))
+
+    def _remember_mirror(self, active: bool) -> str:
+        """Keep the mode beyond this process; return what is to be added to the answer when the master does not take it."""
+        try:
+            rospy.set_param(MIRROR_MODE, active)
+        except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
+            rospy.logwarn("mirror mode would not outlast this node: %s was not written (%s)", MIRROR_MODE, error)
+            return f"; it would not outlast this node, because the master did not take it ({error})"
+        return ""
 
     # -- reports
 

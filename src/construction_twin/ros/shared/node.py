@@ -31,6 +31,8 @@ from construction_twin.core.realtime import release_realtime, request_realtime
 UNFORESEEN = 1
 #: How long a service that failed has to send its answer [s].
 ANSWER_TIME = 0.2
+#: How long the last log line may take [s].
+WRITE_TIME = 1.0
 
 
 def run_node(name: str, start: Callable[[], object]) -> None:
@@ -74,8 +76,12 @@ def end_on_error(args: threading.ExceptHookArgs) -> None:
         # topics and sockets are closed below the threads that use them
         _write_down(where, args.exc_value, "during shutdown")
         return
-    _write_down(where, args.exc_value, "this process ends")
-    os._exit(UNFORESEEN)
+    # the process ends in any case: also when the line cannot be made, or a log file lies on a disk that hangs
+    _end_in(WRITE_TIME)
+    try:
+        _write_down(where, args.exc_value, "this process ends")
+    finally:
+        os._exit(UNFORESEEN)
 
 
 class Service(rospy.Service):
@@ -95,11 +101,18 @@ class Service(rospy.Service):
     def _end(self, error: Exception, _kind: type, _value: Exception, _trace: TracebackType) -> None:
         if rospy.core.is_shutdown_requested():
             return
-        _write_down(f"service {self.resolved_name}", error, "this process ends")
         # rospy sends the answer when this returns
-        end = threading.Timer(ANSWER_TIME, os._exit, (UNFORESEEN,))
-        end.daemon = True
-        end.start()
+        _end_in(WRITE_TIME)
+        try:
+            _write_down(f"service {self.resolved_name}", error, "this process ends")
+        finally:
+            _end_in(ANSWER_TIME)
+
+
+def _end_in(seconds: float) -> None:
+    end = threading.Timer(seconds, os._exit, (UNFORESEEN,))
+    end.daemon = True
+    end.start()
 
 
 def _write_down(where: str, error: BaseException | None, what_follows: str) -> None:
