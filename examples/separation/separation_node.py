@@ -12,7 +12,7 @@ from distance_to_speed import SeparationLimit, SpeedTable
 from sensor_msgs.msg import Range
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters
 from construction_twin.ros.transport.joint_stream import from_time
@@ -64,9 +64,10 @@ class SeparationNode:
         self._publisher.publish(message)
         self._said = (reason, limit)
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         reason, limit = self._said
-        return (OK if limit >= 1.0 else WARN), f"speed limit {limit:g}: {reason}", {"speed limit": f"{limit:.3f}"}
+        level = OK if limit >= 1.0 else WARN
+        return Report(level, f"speed limit {limit:g}: {reason}", {"speed limit": f"{limit:.3f}"})
 
 
 def main() -> None:

@@ -97,7 +97,12 @@ class Cell:
 
     def control(self, verb, session="s1", value=None):
         self.controls += 1
-        return self.gateway.on_control(Control(str(self.controls), session, verb, value), self.now)
+        return self.take(Control(str(self.controls), session, verb, value))
+
+    def take(self, control):
+        """Give the gateway a control; return whether it was carried out, and why."""
+        answer = self.gateway.on_control(control, self.now)
+        return answer.ok, answer.reason
 
     def arm(self, session="s1"):
         return self.control("arm", session, self.arming)

@@ -257,8 +257,8 @@ class SimulatedChain:
         self.supervisor.on_status(self.gateway.status(), self.now)
         control = self.supervisor.poll(self.now)
         if control is not None:
-            ok, reason = self.gateway.on_control(control, self.now)
-            self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
+            answer = self.gateway.on_control(control, self.now)
+            self.supervisor.on_answer({"id": control.id, "ok": answer.ok, "reason": answer.reason}, self.now)
         if self.supervisor.session != self._session:
             if self._session:
                 self.executor.restart("new command session", self.now)

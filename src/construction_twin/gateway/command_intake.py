@@ -5,7 +5,7 @@ from __future__ import annotations
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, outside_tolerance
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.command_stream import CommandStream
+from construction_twin.gateway.command_stream import Command, CommandStream
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.states import Event
@@ -53,10 +53,8 @@ class CommandIntake:
         """Start over with another session; "" for none."""
         self._stream.begin(session)
 
-    def read(
-        self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
-    ) -> tuple[int, tuple[float, ...], int]:
-        """Read a command: stamp [ns], axis angles [rad], number of commands lost before it; PayloadError when it is not one."""
+    def read(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> Command:
+        """Read a command; PayloadError when it is not one."""
         if isinstance(properties, PayloadError):
             raise properties
         if self._config.properties and properties is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
@@ -19,6 +21,25 @@ REMEMBERED = 64
 #: Sequence numbers that one command may be ahead of the last one taken: more than are sent while a stream survives.
 FARTHEST = 10_000
 _ALL = (1 << REMEMBERED) - 1
+
+
+class Command(NamedTuple):
+    """A command that was read.
+
+    Attributes
+    ----------
+    stamp : int
+        On the sender's clock [ns]; on ours when commands carry none.
+    q : tuple, shape (n,)
+        Axis angles [rad].
+    lost : int
+        Commands missing between the last one and this.
+    """
+
+    # a NamedTuple, and not a frozen dataclass: one is made and unpacked for every command, and it is faster at both
+    stamp: int
+    q: tuple[float, ...]
+    lost: int
 
 
 class CommandStream:
@@ -50,9 +71,7 @@ class CommandStream:
         self._last_q: tuple[float, ...] = ()
         self._begin_block()
 
-    def read(
-        self, payload: bytes, properties: CommandProperties | None, now: int
-    ) -> tuple[int, tuple[float, ...], int]:
+    def read(self, payload: bytes, properties: CommandProperties | None, now: int) -> Command:
         """Read a command.
 
         Parameters
@@ -64,15 +83,6 @@ class CommandStream:
         now : int
             [ns]
 
-        Returns
-        -------
-        stamp : int
-            On the sender's clock [ns]; on ours when commands carry none.
-        q : tuple, shape (n,)
-            Axis angles [rad].
-        lost : int
-            Commands missing between the last one and this.
-
         Raises
         ------
         PayloadError
@@ -81,7 +91,7 @@ class CommandStream:
         """
         if not self._config.properties:
             q = self._codec.decode(payload)
-            return self._arrival_stamp(now, q), q, 0
+            return Command(self._arrival_stamp(now, q), q, 0)
         if properties is None:
             raise PayloadError("properties", "command without session, seq and stamp")
         if properties.session != self.session:
@@ -96,7 +106,7 @@ class CommandStream:
         self._check_age(properties.stamp, now)
         self._sequence = properties.seq
         self._taken = 1 if step >= REMEMBERED else (self._taken << step | 1) & _ALL
-        return properties.stamp, q, step - 1
+        return Command(properties.stamp, q, step - 1)
 
     def _why_behind(self, seq: int, behind: int) -> PayloadError:
         text = f"seq {seq} after {self._sequence}"

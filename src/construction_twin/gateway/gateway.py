@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
@@ -32,6 +33,22 @@ from construction_twin.rsi.gateway_codec import RobotTelegram
 STANDSTILL = 2 * CYCLE_NS
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The answer to a `control` message; goes into `control/ack`.
+
+    Attributes
+    ----------
+    ok : bool
+        It was carried out.
+    reason : str
+        Why, in one sentence; "" when there is nothing to answer: it was answered before.
+    """
+
+    ok: bool
+    reason: str
 
 
 class Gateway:
@@ -344,15 +361,8 @@ class Gateway:
 
     # -- control
 
-    def on_control(self, control: Control, now: int) -> tuple[bool, str]:
-        """Carry out a `control` message that came at `now` [ns].
-
-        Returns
-        -------
-        ok : bool
-        reason : str
-            Why, in one sentence; goes into `control/ack`. "" when there is nothing to answer: it was answered before.
-        """
+    def on_control(self, control: Control, now: int) -> Answer:
+        """Carry out a `control` message that came at `now` [ns]."""
         if control.verb == "speed_limit":
             return self._limit_speed(control, now)
         verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset, "end": self._end}
@@ -361,25 +371,26 @@ class Gateway:
         if self._owners.is_repeated(control) and control.verb != "stop":
             why = f"message {control.id!r} of session {control.session!r} was answered before"
             return self._refuse("repeated", why)
-        ok, reason = verbs[control.verb](control)
-        return (ok, reason) if ok else self._refuse(control.verb, reason)
+        answer = verbs[control.verb](control)
+        return answer if answer.ok else self._refuse(control.verb, answer.reason)
 
-    def _refuse(self, reason: str, why: str) -> tuple[bool, str]:
+    def _refuse(self, reason: str, why: str) -> Answer:
         self.refusals.message(reason, why)
-        return False, why
+        return Answer(False, why)
 
-    def _limit_speed(self, control: Control, now: int) -> tuple[bool, str]:
+    def _limit_speed(self, control: Control, now: int) -> Answer:
         if refusal := self.speed.refusal(control, self.session):
             return self._refuse("speed_limit", refusal)
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
             why = f"speed limit {control.id} of session {control.session!r}, or a later one, came before"
-            return self._refuse("repeated", why)[0], ""
+            self._refuse("repeated", why)
+            return Answer(False, "")
         if self.speed.give(fraction, control.session, now):
             self._machine.changed = True
         self._poll_speed_limit(now)
-        return True, f"speed at most {fraction:g} of the limits"
+        return Answer(True, f"speed at most {fraction:g} of the limits")
 
     def _poll_speed_limit(self, now: int) -> None:
         if self.speed.poll(now):
@@ -388,18 +399,18 @@ class Gateway:
         if self.speed.fraction != self._player.fraction:
             self._player.limit(self.speed.fraction)
 
-    def _arm(self, control: Control) -> tuple[bool, str]:
+    def _arm(self, control: Control) -> Answer:
         another = self._refusal_of_value(control.value)
         if self.state in (State.ARMED, State.FOLLOWING) and not another:
             refusal = self._machine.on(Event.ARM, Occasion("", control.session))
             if refusal:
                 self._owners.refuse(control.session)
-                return False, refusal
-            return True, "already armed for this session"
+                return Answer(False, refusal)
+            return Answer(True, "already armed for this session")
         refusal = another or self._refusal_of_session(control.session)
         why = f"armed for session {control.session}{NOTES[self.mode]}"
         refusal = refusal or self._machine.on(Event.ARM, Occasion(why, control.session))
-        return (False, refusal) if refusal else (True, f"armed{NOTES[self.mode]}")
+        return Answer(False, refusal) if refusal else Answer(True, f"armed{NOTES[self.mode]}")
 
     def _refusal_of_value(self, value: object) -> str:
         """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
@@ -443,21 +454,21 @@ class Gateway:
     def _refusal_without_origin(self, occasion: Occasion) -> str:
         return f"gateway is {self.state.value}: {self.reason}" if self._player.follower is None else ""
 
-    def _stop(self, control: Control) -> tuple[bool, str]:
+    def _stop(self, control: Control) -> Answer:
         self.stop(f"asked for by {control.session or 'nobody by name'}")
-        return True, f"gateway is {self.state.value}"
+        return Answer(True, f"gateway is {self.state.value}")
 
     def stop(self, reason: str) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
         self._brake(Event.STOP, reason)
 
-    def _end(self, control: Control) -> tuple[bool, str]:
+    def _end(self, control: Control) -> Answer:
         if not self.config.layout.stop:
-            return False, "the Ethernet XML declares no Stop element: end the program on the pendant"
+            return Answer(False, "the Ethernet XML declares no Stop element: end the program on the pendant")
         if self._player.follower is None or self.state is State.FAILED:
-            return False, f"gateway is {self.state.value}: {self.reason}"
+            return Answer(False, f"gateway is {self.state.value}: {self.reason}")
         self.end(f"end asked for by {control.session or 'nobody by name'}")
-        return True, "RSI_MOVECORR ends as soon as the arm is at rest"
+        return Answer(True, "RSI_MOVECORR ends as soon as the arm is at rest")
 
     def end(self, reason: str) -> None:
         """Brake as in `stop`, and once at rest end RSI_MOVECORR where the Ethernet XML declares `Stop`."""
@@ -469,9 +480,9 @@ class Gateway:
         """True when replies must carry Stop 1: the end was asked for, and the arm is at rest."""
         return self._ending and self.state is State.HOLDING
 
-    def _reset(self, control: Control) -> tuple[bool, str]:
+    def _reset(self, control: Control) -> Answer:
         refusal = self._machine.on(Event.RESET, Occasion(f"reset{NOTES[self.mode]}", control.session))
-        return (False, refusal) if refusal else (True, "reset")
+        return Answer(False, refusal) if refusal else Answer(True, "reset")
 
     def _refusal_of_reset(self, occasion: Occasion) -> str:
         follower = self._player.follower

@@ -362,7 +362,8 @@ class GatewayService:
             self.gateway.refusals.message(error.reason, error)
             self._log(logging.WARNING, f"refused on {error.reason}", str(error))
             return
-        ok, reason = self.gateway.on_control(control, time.monotonic_ns())
+        done = self.gateway.on_control(control, time.monotonic_ns())
+        ok, reason = done.ok, done.reason
         if not reason:
             return
         if control.verb == "speed_limit":

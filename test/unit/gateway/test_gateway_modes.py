@@ -92,7 +92,7 @@ def test_the_link_is_armed_and_names_the_mode():
         supervisor.on_status(cell.gateway.status(), now)
         control = supervisor.poll(now)
         if control is not None:
-            ok, reason = cell.gateway.on_control(control, cell.now)
+            ok, reason = cell.take(control)
             supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, now)
     assert supervisor.state is LinkState.ARMED
     assert "commissioning" in supervisor.reason

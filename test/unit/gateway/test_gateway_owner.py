@@ -112,7 +112,7 @@ def test_a_replayed_stream_does_nothing():
     cell.cycle(200)
     held = cell.measured
     for verb in ("reset", "arm"):
-        cell.gateway.on_control(Control("1", "s1", verb, cell.arming), cell.now)
+        cell.take(Control("1", "s1", verb, cell.arming))
         for message in recorded:
             cell.gateway.on_command(*message, cell.now)
             cell.cycle()
@@ -147,21 +147,21 @@ def test_a_control_message_that_comes_twice_acts_once_but_a_stop_always_acts():
     cell = Cell()
     cell.cycle(3)
     arm = Control("a1", "s1", "arm", cell.arming)
-    assert cell.gateway.on_control(arm, cell.now) == (True, "armed")
+    assert cell.take(arm) == (True, "armed")
     cell.stream([START] * 20)
     stop = Control("a2", "s1", "stop")
     reset = Control("a3", "s1", "reset")
-    assert cell.gateway.on_control(stop, cell.now)[0]
+    assert cell.take(stop)[0]
     cell.cycle(5)
-    assert cell.gateway.on_control(reset, cell.now)[0]
-    assert cell.gateway.on_control(stop, cell.now)[0]
+    assert cell.take(reset)[0]
+    assert cell.take(stop)[0]
     cell.cycle(5)
     # a recording of the reset must not undo the stop
-    ok, reason = cell.gateway.on_control(reset, cell.now)
+    ok, reason = cell.take(reset)
     assert not ok and "answered before" in reason
     assert cell.gateway.status()["fault"] and cell.count("refused_repeated") == 1
     assert cell.gateway.status()["last_refusal"] == f"repeated: {reason}"
-    assert cell.gateway.on_control(Control("a4", "s1", "reset"), cell.now)[0]
+    assert cell.take(Control("a4", "s1", "reset"))[0]
 
 
 @pytest.mark.parametrize(

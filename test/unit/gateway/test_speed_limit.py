@@ -57,10 +57,10 @@ class TestWhoAndWhat:
     def test_repeats_do_not_push_other_messages_out_of_memory(self):
         cell = armed()
         again = Control("once", "s1", "arm", "another hash")
-        cell.gateway.on_control(again, cell.now)
+        cell.take(again)
         for _ in range(2000):
             assert cell.control("speed_limit", value=0.5)[0]
-        ok, reason = cell.gateway.on_control(again, cell.now)
+        ok, reason = cell.take(again)
         assert not ok and "answered before" in reason
 
 

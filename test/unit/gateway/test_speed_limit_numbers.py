@@ -11,20 +11,20 @@ from construction_twin.mqtt.messages import Control
 
 class TestNumbers:
     def give(self, cell, number, value, session="s1"):
-        return cell.gateway.on_control(Control(str(number), session, "speed_limit", value), cell.now)
+        return cell.take(Control(str(number), session, "speed_limit", value))
 
     def test_a_recorded_higher_limit_does_not_keep_a_lower_one_from_coming_into_force(self):
         cell = armed(speed_limit_backlog=60.0)
         recorded = [Control(str(1000 + k), "s1", "speed_limit", 1.0) for k in range(5)]
         for control in recorded:
-            assert cell.gateway.on_control(control, cell.now)[0]
+            assert cell.take(control)[0]
         cell.controls = 2000
         for k in range(500):
             # the source says 0.1 at 10 Hz, the recording 1.0 at 12.5 Hz: always one within the grace
             if k % 25 == 0:
                 assert cell.control("speed_limit", value=0.1)[0]
             if k % 20 == 10:
-                assert cell.gateway.on_control(recorded[k % 5], cell.now) == (False, "")
+                assert cell.take(recorded[k % 5]) == (False, "")
             cell.send(curve(k))
             cell.cycle()
             cell.positions.append(cell.measured)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections import Counter
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +23,6 @@ from construction_twin.planning.timing import time_path
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import from_points
 from construction_twin.ros.messages.plan_requests import read_waypoints
-from construction_twin.ros.nodes.planner import Answer, PlannerNode
 from construction_twin.scene.objects import Scene
 
 START = CHAIN.forward(HOME)
@@ -160,72 +156,6 @@ def test_a_pipe_a_device_and_a_huge_file_are_not_read(tmp_path):
             read_waypoints(str(path), ROBOT)
     with pytest.raises(PlanningError, match="cannot be read"):
         read_waypoints("/tmp/\0.csv", ROBOT)
-
-
-# -- the node's one catching place
-
-
-class Cell:
-    """What of a planner node answers requests, without ROS around it."""
-
-    _answer_read, _answer, _make = PlannerNode._answer_read, PlannerNode._answer, PlannerNode._make
-    _demand_scene, _failed = PlannerNode._demand_scene, PlannerNode._failed
-
-    def __init__(self, publishers: int = 1):
-        self._busy = threading.Lock()
-        self._pipeline = pipeline()
-        self._settings = SimpleNamespace(scene_timeout=0.0)
-        self._scene_subscriber = SimpleNamespace(get_num_connections=lambda: publishers)
-        self.refused = Counter()
-        self._diagnostics = SimpleNamespace(count=lambda reason, _: self.refused.update([reason]))
-        self.outcomes = []
-
-    def _published(self, plan, asked):
-        self.outcomes.append((True, plan.id))
-        return Answer(True, "made", plan.id, plan.hash, plan.trajectory.duration, 1.0)
-
-    def _publish_outcome(self, success, asked, sentence, plan_id):
-        self.outcomes.append((success, sentence))
-
-
-def plan_in(cell: Cell):
-    return lambda asked: cell._pipeline.to_joints(HOME, LEFT, asked)
-
-
-@pytest.mark.parametrize(
-    "error", [MemoryError(), ValueError("shapes"), OverflowError("large"), ZeroDivisionError(), np.linalg.LinAlgError("singular")]
-)  # fmt: skip
-@pytest.mark.parametrize("while_reading", [False, True])
-def test_what_no_check_foresaw_is_answered_too(error, while_reading):
-    cell = Cell()
-
-    def fail(*_):
-        raise error
-
-    answer = cell._answer_read(fail, REQUEST) if while_reading else cell._answer(fail, REQUEST)
-    assert answer.success is False and type(error).__name__ in answer.sentence
-    assert cell.outcomes == [(False, answer.sentence)] and cell.refused == {type(error).__name__: 1}
-    assert cell._answer(plan_in(cell), REQUEST).success  # and the lock is free
-
-
-def test_reading_holds_nobody_up():
-    cell = Cell()
-
-    def read():
-        assert not cell._busy.locked()
-        return plan_in(cell)
-
-    assert cell._answer_read(read, REQUEST).success
-
-
-def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes():
-    cell = Cell(publishers=0)
-    answer = cell._answer(plan_in(cell), REQUEST)
-    assert not answer.success and "the scene node is not running" in answer.sentence
-    cell._scene_subscriber.get_num_connections = lambda: 1
-    assert not cell._answer(plan_in(cell), REQUEST).success
-    cell._pipeline.set_scene(EMPTY)
-    assert cell._answer(plan_in(cell), REQUEST).success
 
 
 def test_a_scene_that_came_meanwhile_is_not_forgotten():

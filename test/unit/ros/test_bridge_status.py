@@ -49,7 +49,7 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
     assert shown["last_refusal"].startswith("arm: ")
     # and beside them what was there before
     assert (shown["refused_arm"], shown["decimals"]) == ("1", "3")
-    _, _, values = bench.bridge.report()
+    values = bench.bridge.report().values
     assert {f"gateway {name}" for name in shown} - set(values) == {
         "gateway decimals", "gateway reply_us_max", "gateway states_lost",
     }  # fmt: skip

@@ -16,10 +16,10 @@ from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
 from construction_twin.ros.nodes import neighbour as neighbour_node
-from construction_twin.ros.nodes import planner as planner_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
 from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
+from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.scene.neighbour import Neighbour
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -84,7 +84,7 @@ def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_j
     bench.check()
     names = [item.plan_id if isinstance(item, Conflict) else item for item in bench.did]
     assert names == ["time", "read", "judge played", "played", "judge waiting", "waiting"]
-    assert bench.node._state[0] == OK
+    assert bench.node._state.level == OK
 
 
 def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_others_from_starting(bench):
@@ -108,11 +108,11 @@ def test_a_load_that_cannot_be_used_blocks_its_plan_and_is_an_error_on_diagnosti
     verdicts = bench.check()
     assert not verdicts["played"].conflict
     assert verdicts["waiting"].conflict and "/gone.stl" in verdicts["waiting"].reason
-    level, sentence, _ = bench.node._state
-    assert level == ERROR and "/gone.stl" in sentence
+    state = bench.node._state
+    assert state.level == ERROR and "/gone.stl" in state.sentence
     bench.node._judge.waiting = lambda *_: FREE
     assert not bench.check()["waiting"].conflict
-    assert bench.node._state[0] == OK
+    assert bench.node._state.level == OK
 
 
 def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostics(bench):
@@ -122,13 +122,13 @@ def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostic
     bench.node._other.occupied = unknown
     verdicts = bench.check()
     assert all(message.conflict and "cannot be used" in message.reason for message in verdicts.values())
-    assert set(verdicts) == {"played", "waiting"} and bench.node._state[0] == ERROR
+    assert set(verdicts) == {"played", "waiting"} and bench.node._state.level == ERROR
 
 
 def test_an_arm_of_unknown_pose_is_a_warning(bench):
     bench.node._other.unknown = "where b is, is not known"
     bench.check()
-    assert bench.node._state[:2] == (WARN, "where b is, is not known")
+    assert (bench.node._state.level, bench.node._state.sentence) == (WARN, "where b is, is not known")
 
 
 def test_what_nobody_foresaw_ends_the_process(bench, monkeypatch):
@@ -232,27 +232,23 @@ def test_without_knowing_what_it_carries_nobody_knows_how_far_it_reaches(poses):
         arm(poses, scene=Scene((foreign,), 0.0)).occupied()
 
 
-def planner(unknown: str) -> planner_node.PlannerNode:
-    node = object.__new__(planner_node.PlannerNode)
-    node._beside = SimpleNamespace(name="b", max_pose_age=0.5, padding=0.1)
-    node._other = SimpleNamespace(occupied=lambda _: other().anywhere(), unknown=unknown)
-    node._busy = planner_node.threading.Lock()
-    node._demand_scene = lambda: None
-    node._diagnostics = SimpleNamespace(count=lambda *_: None)
-    node._publish_outcome = lambda *_: None
-    return node
-
-
 def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
-    def blocked(node):
-        assert [item.padding for item in node._occupied()] == [pytest.approx(0.1, abs=2e-3)]
+    beside = SimpleNamespace(
+        occupied=lambda _: other().anywhere(), unknown="where b is, or goes, is not known: no message"
+    )
+    space = OccupiedSpace(beside, "b", 0.5, 0.1)
+    pipeline = SimpleNamespace(scene=EMPTY, wait_for_scene=lambda _: None)
+    count = SimpleNamespace(count=lambda *_: None)
+    handler = RequestHandler(pipeline, count, lambda: 1, 0.0, str, lambda *_: None, space)
+
+    def blocked(_):
+        assert [item.padding for item in space.obstacles()] == [pytest.approx(0.1, abs=2e-3)]
         raise PlanningError("the start is in collision")
 
-    node = planner("where b is, or goes, is not known: no message")
-    answer = node._answer(lambda _: blocked(node), None)
+    answer = handler.answer(blocked, None)
     assert not answer.success
     assert answer.sentence.startswith(
         "the start is in collision; plans keep clear of the whole reach of b, because where b is"
     )
-    node._other.unknown = ""
-    assert node._answer(lambda _: blocked(node), None).sentence == "the start is in collision"
+    beside.unknown = ""
+    assert handler.answer(blocked, None).sentence == "the start is in collision"

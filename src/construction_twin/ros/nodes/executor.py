@@ -28,7 +28,7 @@ from construction_twin.review.record import ReviewLog
 from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.transport.cycle import Cycles
@@ -319,7 +319,7 @@ class ExecutorNode:
             self._told = told
             self._said.add(rospy.loginfo, "%s: %s", said.state.name, said.reason)
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         executor, log = self._executor, self._log
         values = {
             "outcome of the last plan": executor.outcome,
@@ -331,10 +331,10 @@ class ExecutorNode:
             "SHA-256 of the last record": log.state.head,
         }
         if self._record_problem:
-            return ERROR, self._record_problem, values
+            return Report(ERROR, self._record_problem, values)
         slow = self._limit.state in (LimitState.SILENT, LimitState.MISSING)
         level = WARN if slow or executor.state in (ExecutorState.WAITING, ExecutorState.HELD) else OK
-        return level, f"{executor.state.name}: {executor.reason}", values
+        return Report(level, f"{executor.state.name}: {executor.reason}", values)
 
 
 def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, stamp: int) -> Execution:

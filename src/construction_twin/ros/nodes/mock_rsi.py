@@ -20,7 +20,7 @@ from construction_twin.core.units import CYCLE, to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
-from construction_twin.ros.shared.diagnostics import ERROR, OK, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import ERROR, OK, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
@@ -124,11 +124,11 @@ class MockRsiNode:
             if status is not None:
                 self._status.publish(json.dumps(status))
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         controller = self._controller
         if controller.running:
-            return OK, f"RSI session {controller.session} running", self._mock.counters
-        return ERROR, f"RSI stopped: {controller.reason}", self._mock.counters
+            return Report(OK, f"RSI session {controller.session} running", self._mock.counters)
+        return Report(ERROR, f"RSI stopped: {controller.reason}", self._mock.counters)
 
     def _on_restart(self, _request) -> TriggerResponse:
         def restart() -> str:

@@ -38,7 +38,7 @@ from construction_twin.mqtt.messages import (
 )
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Feedback, Link, SpeedLimit
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import Service, run_node
@@ -116,7 +116,7 @@ class MqttBridge:
         broker: Broker,
         client: PlainClient,
         outputs: Outputs,
-        diagnostics: Callable[[Callable[[], tuple[int, str, dict]]], NodeDiagnostics],
+        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
         mirrors: bool = False,
     ):
         self._settings = settings
@@ -402,8 +402,8 @@ class MqttBridge:
         message.reply_us_counts = reply.get("counts", [])
         return message
 
-    def report(self) -> tuple[int, str, dict]:
-        """Return level, sentence and values for `/diagnostics`."""
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         with self._lock:
             state, session, reason = self._supervisor.state, self._supervisor.session, self._reason()
             gateway = self._supervisor.status.get("counters", {}) | self._gateway_values
@@ -412,7 +412,7 @@ class MqttBridge:
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
         level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
-        return level, f"{state.name}: {reason}", values
+        return Report(level, f"{state.name}: {reason}", values)
 
 
 def start() -> MqttBridge:

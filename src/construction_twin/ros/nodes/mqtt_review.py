@@ -19,7 +19,7 @@ from construction_twin.mqtt.client import Broker, make_client, subscriptions, un
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Link, Plan, Review
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -66,7 +66,7 @@ class MqttReview:
         broker: Broker,
         client: PlainClient,
         review_plan: rospy.ServiceProxy,
-        diagnostics: Callable[[Callable[[], tuple[int, str, dict]]], NodeDiagnostics],
+        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
     ):
         self._settings = settings
         self._board = PlanBoard()
@@ -200,13 +200,13 @@ class MqttReview:
 
     # -- reports
 
-    def report(self) -> tuple[int, str, dict]:
-        """Return level, sentence and values for `/diagnostics`."""
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         with self._lock:
             values = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
         if not self._client.is_connected():
-            return WARN, self._connection.sentence or "connecting to the broker", values
-        return OK, "a plan is shown" if self._board.payload else "no plan to review", values
+            return Report(WARN, self._connection.sentence or "connecting to the broker", values)
+        return Report(OK, "a plan is shown" if self._board.payload else "no plan to review", values)
 
 
 def _reason(review: RemoteReview) -> str:

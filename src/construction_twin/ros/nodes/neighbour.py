@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import rospy
@@ -17,7 +18,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
 from construction_twin.ros.shared.arm_listener import ArmListener, listen_to_other_arm, neighbour_settings
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.transport.publisher import Publisher
@@ -25,6 +26,21 @@ from construction_twin.ros.transport.publisher import Publisher
 #: From the moment when a verdict counts no longer to the first braking setpoint, and from a pose to its reception, at most
 #: [s]: a few cycles of the executor and the transport of a message, on a busy machine.
 DELAY = 0.1
+
+
+@dataclass(frozen=True)
+class Said:
+    """What the log was told of a plan last.
+
+    Attributes
+    ----------
+    blocked : bool
+    clear : bool
+        No conflict was found.
+    """
+
+    blocked: bool
+    clear: bool
 
 
 class NeighbourNode:
@@ -38,10 +54,10 @@ class NeighbourNode:
             )
         robot = robot_from_parameters()
         self._settings = settings
-        self._state: tuple[int, str, dict] = (WARN, "nothing to watch yet", {})
+        self._state = Report(WARN, "nothing to watch yet")
         self._checks, self._longest = 0, 0.0
         self._failure = ""
-        self._said: dict[str, tuple[bool, bool]] = {}
+        self._said: dict[str, Said] = {}
         self._diagnostics = NodeDiagnostics(robot.name, lambda: self._state)
         self._other = listen_to_other_arm(robot.name, settings, self._diagnostics.refuse, streams=True)
         self._own = ArmListener(robot, self._diagnostics.refuse, streams=True)
@@ -131,7 +147,7 @@ class NeighbourNode:
         )
         message.header.stamp = stamp
         self._publisher.publish(message)
-        said = verdict.blocked, verdict.time < 0.0
+        said = Said(verdict.blocked, verdict.time < 0.0)
         if self._said.get(plan_id) != said:
             self._said[plan_id] = said
             (rospy.logwarn if verdict.blocked else rospy.loginfo)("plan %s: %s", plan_id, verdict.sentence)
@@ -150,7 +166,7 @@ class NeighbourNode:
 
     def _report(self, level: int, sentence: str, values: dict) -> None:
         known = {"checks": self._checks, "longest check": f"{self._longest:.4f}", "horizon": f"{self._horizon:.2f}"}
-        self._state = (level, sentence, known | values)
+        self._state = Report(level, sentence, known | values)
 
 
 def main() -> None:

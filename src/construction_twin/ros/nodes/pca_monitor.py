@@ -22,7 +22,7 @@ from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
@@ -290,7 +290,7 @@ class PcaMonitorNode:
             message.name, message.error, message.threshold = self._robot.joint_names, last.error, last.threshold
         return message
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         gate, problem = self._gate, self._transitions.problem or self._stopped.problem
         last = gate.comparison.last
         values = {
@@ -302,7 +302,7 @@ class PcaMonitorNode:
         }
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
         sentence = f"{gate.state.name}: {gate.reason}" + (f"; {problem}" if problem else "")
-        return ERROR if problem else level, sentence, values | self._transitions.values()
+        return Report(ERROR if problem else level, sentence, values | self._transitions.values())
 
 
 def main() -> None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 import time
-import traceback
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -17,8 +14,7 @@ import tf2_ros
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
-from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import CartesianPathError, PlanningError, SceneError
+from construction_twin.core.motion_errors import PlanningError, SceneError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Plan as PlanMsg
@@ -36,10 +32,11 @@ from construction_twin.ros.messages.plan_requests import (
     trajectory_waypoints,
 )
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
-from construction_twin.ros.shared.arm_listener import OtherArm, listen_to_other_arm, neighbour_settings
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
@@ -82,35 +79,6 @@ class Settings(PlannerSettings):
     tf_prefix: str
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The answer to a request.
-
-    Attributes
-    ----------
-    success : bool
-    sentence : str
-    plan_id, plan_hash : str
-        Empty without a plan.
-    duration : float
-        Of the plan [s].
-    fraction : float
-        Fraction of a tool path that can be followed.
-    """
-
-    success: bool
-    sentence: str
-    plan_id: str = ""
-    plan_hash: str = ""
-    duration: float = 0.0
-    fraction: float = 0.0
-
-    @property
-    def fields(self) -> tuple[bool, str, str, str, float]:
-        """The fields that all services answer with, in their order."""
-        return self.success, self.sentence, self.plan_id, self.plan_hash, self.duration
-
-
 class PlannerNode:
     """Services `plan_to_joints`, `plan_to_pose`, `plan_cartesian`, `plan_from_csv`; topic `joint_trajectory`.
 
@@ -124,17 +92,15 @@ class PlannerNode:
         self._beside = neighbour_settings()
         self._pipeline = self._make_pipeline()
         self._base_frame = tf_frame(self._settings.tf_prefix, self._robot.base_link)
-        # one request at a time: `plan` latches one plan, and its outcome belongs to it
-        self._busy = threading.Lock()
-        self._unknown = ""
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
         # it subscribes to the other arm's topics now, to its poses only while a plan is made
-        self._other: OtherArm | None = None
+        self._space: OccupiedSpace | None = None
         if self._beside is not None:
-            refuse = self._diagnostics.refuse
-            self._other = listen_to_other_arm(self._robot.name, self._beside, refuse, streams=False)
+            beside, refuse = self._beside, self._diagnostics.refuse
+            other = listen_to_other_arm(self._robot.name, beside, refuse, streams=False)
+            self._space = OccupiedSpace(other, beside.name, beside.max_pose_age, beside.padding)
         self._tf = tf2_ros.Buffer()
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._publisher = Publisher("plan", PlanMsg, queue_size=1, latch=True)
@@ -142,6 +108,15 @@ class PlannerNode:
         refuse = self._diagnostics.refuse
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names, refuse)
         self._scene_subscriber = Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1)
+        self._requests = RequestHandler(
+            self._pipeline,
+            self._diagnostics,
+            self._scene_subscriber.get_num_connections,
+            self._settings.scene_timeout,
+            self._publish,
+            self._publish_outcome,
+            self._space,
+        )
         Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, refuse, queue_size=10)
         Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
         Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
@@ -164,16 +139,8 @@ class PlannerNode:
         )
 
     def _occupied(self) -> list[Obstacle]:
-        """Return the space that the other arm occupies, with the distance that a plan keeps from it.
-
-        If the other arm's pose is not known, this is its whole reach.
-        """
-        assert self._other is not None and self._beside is not None
-        obstacles = self._other.occupied(self._beside.max_pose_age)
-        if self._other.unknown:
-            self._unknown = f"plans keep clear of the whole reach of {self._beside.name}, because {self._other.unknown}"
-            rospy.logwarn("%s", self._unknown)
-        return [item.padded(self._beside.padding) for item in obstacles]
+        assert self._space is not None
+        return self._space.obstacles()
 
     # -- subscriptions
 
@@ -194,21 +161,21 @@ class PlannerNode:
                 check_asked(asked, arrived)
             return self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
 
-        return PlanToJointsResponse(*self._answer(plan, self._request(request)).fields)
+        return PlanToJointsResponse(*self._requests.answer(plan, self._request(request)).fields)
 
     def _on_plan_to_pose(self, request) -> PlanToPoseResponse:
         def plan(asked: PlanRequest) -> Plan:
             goal = self._goal_in_base(request.goal)
             return self._pipeline.to_pose(self._present_pose(), goal, asked, request.configuration)
 
-        return PlanToPoseResponse(*self._answer(plan, self._request(request)).fields)
+        return PlanToPoseResponse(*self._requests.answer(plan, self._request(request)).fields)
 
     def _on_plan_cartesian(self, request) -> PlanCartesianResponse:
         def plan(asked: PlanRequest) -> Plan:
             path = tool_waypoints(request.waypoints, self._base_T(request.frame_id, rospy.Time(0)))
             return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
 
-        answer = self._answer(plan, self._request(request))
+        answer = self._requests.answer(plan, self._request(request))
         success, message, *plan_fields = answer.fields
         return PlanCartesianResponse(success, message, answer.fraction, *plan_fields)
 
@@ -217,7 +184,7 @@ class PlannerNode:
             waypoints = read_waypoints(request.path, self._robot)
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
-        return PlanFromCsvResponse(*self._answer_read(read, self._request(request, request.path)).fields)
+        return PlanFromCsvResponse(*self._requests.answer_read(read, self._request(request, request.path)).fields)
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
         def read() -> Callable[[PlanRequest], Plan]:
@@ -225,66 +192,20 @@ class PlannerNode:
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
         caller = caller_of(msg)
-        self._answer_read(read, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
+        self._requests.answer_read(read, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
 
     def _request(self, request, source: str = "request") -> PlanRequest:
         return plan_request(request, str(uuid.uuid4()), now_ns(), source)
 
-    def _answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
-        """Make and publish a plan; see `_answer_read`."""
-        return self._answer_read(lambda: make_plan, asked)
-
-    def _answer_read(self, read: Callable[[], Callable[[PlanRequest], Plan]], asked: PlanRequest) -> Answer:
-        """Read what a request refers to, then make and publish a plan. Every failure becomes an answer here."""
-        try:
-            make_plan = read()  # before taking the lock, so that no request waits while another one reads its file
-            with self._busy:
-                return self._make(make_plan, asked)
-        except ConstructionTwinError as error:
-            return self._failed(error, asked, str(error))
-        except (ArithmeticError, MemoryError, ValueError) as error:
-            # a request whose failure no check foresaw must get an answer, too
-            rospy.logerr("%s", traceback.format_exc())
-            kind = type(error).__name__
-            return self._failed(error, asked, f"the request cannot be computed ({kind}: {error}); please report it")
-
-    def _make(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
-        self._unknown = ""
-        self._demand_scene()
-        try:
-            return self._published(make_plan(asked), asked)
-        except ConstructionTwinError as error:
-            if not self._unknown:
-                raise
-            # a sentence such as "the start is in collision" is understood only with the reason
-            return self._failed(error, asked, f"{error}; {self._unknown}")
-
-    def _demand_scene(self) -> None:
-        """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
-        seen = self._pipeline.scene
-        if not self._scene_subscriber.get_num_connections():
-            self._pipeline.forget_scene(seen)
-        self._pipeline.wait_for_scene(self._settings.scene_timeout)
-
-    def _published(self, plan: Plan, asked: PlanRequest) -> Answer:
+    def _publish(self, plan: Plan) -> str:
         tool_path = np.array([self._chain.forward(q).position for q in plan.trajectory.positions])
         self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
-        sentence = _sentence(plan)
         self._plans += 1
-        self._last = sentence
-        rospy.loginfo("%s", sentence)
-        self._publish_outcome(True, asked, sentence, plan.id)
-        return Answer(True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0)
-
-    def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> Answer:
-        self._last = f"no plan: {sentence}"
-        self._diagnostics.count(type(error).__name__, sentence)
-        rospy.logwarn("%s", self._last)
-        self._publish_outcome(False, asked, sentence, "")
-        fraction = error.fraction if isinstance(error, CartesianPathError) else 0.0
-        return Answer(False, sentence, fraction=fraction)
+        return _sentence(plan)
 
     def _publish_outcome(self, success: bool, asked: PlanRequest, message: str, plan_id: str) -> None:
+        self._last = message if success else f"no plan: {message}"
+        (rospy.loginfo if success else rospy.logwarn)("%s", self._last)
         outcome = PlanOutcome(success=success, source=asked.source, message=message, plan_id=plan_id)
         outcome.header.stamp = rospy.Time.now()
         self._outcome_publisher.publish(outcome)
@@ -310,10 +231,10 @@ class PlannerNode:
             raise PlanningError(f"no transform from goal frame {frame!r} to {self._base_frame!r}: {error}") from error
         return pose_from_transform_msg(transform.transform)
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         scene = self._pipeline.scene
         values = {"plans": self._plans, "scene": scene.hash if scene is not None else "none"}
-        return OK if scene is not None else WARN, self._last, values
+        return Report(OK if scene is not None else WARN, self._last, values)
 
 
 def _sentence(plan: Plan) -> str:

@@ -15,7 +15,7 @@ from construction_twin.core.errors import ConstructionTwinError, PayloadError, P
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Execution, Plan, Review
 from construction_twin.ros.messages.convert import plan_from_msg
-from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
@@ -136,9 +136,9 @@ class PreviewNode:
             markers += plan_markers(picture(plan, lambda q: self._chain.forward(tuple(q)).position), self._frame)
         self._markers.publish(MarkerArray(markers=markers))
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         plan = self._preview.plan
-        return OK, "no plan to show" if plan is None else f"shows plan {plan.id}", {}
+        return Report(OK, "no plan to show" if plan is None else f"shows plan {plan.id}")
 
 
 def plan_markers(drawing: PlanPicture, frame: str) -> list[Marker]:

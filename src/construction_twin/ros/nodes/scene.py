@@ -20,7 +20,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.transport.latest_pose import LatestPose
@@ -89,7 +89,7 @@ class SceneNode:
         self._busy = threading.Lock()
         self._touching: dict[tuple[str, str], None] = {}
         self._shown: set[str] = set()
-        self._state: tuple[int, str, dict] = (WARN, "the twin's present pose is not known yet", {})
+        self._state = Report(WARN, "the twin's present pose is not known yet")
         self._edits = 0
         self._diagnostics = NodeDiagnostics(self._robot.name, lambda: self._state)
         self._tf = tf2_ros.Buffer()
@@ -199,15 +199,17 @@ class SceneNode:
         try:
             q = self._twin.pose(_PATIENCE)
         except (PoseUnknownError, PayloadError) as error:
-            self._state = (WARN, str(error), values)
+            self._state = Report(WARN, str(error), values)
             return
         self._touching = {contact.between: None for contact in self._world.contacts(q)}
         clearance = self._world.clearance(q)
         values |= {"clearance": f"{clearance.distance:.4f}", "clearance between": " and ".join(clearance.between)}
         if self._touching:
-            self._state = (WARN, f"in contact (padding included) at the present pose: {self._contact_text()}", values)
+            self._state = Report(
+                WARN, f"in contact (padding included) at the present pose: {self._contact_text()}", values
+            )
         else:
-            self._state = (OK, "the present pose is free of contact", values)
+            self._state = Report(OK, "the present pose is free of contact", values)
 
     def _contact_text(self) -> str:
         return ", ".join(f"{first} and {second}" for first, second in self._touching)

@@ -10,7 +10,7 @@ import pydantic
 import rospy
 
 from construction_twin.msg import Feedback, Scene
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
@@ -80,9 +80,9 @@ class StartupNode:
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         missing = self._startup.missing
-        return (OK, "ready", {}) if missing is None else (WARN, str(missing), {})
+        return Report(OK, "ready") if missing is None else Report(WARN, str(missing))
 
 
 def main() -> None:

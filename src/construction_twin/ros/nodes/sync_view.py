@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Sync
 from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.publisher import Publisher
@@ -87,11 +87,12 @@ class SyncViewNode:
         markers.append(text_marker(text, tf_frame(self._prefix, self._robot.base_link)))
         self._markers.publish(MarkerArray(markers=markers))
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         if self._shown is None:
-            return OK, "nothing shown yet", {}
+            return Report(OK, "nothing shown yet")
         state = self._shown[0]
-        return (OK if state is SyncState.IN_SYNC else WARN), f"shows {state.name}", {"shapes": len(self._shapes)}
+        level = OK if state is SyncState.IN_SYNC else WARN
+        return Report(level, f"shows {state.name}", {"shapes": len(self._shapes)})
 
 
 def arm_markers(shapes: tuple[Shape, ...], state: SyncState, tf_prefix: str) -> list[Marker]:

@@ -23,7 +23,7 @@ from construction_twin.msg import Execution
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.operator_client import OperatorClient, pose_to_msg
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -250,12 +250,12 @@ class ToolMarkerNode:
             self._verdicts.publish(markers)
         self._menu.show("" if plan is None else plan.id)
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         verdict = self._verdict
         if verdict is None:
-            return WARN, self._problem, {}
+            return Report(WARN, self._problem)
         free = "free" if verdict.reach is Reach.FREE else "not free"
-        return OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}", {}
+        return Report(OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}")
 
 
 def main() -> None:

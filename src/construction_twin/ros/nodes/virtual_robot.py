@@ -11,7 +11,7 @@ import rospy
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics
+from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.ros.transport.cycle import Cycles
@@ -115,10 +115,10 @@ class VirtualRobotNode:
                 self._robot.end_mirror()
         rospy.loginfo("follows the physical arm" if leads else "executes commands")
 
-    def _report(self) -> tuple[int, str, dict]:
+    def _report(self) -> Report:
         if self._robot.pose is None:
-            return WARN, "waiting for the physical arm's pose", {}
-        return OK, "following the physical arm" if self._robot.mirrors else "executing", {}
+            return Report(WARN, "waiting for the physical arm's pose")
+        return Report(OK, "following the physical arm" if self._robot.mirrors else "executing")
 
 
 def main() -> None:

@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from construction_twin.ros.transport.publisher import Publisher
+
+
+@dataclass(frozen=True)
+class Report:
+    """A node's state.
+
+    Attributes
+    ----------
+    level : int
+        A DiagnosticStatus level: `OK`, `WARN` or `ERROR`.
+    sentence : str
+    values : mapping
+        Further values by name.
+    """
+
+    level: int
+    sentence: str
+    values: Mapping[str, object] = field(default_factory=dict)
 
 
 class NodeDiagnostics:
@@ -21,10 +40,10 @@ class NodeDiagnostics:
     hardware_id : str
         Name of the robot.
     report : callable
-        Returns (level, sentence, values): a DiagnosticStatus level, one sentence and a dict of further values.
+        Returns the node's Report.
     """
 
-    def __init__(self, hardware_id: str, report: Callable[[], tuple[int, str, dict]]):
+    def __init__(self, hardware_id: str, report: Callable[[], Report]):
         self._lock = threading.Lock()
         self._refused: Counter[str] = Counter()
         #: The last sentence of each reason.
@@ -56,9 +75,9 @@ class NodeDiagnostics:
             self._sentences[reason] = sentence
 
     def _fill(self, stat):
-        level, sentence, values = self._report()
-        stat.summary(level, sentence)
-        for key, value in values.items():
+        report = self._report()
+        stat.summary(report.level, report.sentence)
+        for key, value in report.values.items():
             stat.add(key, str(value))
         with self._lock:
             refused, sentences = sorted(self._refused.items()), dict(self._sentences)

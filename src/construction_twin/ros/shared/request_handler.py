@@ -1,0 +1,177 @@
+"""How the planner answers a request: one at a time, and every failure becomes an answer."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import rospy
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.motion_errors import CartesianPathError
+from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.planning.planner import PlanRequest
+from construction_twin.robot.plan import Plan
+from construction_twin.ros.shared.arm_listener import OtherArm
+from construction_twin.ros.shared.diagnostics import NodeDiagnostics
+from construction_twin.scene.neighbour import Obstacle
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to a request.
+
+    Attributes
+    ----------
+    success : bool
+    sentence : str
+    plan_id, plan_hash : str
+        Empty without a plan.
+    duration : float
+        Of the plan [s].
+    fraction : float
+        Fraction of a tool path that can be followed.
+    """
+
+    success: bool
+    sentence: str
+    plan_id: str = ""
+    plan_hash: str = ""
+    duration: float = 0.0
+    fraction: float = 0.0
+
+    @property
+    def fields(self) -> tuple[bool, str, str, str, float]:
+        """The fields that all services answer with, in their order."""
+        return self.success, self.sentence, self.plan_id, self.plan_hash, self.duration
+
+
+class OccupiedSpace:
+    """The space that the other arm occupies, with the distance that a plan keeps from it.
+
+    Parameters
+    ----------
+    other : OtherArm
+    name : str
+        Of the other arm.
+    max_pose_age : float
+        Its pose may be this old [s].
+    padding : float
+        The distance [m].
+    """
+
+    def __init__(self, other: OtherArm, name: str, max_pose_age: float, padding: float):
+        self._other = other
+        self._name = name
+        self._max_pose_age = max_pose_age
+        self._padding = padding
+        #: Why its whole reach counts, in one sentence, since `forget`; "" when its pose was known.
+        self.unknown = ""
+
+    def obstacles(self) -> list[Obstacle]:
+        """Return the space; if the other arm's pose is not known, this is its whole reach."""
+        obstacles = self._other.occupied(self._max_pose_age)
+        if self._other.unknown:
+            self.unknown = f"plans keep clear of the whole reach of {self._name}, because {self._other.unknown}"
+            rospy.logwarn("%s", self.unknown)
+        return [item.padded(self._padding) for item in obstacles]
+
+    def forget(self) -> None:
+        """Forget what was unknown while the last plan was made."""
+        self.unknown = ""
+
+
+class RequestHandler:
+    """Makes and publishes a plan for each request, one at a time.
+
+    Parameters
+    ----------
+    pipeline : PlanningPipeline
+    diagnostics : NodeDiagnostics
+        Counts the failures.
+    scene_publishers : callable
+        Returns how many nodes publish the scene now.
+    scene_timeout : float
+        A request waits this long for a scene [s].
+    publish : callable
+        Takes the plan; publishes it and returns a sentence about it.
+    publish_outcome : callable
+        Takes success, request, sentence and the plan's id ("" without a plan).
+    space : OccupiedSpace, optional
+        The other arm's, which the pipeline asks.
+    """
+
+    def __init__(
+        self,
+        pipeline: PlanningPipeline,
+        diagnostics: NodeDiagnostics,
+        scene_publishers: Callable[[], int],
+        scene_timeout: float,
+        publish: Callable[[Plan], str],
+        publish_outcome: Callable[[bool, PlanRequest, str, str], None],
+        space: OccupiedSpace | None = None,
+    ):
+        self._pipeline = pipeline
+        self._diagnostics = diagnostics
+        self._scene_publishers = scene_publishers
+        self._scene_timeout = scene_timeout
+        self._publish = publish
+        self._publish_outcome = publish_outcome
+        self._space = space
+        # one request at a time: `plan` latches one plan, and its outcome belongs to it
+        self._busy = threading.Lock()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a plan is being made."""
+        return self._busy.locked()
+
+    def answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
+        """Make and publish a plan; see `answer_read`."""
+        return self.answer_read(lambda: make_plan, asked)
+
+    def answer_read(self, read: Callable[[], Callable[[PlanRequest], Plan]], asked: PlanRequest) -> Answer:
+        """Read what a request refers to, then make and publish a plan. Every failure becomes an answer here."""
+        try:
+            make_plan = read()  # before taking the lock, so that no request waits while another one reads its file
+            with self._busy:
+                return self._make(make_plan, asked)
+        except ConstructionTwinError as error:
+            return self._failed(error, asked, str(error))
+        except (ArithmeticError, MemoryError, ValueError) as error:
+            # a request whose failure no check foresaw must get an answer, too
+            rospy.logerr("%s", traceback.format_exc())
+            kind = type(error).__name__
+            return self._failed(error, asked, f"the request cannot be computed ({kind}: {error}); please report it")
+
+    def _make(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
+        if self._space is not None:
+            self._space.forget()
+        self._demand_scene()
+        try:
+            return self._published(make_plan(asked), asked)
+        except ConstructionTwinError as error:
+            if self._space is None or not self._space.unknown:
+                raise
+            # a sentence such as "the start is in collision" is understood only with the reason
+            return self._failed(error, asked, f"{error}; {self._space.unknown}")
+
+    def _demand_scene(self) -> None:
+        """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
+        seen = self._pipeline.scene
+        if not self._scene_publishers():
+            self._pipeline.forget_scene(seen)
+        self._pipeline.wait_for_scene(self._scene_timeout)
+
+    def _published(self, plan: Plan, asked: PlanRequest) -> Answer:
+        sentence = self._publish(plan)
+        self._publish_outcome(True, asked, sentence, plan.id)
+        return Answer(True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0)
+
+    def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> Answer:
+        self._diagnostics.count(type(error).__name__, sentence)
+        self._publish_outcome(False, asked, sentence, "")
+        fraction = error.fraction if isinstance(error, CartesianPathError) else 0.0
+        return Answer(False, sentence, fraction=fraction)

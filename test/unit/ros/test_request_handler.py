@@ -1,0 +1,82 @@
+"""The planner's one place that catches: every request is answered, one at a time, and none without a scene."""
+
+from __future__ import annotations
+
+from collections import Counter
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from planning_cell import HOME, LEFT, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, solver
+
+from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.planning.planner import PlannerSettings
+from construction_twin.ros.shared.request_handler import RequestHandler
+from construction_twin.scene.objects import Scene
+
+EMPTY = Scene(padding=0.01)
+
+
+class Cell:
+    """A handler with a pipeline of its own; remembers what it published and counted."""
+
+    def __init__(self, publishers: int = 1):
+        rng = np.random.default_rng(0)
+        self.pipeline = PlanningPipeline(
+            ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Clock(), rng, "/scene"
+        )
+        self.pipeline.set_scene(EMPTY)
+        self.publishers = publishers
+        self.refused: Counter[str] = Counter()
+        self.outcomes: list = []
+        diagnostics = SimpleNamespace(count=lambda reason, _: self.refused.update([reason]))
+        self.handler = RequestHandler(
+            self.pipeline, diagnostics, lambda: self.publishers, 0.0, lambda plan: "made", self.note
+        )
+
+    def note(self, success, asked, sentence, plan_id):
+        self.outcomes.append((success, sentence))
+
+    def plan(self, asked):
+        return self.pipeline.to_joints(HOME, LEFT, asked)
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), ValueError("shapes"), OverflowError("large"), ZeroDivisionError(), np.linalg.LinAlgError("singular")]
+)  # fmt: skip
+@pytest.mark.parametrize("while_reading", [False, True])
+def test_what_no_check_foresaw_is_answered_too(error, while_reading):
+    cell = Cell()
+
+    def fail(*_):
+        raise error
+
+    answer = cell.handler.answer_read(fail, REQUEST) if while_reading else cell.handler.answer(fail, REQUEST)
+    assert answer.success is False and type(error).__name__ in answer.sentence
+    assert cell.outcomes == [(False, answer.sentence)] and cell.refused == {type(error).__name__: 1}
+    assert cell.handler.answer(cell.plan, REQUEST).success  # and the lock is free
+    assert cell.outcomes[1:] == [(True, "made")]
+
+
+def test_reading_holds_nobody_up():
+    cell = Cell()
+
+    def read():
+        assert not cell.handler.busy
+        return plan
+
+    def plan(asked):
+        assert cell.handler.busy
+        return cell.plan(asked)
+
+    assert cell.handler.answer_read(read, REQUEST).success
+
+
+def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes():
+    cell = Cell(publishers=0)
+    answer = cell.handler.answer(cell.plan, REQUEST)
+    assert not answer.success and "the scene node is not running" in answer.sentence
+    cell.publishers = 1
+    assert not cell.handler.answer(cell.plan, REQUEST).success
+    cell.pipeline.set_scene(EMPTY)
+    assert cell.handler.answer(cell.plan, REQUEST).success
