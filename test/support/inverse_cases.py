@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from hypothesis import strategies as st
+from rotations import rotation_angle
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.robot.description import read_robot_files
-from construction_twin.robot.frames import rotation_angle
 
 ROOT = Path(__file__).parents[2]
 KR120 = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")

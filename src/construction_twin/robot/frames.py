@@ -106,20 +106,3 @@ def quaternion_to_rotation(quaternion) -> np.ndarray:
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
         raise KinematicsError(f"quaternion x, y, z, w is {values.tolist()}; expected 4 numbers of norm 1")
     return Rotation.from_quat(values).as_matrix()
-
-
-def rotation_angle(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the angle between two orientations, exact also where it is tiny.
-
-    Parameters
-    ----------
-    first, second : array, shape (3, 3)
-
-    Returns
-    -------
-    angle : float
-        [rad], 0 to pi.
-    """
-    # |R1 - R2|_F = 2 sqrt(2) sin(angle / 2); the usual arccos of the trace loses half the digits near 0
-    chord = float(np.linalg.norm(np.asarray(first) - np.asarray(second)))
-    return 2.0 * math.asin(min(1.0, chord / (2.0 * math.sqrt(2.0))))

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rotations import rotation_angle
 
 from construction_twin.kinematics.chain import Chain, Pose, to_frame, to_pose
 from construction_twin.robot.description import read_robot_files
-from construction_twin.robot.frames import abc_to_rotation, rotation_angle, rotation_to_abc
+from construction_twin.robot.frames import abc_to_rotation, rotation_to_abc
 
 ROOT = Path(__file__).parents[3]
 KR120 = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")

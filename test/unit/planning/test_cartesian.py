@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
+from rotations import rotation_angle
 from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import CartesianPathError, PlanningError
@@ -22,7 +23,6 @@ from construction_twin.planning.cartesian import DEVIATION_M, DEVIATION_RAD, pla
 from construction_twin.planning.timing import LIMIT_FRACTION
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.robot.description import read_robot_files
-from construction_twin.robot.frames import rotation_angle
 
 ROOT = Path(__file__).parents[3]
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rotations import rotation_angle
 from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.robot.frames import (
     abc_to_rotation,
     quaternion_to_rotation,
-    rotation_angle,
     rotation_to_abc,
     rotation_to_quaternion,
 )
