@@ -181,7 +181,7 @@ class Rig:
         self.positions.append(self._pose)
 
     def rearm(self) -> None:
-        """Do what the bridge does when the arm rests near its twin (design, law 5)."""
+        """Do what the bridge does when the arm rests near its twin (docs/architecture.md, law 5)."""
         if self.gateway.state is State.HOLDING and not self.gateway.fault:
             self._control("reset")
         if self.gateway.state is State.READY:

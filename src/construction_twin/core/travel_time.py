@@ -1,8 +1,8 @@
 """How long messages travel, and which of them are too old or out of sequence to be used. Standard library only.
 
 Pure: stamps and times of reception are arguments [ns]. They are on two clocks that are never compared; only the difference of the
-two is, with its own smallest value (docs/architecture.md, law 4). What is refused raises PayloadError, whose reason is the
-counter's name.
+two is, with its own smallest value (docs/architecture.md, "Three clocks, never compared with each other"). What is refused raises
+PayloadError, whose reason is the counter's name.
 """
 
 from __future__ import annotations
