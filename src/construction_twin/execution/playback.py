@@ -1,6 +1,6 @@
 """One execution of a plan: which setpoint went out when, where on the path that was, and how it comes to rest.
 
-Pure. Stamps in ns, angles in rad, m for linear joints.
+Pure. Stamps in ns, angles in rad, m for prismatic joints.
 """
 
 from __future__ import annotations

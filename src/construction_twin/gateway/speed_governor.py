@@ -1,7 +1,7 @@
 """Playing more slowly, on the same path: how far playout time may advance so that no joint exceeds its fraction of the speed.
 
 Time is slowed for all joints together, never a joint by itself. Its rate changes only so fast that the joints' acceleration limits
-hold meanwhile. Standard library only; stamps in ns, positions in rad (m for linear joints).
+hold meanwhile. Standard library only; stamps in ns, positions in rad (m for prismatic joints).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the monitor must know of the plans to ask for a new one: where they go, and how fast they were approved to be.
 
-Pure. Angles in rad, m for linear joints.
+Pure. Angles in rad, m for prismatic joints.
 """
 
 from __future__ import annotations

@@ -109,7 +109,11 @@ def parser(robot: str) -> argparse.ArgumentParser:
 def _add_plan(plan: argparse.ArgumentParser) -> None:
     goal = plan.add_mutually_exclusive_group(required=True)
     goal.add_argument(
-        "--joints", type=_finite, nargs="+", metavar="VALUE", help="joint values, A1 first [deg; mm for a linear joint]"
+        "--joints",
+        type=_finite,
+        nargs="+",
+        metavar="VALUE",
+        help="joint values, A1 first [deg; mm for a prismatic joint]",
     )
     goal.add_argument(
         "--pose",

@@ -48,7 +48,7 @@ class ToolMarkerMenu:
         Returns the plan that waits for a verdict, or None.
     goal : MarkerGoal
     home : sequence of float, length n
-        The robot's home pose [rad], [m] for linear joints.
+        The robot's home pose [rad], [m] for prismatic joints.
     reviewer : str
         Who approves and rejects.
     say : callable
