@@ -62,7 +62,7 @@ class Playback:
 
     @property
     def at_rest(self) -> bool:
-        """True when it stands still and no ramp is left that would change that."""
+        """True when at rest, with no ramp planned."""
         return self._progress.at_rest
 
     def advance(self, stamp: int, rate: float) -> tuple[float, ...]:

@@ -17,13 +17,13 @@ from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 BRAKING_FRACTION = 0.95
 #: The same for letting it run again.
 RISING_FRACTION = 0.5
-#: However hard the motion itself brakes, time may be slowed with this fraction.
+#: This fraction of the acceleration limits is always available for slowing time.
 LEAST_FRACTION = 0.1
 #: Largest growth of the rate per second.
 LARGEST_RISE = 1.0
 #: Halvings with which a cycle's advance is brought into the acceleration limits.
 HALVINGS = 5
-#: What a step may be larger than its fraction of the speed because of the wire's rounding, as a fraction of that.
+#: How much a step may exceed the limit because of the wire's rounding, as a fraction of the limit.
 ROUNDING_FRACTION = 0.1
 
 

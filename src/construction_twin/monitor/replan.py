@@ -35,7 +35,7 @@ class ReplanGoal:
 
 
 class ReplanGoals:
-    """Goals of the newest plans, and of the one that was played last, however old."""
+    """Goals of the newest plans, and of the one that was played last, of any age."""
 
     def __init__(self):
         self._goals: dict[str, ReplanGoal] = {}

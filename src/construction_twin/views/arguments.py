@@ -47,7 +47,7 @@ class Exit(enum.IntEnum):
     SILENT = 3
     #: `--wait`: the motion ended, but not at its goal.
     NOT_FINISHED = 4
-    #: `approve`: the person said no, or there is nobody to ask.
+    #: `approve`: the person said no, or there is no terminal to ask on.
     NOT_CONFIRMED = 5
     #: The command was interrupted; a motion goes on.
     INTERRUPTED = 130

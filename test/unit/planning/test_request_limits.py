@@ -196,7 +196,7 @@ def plan_in(cell: Cell):
     "error", [MemoryError(), ValueError("shapes"), OverflowError("large"), ZeroDivisionError(), np.linalg.LinAlgError("singular")]
 )  # fmt: skip
 @pytest.mark.parametrize("while_reading", [False, True])
-def test_what_no_check_foresaw_is_answered_too(error, while_reading):
+def test_an_unexpected_exception_is_answered_too(error, while_reading):
     cell = Cell()
 
     def fail(*_):
