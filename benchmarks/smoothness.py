@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Time at rest before the motion: two of the long stalls [s].
 WARM_UP = 12.0
 #: Fraction of the limits that the trajectory uses.
-SHARE = 0.8
+LIMIT_FRACTION = 0.8
 #: Poses of the motion, after home and before it [deg].
 POSES = ((55.0, -50.0, 75.0, 40.0, 60.0, -70.0), (-40.0, -80.0, 100.0, -60.0, 110.0, 50.0))
 #: Offset of the controller's cycle against the sender's [ns].
@@ -125,7 +125,7 @@ def make_config(robot: RobotModel, **changes) -> GatewayConfig:
 def planned_motion(robot: RobotModel) -> np.ndarray:
     """Return the motion on the 4 ms grid, at rest for `WARM_UP` before and for 2 s after; shape (m, n), rad."""
     path = np.array([robot.home, *map(radians, POSES), robot.home])
-    motion = time_path(path, robot, speed_scale=SHARE)
+    motion = time_path(path, robot, speed_scale=LIMIT_FRACTION)
     times = np.arange(-WARM_UP, motion.duration + 2.0, CYCLE)
     return motion.sample_many(np.clip(times, 0.0, motion.duration))[0]
 
@@ -181,7 +181,7 @@ class Rig:
         self.positions.append(self._pose)
 
     def rearm(self) -> None:
-        """Do what the bridge does when the arm rests near its twin (design, law 5)."""
+        """Do what the bridge does when the arm rests near its twin (docs/architecture.md, law 5)."""
         if self.gateway.state is State.HOLDING and not self.gateway.fault:
             self._control("reset")
         if self.gateway.state is State.READY:

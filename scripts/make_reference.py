@@ -49,14 +49,11 @@ NODES = {
 }
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
 _EXPLAINED = {
-    ("*", "gate"): "node whose commands are accepted",
     ("*", "realtime_priority"): "SCHED_FIFO priority of all threads where permitted; 0: none",
     ("*", "self_collision"): "YAML of the link pairs that are not checked: absolute path",
     ("*", "tf_prefix"): "stands before the names of the robot's frames in tf; empty: nothing",
     ("scene", "check_rate"): "how often the present pose is checked [Hz]",
-    ("executor", "planner"): "node whose plans are accepted",
     ("executor", "neighbour"): "name of the other robot whose verdicts on `conflict` are asked for; empty: none",
-    ("pca_monitor", "executor"): "node whose setpoints are accepted",
     ("mqtt_bridge", "protocol"): "MQTT version: 5 or 3.1.1",
     ("static_frames", "parent"): "frame in which the robot stands",
     ("static_frames", "prefixes"): "tf prefixes of the robot's copies: twin, physical, preview",

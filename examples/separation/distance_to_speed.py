@@ -1,6 +1,6 @@
 """From a separation distance to a speed limit: how near somebody is to the arm, and how fast it may move then.
 
-Pure; times are arguments, in ns on a clock that nobody sets; distances in m. An example of a source, not a safety function: neither
+Pure; times are arguments, in ns on a monotonic clock; distances in m. An example of a source, not a safety function: neither
 sensor, nor table, nor this program are safety rated.
 """
 
@@ -44,9 +44,7 @@ class SpeedTable:
                     f"table, row {number}", row[0], "distances from 0 on, each above the one before"
                 )
             if not before[1] <= row[1] <= 1.0:
-                raise ConfigurationError(
-                    f"table, row {number}", row[1], "shares from 0 to 1, none below the one before"
-                )
+                raise ConfigurationError(f"table, row {number}", row[1], "fractions from 0 to 1 that do not fall")
             before = row
         self._distances = [float(row[0]) for row in rows]
         self._fractions = [float(row[1]) for row in rows]

@@ -1,4 +1,4 @@
-"""Robots and checks that the tests of inverse kinematics fraction."""
+"""Robots and checks that several tests of inverse kinematics use."""
 
 from __future__ import annotations
 

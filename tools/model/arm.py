@@ -1,6 +1,6 @@
 """The looks of a KUKA KR 120 R2500 pro: one solid per link and colour, in the link's frame of urdf/kr120r2500.urdf.xacro. Metres.
 
-Joint origins are the facts sheet's (docs/rsi.md, section 10). Castings, motors, covers and screws are drawn after pictures of the
+Joint origins are those of docs/rsi.md, section 10. Castings, motors, covers and screws are drawn after pictures of the
 KR QUANTEC series, not after KUKA's CAD, and fitted into the URDF's collision shapes.
 """
 

@@ -34,7 +34,7 @@ class SiteFolder:
     templates : Path
         Folder of mosquitto's templates.
     new_password : callable
-        Returns a password that nobody can guess.
+        Returns a password that cannot be guessed.
     """
 
     def __init__(self, folder: Path, templates: Path = _TEMPLATES, new_password: Callable[[], str] | None = None):
@@ -223,7 +223,7 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
     if not 1 <= arguments.days <= 36500:
         raise ConfigurationError("--days", arguments.days, "1 to 36500")
     people = merged(before.get("people", ()), arguments.tablet)
-    # without people every robot has a shared tablet account, which somebody may hold
+    # without people every robot has a shared tablet account, which may be in use
     shared = before.get("shared", ()) if before.get("people") else before.get("robots", ())
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),

@@ -2,7 +2,7 @@
 
 One step per controller cycle. A target that the limits allow is met exactly; any other is chased inside the limits until it
 is met again (`settling`). Whatever comes in, every output lies inside the range, within velocity, and within acceleration
-plus the format's allowance (docs/architecture.md, law 3). Standard library only; rad and rad per cycle, m for linear joints.
+plus the format's allowance (docs/architecture.md, law 3). Standard library only; rad and rad per cycle, m for prismatic joints.
 """
 
 from __future__ import annotations

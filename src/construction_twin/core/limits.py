@@ -1,6 +1,6 @@
 """The motion check that the gate and the gateway share: what a stream of setpoints may do from one to the next.
 
-Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, linear joints in m, stamps
+Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, prismatic joints in m, stamps
 in ns.
 """
 
@@ -19,7 +19,7 @@ RANGE_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What each joint may do. Units are those of a joint that turns; where `linear` is True, read m for rad.
+    """What each joint may do. Units are those of a revolute joint; for a prismatic one (`linear` is True) read m for rad.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class MotionLimits:
     velocity, acceleration : tuple of float, shape (n,)
         [rad/s], [rad/s^2], both positive.
     linear : tuple of bool, shape (n,), optional
-        Default: every joint turns.
+        Default: every joint is revolute.
     """
 
     names: tuple[str, ...]

@@ -37,7 +37,7 @@ class JointRangeError(KinematicsError):
     ----------
     joint : str
     value, lower, upper : float
-        [rad] ([m] for a linear joint).
+        [rad] ([m] for a prismatic joint).
     """
 
     def __init__(self, joint: str, value: float, lower: float, upper: float):
@@ -53,7 +53,7 @@ class PoseRangeError(JointRangeError):
     joint : str
         The joint that prevents it, in the solution that is out of range by least.
     value, lower, upper : float
-        What it would have to be, and its range [rad] ([m] for a linear joint).
+        What it would have to be, and its range [rad] ([m] for a prismatic joint).
     """
 
 
@@ -283,7 +283,7 @@ class LimitError(PlanningError):
     where, joint, quantity : str
         Such as ``at 1.204 s``; which joint; ``position``, ``velocity``, ``acceleration`` or ``jerk``.
     value, limit : float
-        [rad], [rad/s], ... ([m], ... for a linear joint); for a position `limit` is the end of the range that is passed.
+        [rad], [rad/s], ... ([m], ... for a prismatic joint); for a position `limit` is the end of the range that is passed.
     """
 
     def __init__(self, where: str, joint: str, quantity: str, value: float, limit: float):

@@ -1,6 +1,6 @@
-"""A source of speed limits that must repeat itself: its silence counts as a lower limit, never as a higher one.
+"""A source of speed limits with a deadline: after it, a fraction for silence holds, or the last limit where that is lower.
 
-Pure: times are arguments, in ns on a clock that nobody sets. Standard library only.
+Pure: times are arguments, in ns on a monotonic clock. Standard library only.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class SpeedLimitSource:
         fraction : float
             0 to 1.
         name : str
-            The source. While one is heard, another one is refused: two that take turns would make the arm surge.
+            The source. While one is heard, another one is refused: two alternating sources would change the speed all
+            the time.
         now : int
             Time of reception [ns].
 

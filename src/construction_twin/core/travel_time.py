@@ -1,8 +1,8 @@
 """How long messages travel, and which of them are too old or out of sequence to be used. Standard library only.
 
 Pure: stamps and times of reception are arguments [ns]. They are on two clocks that are never compared; only the difference of the
-two is, with its own smallest value (docs/architecture.md, law 4). What is refused raises PayloadError, whose reason is the
-counter's name.
+two is, with its own smallest value (docs/architecture.md, "Three clocks, never compared with each other"). What is refused raises
+PayloadError, whose reason is the counter's name.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class TravelTime:
         stamp : int
             When it was sent, on the sender's clock [ns].
         received : int
-            When it was received, on a clock that nobody sets [ns].
+            When it was received, on a monotonic clock [ns].
 
         Returns
         -------
@@ -60,7 +60,7 @@ class TravelTime:
         stamp : int
             When it was sent, on the sender's clock [ns].
         received : int
-            When it was received, on a clock that nobody sets [ns].
+            When it was received, on a monotonic clock [ns].
 
         Returns
         -------
@@ -79,8 +79,8 @@ class TravelTime:
 class SequenceCheck:
     """Refuses sequence numbers that are not a little above the last one.
 
-    One number from nowhere changes nothing. A sender that begins anew elsewhere is believed once `CONFIRMATIONS` consecutive
-    numbers have followed without one that continues the old sequence.
+    A single number out of sequence changes nothing. A new sequence is accepted after `CONFIRMATIONS` consecutive numbers of it
+    without one that continues the old sequence.
     """
 
     def __init__(self):
@@ -145,7 +145,7 @@ class FreshnessCheck:
         ------
         PayloadError
             ``stale``, when it is too old; ``early``, when it is so much quicker than all others that only further ones like it
-            are believed: a single wrong stamp must not make all that follow look old.
+            are believed: a single wrong stamp must not cause all later messages to be refused.
         """
         excess = self._travel.excess(stamp, received)
         if excess < -self._limit and self._early < CONFIRMATIONS:

@@ -43,12 +43,12 @@ def last_digit(decimals: int, linear: bool = False) -> float:
     decimals : int
         Decimals on the wire.
     linear : bool, optional
-        True: of mm, for a linear joint; False: of deg.
+        True: of mm, for a prismatic joint; False: of deg.
 
     Returns
     -------
     digit : float
-        [rad], or [m] for a linear joint.
+        [rad], or [m] for a prismatic joint.
     """
     return 10.0**-decimals / 1e3 if linear else math.radians(10.0**-decimals)
 
@@ -57,18 +57,18 @@ def format_allowance(decimals: int, linear: bool = False) -> float:
     """Return what rounding to `decimals` can add to an acceleration measured per cycle.
 
     Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (docs/architecture.md, law 3):
-    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a linear joint.
+    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint.
 
     Parameters
     ----------
     decimals : int
         Decimals on the wire.
     linear : bool, optional
-        True: of mm, for a linear joint; False: of deg.
+        True: of mm, for a prismatic joint; False: of deg.
 
     Returns
     -------
     allowance : float
-        [rad/s^2], or [m/s^2] for a linear joint.
+        [rad/s^2], or [m/s^2] for a prismatic joint.
     """
     return 2 * last_digit(decimals, linear) / CYCLE**2

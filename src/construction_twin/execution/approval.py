@@ -36,7 +36,7 @@ class Approval:
         self._executor = executor
         self._record = record
         self._lock = lock
-        # one verdict after the other: the record must not tell another order than what happened
+        # one verdict after the other: the record must keep the order in which verdicts took effect
         self._verdict = threading.RLock()
         self._seen: tuple[str, int] = ("", 0)
 

@@ -114,7 +114,7 @@ class Executor:
 
     @property
     def _run(self) -> Playback:
-        """The execution that is under way, or the last one; there is one in every state in which it is asked for."""
+        """The present or last execution. Call it only after a first plan was played."""
         assert self._playback is not None
         return self._playback
 

@@ -77,7 +77,7 @@ class Progress:
 
     @property
     def at_rest(self) -> bool:
-        """True when it stands still and no ramp is left that would change that."""
+        """True when at rest, with no ramp planned."""
         return self._now.step == 0.0 and not self._ramp
 
     @property

@@ -1,6 +1,6 @@
 """One execution of a plan: which setpoint went out when, where on the path that was, and how it comes to rest.
 
-Pure. Stamps in ns, angles in rad, m for linear joints.
+Pure. Stamps in ns, angles in rad, m for prismatic joints.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Playback:
 
     @property
     def at_rest(self) -> bool:
-        """True when it stands still and no ramp is left that would change that."""
+        """True when at rest, with no ramp planned."""
         return self._progress.at_rest
 
     def advance(self, stamp: int, rate: float) -> tuple[float, ...]:

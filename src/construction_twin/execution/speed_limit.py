@@ -1,4 +1,4 @@
-"""The speed limit: at which fraction of the planned speed may be moved, as a source on a topic says, or because it says nothing.
+"""The largest allowed fraction of the planned speed: from a source on a topic, or the silent fraction when that source is late.
 
 Pure; times are arguments, in ns on the monotonic clock. Not safety rated: it slows a motion down so that less often a safety
 function must stop it.
@@ -61,7 +61,8 @@ class SpeedLimit:
         reason : str
             The source's sentence.
         source : str
-            Its name. While one is heard, another one is refused: two that take turns would make the arm surge.
+            Its name. While one is heard, another one is refused: two alternating sources would change the speed all
+            the time.
         now : int
             Time of reception [ns].
 

@@ -1,6 +1,6 @@
 """How far a motion goes on after it was told to stop: stated in advance, and as it happened.
 
-Pure. Angles in rad, m for linear joints; deg and mm in the sentences for people.
+Pure. Angles in rad, m for prismatic joints; deg and mm in the sentences for people.
 """
 
 from __future__ import annotations

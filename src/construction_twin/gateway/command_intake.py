@@ -90,7 +90,7 @@ class CommandIntake:
             When too much of the stream is missing, or the sender does not obey the speed limit.
         """
         player = self._player
-        # without what a controller that was not heard owes: playout time stands still for so long
+        # the time since the last telegram is subtracted: playout time advances only with telegrams
         lead = player.lead(stamp) - waited / NANOSECONDS
         if lead > self._config.max_age:
             # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent

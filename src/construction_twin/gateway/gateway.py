@@ -29,7 +29,7 @@ from construction_twin.mqtt.messages import CommandProperties, Control, StatePro
 from construction_twin.rsi.gateway_codec import RobotTelegram
 
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. After a single missed telegram the
-#: motion goes on at its speed, because starting over would jerk more [ns].
+#: motion goes on at its speed, because starting from rest would be a larger step [ns].
 STANDSTILL = 2 * CYCLE_NS
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
@@ -82,7 +82,7 @@ class Gateway:
         self._owners = Ownership()
         self._player = Player(config, self.counters)
         self._stream = CommandIntake(config, self.codec, self._player)
-        #: How fast the arm may move, as somebody outside says.
+        #: How fast the arm may move, as the source of `speed_limit` asks.
         self.speed = SpeedLimit(config)
         self._stopping = StopReport(config.limits.linear)
         self._states = StateReport(self.codec, self.counters, config.properties)
@@ -130,7 +130,7 @@ class Gateway:
     # -- the controller's side
 
     def accepts(self, source: object, now: int) -> bool:
-        """Return whether a datagram from `source` may be read: nobody else may disturb a controller that is alive."""
+        """Return whether a datagram from `source` may be read: no other sender may disturb a controller that is alive."""
         return self._controller.accepts(source, now)
 
     def on_telegram(self, telegram: RobotTelegram, source: object, now: int) -> tuple[float, ...] | None:
@@ -240,7 +240,7 @@ class Gateway:
     def _note_drift(self, follower: Follower, setpoint: tuple[float, ...]) -> Follower:
         state = self._machine.state
         if state is State.READY or state is State.ARMED:
-            # a program of the controller moves the arm: nobody commands it here, so what is held goes with it
+            # a program of the controller moves the arm: no session commands it now, so the held pose follows the measured one
             return self._player.place(self._controller.move_origin(setpoint, follower.position))
         if state is State.FOLLOWING:
             drift = self._controller.drift(setpoint)
@@ -278,7 +278,8 @@ class Gateway:
         cause, state, follower = CAUSES[event], self._machine.state, self._player.follower
         self.counters[f"stops_{cause}"] += 1
         if state is not State.BRAKING and follower is not None:
-            # asked again while it brakes, what was stated holds; for a stream that is missing it has braked since it ran dry
+            # a second stop while braking keeps the first report; after a silent stream, braking began in the first cycle without a
+            # command
             begun = self._player.braking if cause == "silence" else None
             follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
             self._stopping.begin(cause, follower, self._controller.measured if follows else (), begun)
@@ -292,7 +293,7 @@ class Gateway:
         self.fault = self._machine.changed = True
 
     def fail(self, reason: str) -> None:
-        """Take note of an exception that nobody foresaw; from now on the last resort answers (`last_resort`), for good.
+        """Take note of an unexpected exception; from now on the last resort answers (`last_resort`), for good.
 
         Touches nothing but state and fault: what else is here may be what has failed.
         """
@@ -455,7 +456,7 @@ class Gateway:
         return f"gateway is {self.state.value}: {self.reason}" if self._player.follower is None else ""
 
     def _stop(self, control: Control) -> Answer:
-        self.stop(f"asked for by {control.session or 'nobody by name'}")
+        self.stop(f"asked for {f'by {control.session}' if control.session else 'without a session'}")
         return Answer(True, f"gateway is {self.state.value}")
 
     def stop(self, reason: str) -> None:
@@ -467,7 +468,7 @@ class Gateway:
             return Answer(False, "the Ethernet XML declares no Stop element: end the program on the pendant")
         if self._player.follower is None or self.state is State.FAILED:
             return Answer(False, f"gateway is {self.state.value}: {self.reason}")
-        self.end(f"end asked for by {control.session or 'nobody by name'}")
+        self.end(f"end asked for {f'by {control.session}' if control.session else 'without a session'}")
         return Answer(True, "RSI_MOVECORR ends as soon as the arm is at rest")
 
     def end(self, reason: str) -> None:

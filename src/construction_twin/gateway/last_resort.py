@@ -1,7 +1,7 @@
 """What answers RSI after the gateway itself has failed: brakes from the last correction that was sent, then holds, and echoes IPOC.
 
-As small as it can be, and built before it is needed: it shares nothing with the code that may have failed but the text of a reply,
-which it copies beforehand. Pure. Standard library only; rad, m for linear axes.
+It is small and is built at the start. From the code that may have failed it uses only the text of a reply, copied beforehand.
+Pure. Standard library only; rad, m for linear axes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from construction_twin.rsi.telegram import MAX_TELEGRAM
 _CYCLE_MS = CYCLE_NS // 1_000_000
 #: After a step of IPOC beyond this the arm has come to a stand under HOLDON [ms].
 STANDSTILL_MS = 2 * _CYCLE_MS
-#: After a longer gap nobody knows whether the controller still has the correction: a program may have started RSI anew, and the
+#: After a longer gap it is unknown whether the controller still has the correction: a program may have started RSI anew, and the
 #: correction would be a jump. It is answered no more, and times out; the arm stands already [ms].
 LONGEST_GAP_MS = 10 * _CYCLE_MS
 _IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,19})\s*</IPOC>").search

@@ -16,7 +16,7 @@ WAITING = 1000
 class BoundedQueueHandler(QueueHandler):
     """Hands records to a thread; what comes while `WAITING` of them wait is dropped, and counted in the next line.
 
-    A sender of garbage makes a line per message: neither memory nor the loop may pay for a log that nobody reads. The queue is one
+    A sender of garbage makes a line per message: neither memory nor the loop may pay for a log that is not read. The queue is one
     without a lock that another thread could hold.
     """
 

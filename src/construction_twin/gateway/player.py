@@ -109,7 +109,7 @@ class Player:
         """
         self.stamp, target = self._playout.advance(elapsed)
         if self._playout.silence:
-            # where the motion would have gone on, nobody has said
+            # the rest of the motion is unknown
             self._counters["cycles_without_command"] += 1
             return self._brake(follower, elapsed, measured)
         self.braking = None

@@ -1,4 +1,4 @@
-"""Playout: from stamped commands that arrive when they arrive to one target per controller cycle.
+"""Playout: from stamped commands with jitter to one target per controller cycle.
 
 Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (docs/architecture.md, law 1).
 It stays a delay behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole
@@ -160,7 +160,7 @@ class Playout:
             self._newest = stamp
         self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
         if self._put_off and self._resting > 3 and len(commands) > 3:
-            # of a rest that waits its begin and its end are kept: a limit of 0 may hold for hours
+            # of a delayed rest only the first and last command are kept: a limit of 0 may hold for hours
             self._resting -= 1
             commands[-2] = commands[-1]
             commands[-1] = stamp, q

@@ -150,7 +150,7 @@ class ControllerSession:
             return ""
         if telegram.measured is None or telegram.setpoint is None:
             return (
-                "telegrams lack AIPos or ASPos, so nobody can tell where the correction stands: not answering; declare DEF_AIPos "
+                "telegrams lack AIPos or ASPos, so the present correction is unknown: not answering; declare DEF_AIPos "
                 "and DEF_ASPos in the Ethernet XML"
             )
         distance = distance_off(telegram.measured, telegram.setpoint, self._config)

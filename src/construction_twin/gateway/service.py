@@ -1,6 +1,6 @@
 """rsi_gateway: MQTT <-> KUKA RSI on the cell PC. Runs without ROS: ``python -m construction_twin.gateway --help``.
 
-One thread, one select loop: RSI datagrams first, then MQTT. An exception that nobody foresaw ends neither the loop nor the answers:
+One thread, one select loop: RSI datagrams first, then MQTT. An unexpected exception ends neither the loop nor the answers:
 `GatewayService.guarded` hands the arm to the last resort, which brakes. Standard library and paho-mqtt only.
 """
 
@@ -153,7 +153,7 @@ class GatewayService:
     # -- failure
 
     def guarded(self, part: Callable[..., _Result], *arguments: object) -> _Result | None:
-        """Return what a part of the gateway returns; None when it raised what nobody foresaw, and the gateway has failed.
+        """Return what a part of the gateway returns; None after an unexpected exception, when the gateway has failed.
 
         The package's only handler for every exception: without it one error in a status message would end the answers to RSI, and
         the controller would stop the arm dead from full speed.
@@ -275,7 +275,8 @@ class GatewayService:
         gateway = self.gateway
         before, self._said = self._said, (gateway.state, gateway.reason, gateway.speed.source == "silence")
         if self._said[:2] != before[:2]:
-            # that somebody else sends is a kind of its own: the line that the controller is gone is often less than a second old
+            # a foreign sender is logged under its own key; otherwise the rate limit would suppress the line after
+            # 'controller gone'
             stranger = before[0] is gateway.state is State.NO_CONTROLLER
             level, kind = (logging.WARNING, "not the controller") if stranger else (logging.INFO, gateway.state.value)
             self._log(level, kind, gateway.reason)
@@ -348,9 +349,7 @@ class GatewayService:
         self.gateway.on_command(payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
-        self.gateway.refusals.message(
-            "retained", f"a message on {name} with the retain flag: nobody knows how old it is"
-        )
+        self.gateway.refusals.message("retained", f"a message on {name} with the retain flag: its age is unknown")
 
     def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:

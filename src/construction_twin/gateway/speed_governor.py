@@ -1,7 +1,7 @@
 """Playing more slowly, on the same path: how far playout time may advance so that no joint exceeds its fraction of the speed.
 
 Time is slowed for all joints together, never a joint by itself. Its rate changes only so fast that the joints' acceleration limits
-hold meanwhile. Standard library only; stamps in ns, positions in rad (m for linear joints).
+hold meanwhile. Standard library only; stamps in ns, positions in rad (m for prismatic joints).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 BRAKING_FRACTION = 0.95
 #: The same for letting it run again.
 RISING_FRACTION = 0.5
-#: However hard the motion itself brakes, time may be slowed with this fraction.
+#: This fraction of the acceleration limits is always available for slowing time.
 LEAST_FRACTION = 0.1
 #: Largest growth of the rate per second.
 LARGEST_RISE = 1.0
 #: Halvings with which a cycle's advance is brought into the acceleration limits.
 HALVINGS = 5
-#: What a step may be larger than its fraction of the speed because of the wire's rounding, as a fraction of that.
+#: How much a step may exceed the limit because of the wire's rounding, as a fraction of the limit.
 ROUNDING_FRACTION = 0.1
 
 

@@ -1,4 +1,4 @@
-"""How fast the arm may move at most, as somebody outside says: with a deadline, and time for the sender to obey first.
+"""The speed limit that the gateway enforces. It has a deadline, and a grace period in which the executor slows down first.
 
 Pure: time is an argument [ns]. Standard library only.
 """
@@ -28,7 +28,7 @@ class _Given:
 class SpeedLimit:
     """The fraction of the velocity limits at which the arm may move.
 
-    Nobody has to give one. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the
+    It is optional. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the
     last limit where that was lower, because a lost source must not speed the arm up. Both outlive command sessions, otherwise
     arming anew would lift the limit.
 

@@ -28,7 +28,7 @@ class Mode(Enum):
         return cls.COMMISSIONING if commissioning else cls.NORMAL
 
 
-#: What is added to a reason, so that nobody mistakes an arm that stands still for a fault.
+#: What is added to a reason, so that an arm at rest is not taken for a fault.
 NOTES = {
     Mode.NORMAL: "",
     Mode.COMMISSIONING: "; commissioning: every correction is sent as zero, the arm does not move",
@@ -65,7 +65,7 @@ class Event(Enum):
     ARM = "`arm`"
     STOP = "`stop` or `end`, or the program is ending"
     RESET = "`reset`"
-    FAILURE = "an exception that nobody foresaw"
+    FAILURE = "an unexpected exception"
 
 
 class Guard(Enum):

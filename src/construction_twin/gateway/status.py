@@ -13,7 +13,7 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import StateProperties
 
-#: Without a telegram for this long nobody waits for an answer [s].
+#: Without a telegram for this long no controller waits for an answer [s].
 QUIET = 0.05
 
 

@@ -26,7 +26,7 @@ class Braking:
         distances, cycles = follower.braking()
         #: Where the arm was when it began [rad], [m].
         self.start = measured or follower.position
-        #: Distance of each axis to rest, including what it is behind [rad], [m].
+        #: Distance of each axis to rest, including the lag behind the correction [rad], [m].
         self.distance = tuple(
             [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self.start)]
         )

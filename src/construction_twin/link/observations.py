@@ -1,4 +1,4 @@
-"""What the bridge knows of the broker, the gateway, the arm and the command stream, and what follows from it at a time.
+"""What the bridge knows of the broker, the gateway, the arm and the command stream, and which link event follows.
 
 Pure: time is an argument [ns]. Angles in rad (axis space).
 """

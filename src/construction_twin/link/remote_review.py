@@ -58,7 +58,7 @@ def parse_review(payload: bytes, retained: bool) -> RemoteReview:
     """
     if retained:
         raise PayloadError(
-            "retained", "retained review: nobody knows when it was given; publish it without the retain flag"
+            "retained", "retained review: it is unknown when it was given; publish it without the retain flag"
         )
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
     if not set(_KEYS) <= set(document) <= {*_KEYS, "reason"}:

@@ -1,4 +1,7 @@
-"""When a speed limit goes on to the gateway: changes at once, repeats rarely, silence as silence. Pure, standard library only."""
+"""When a speed limit goes to the gateway: a change at once, an unchanged limit every 0.2 s, nothing after the source's deadline.
+
+Pure, standard library only.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,7 @@ class SpeedForwarder:
         if not session or self.limit is None:
             return None
         if self._source.is_silent(now):
-            # silence is silence, also for a session that begins meanwhile
+            # nothing is sent for a silent source, also to a session that begins meanwhile
             self._unsent = False
             return None
         is_new = self._sent_session != session

@@ -293,7 +293,7 @@ class LinkSupervisor:
         return no_fault and self.inputs.within_tolerance(now) and self.inputs.at_rest(now)
 
     def _poses_differ(self, now: int) -> bool:
-        # before the first session nobody knows whether a program of the controller moves the arm
+        # before the first session it is unknown whether a program of the controller moves the arm
         return not self.inputs.within_tolerance(now) or not (self._was_armed or self.inputs.at_rest(now))
 
     # -- actions: each returns the sentence for the state

@@ -48,7 +48,7 @@ class Encoders:
         self._note()
 
     def drift(self, joint: int, rate: float) -> None:
-        """Let the reading of an axis run away at `rate` [rad/s]; 0 stops it, and the offset is gone."""
+        """Let the reading of an axis drift at `rate` [rad/s]; 0 stops it, and the offset is gone."""
         if rate:
             self._drift[joint] = rate
         else:
@@ -73,7 +73,7 @@ class Encoders:
         self._note()
 
     def read(self, measured: Sequence[float]) -> tuple[float, ...]:
-        """Return what the encoders report for the measured angles [rad], shape (n,); one cycle goes by."""
+        """Return what the encoders report for the measured angles [rad], shape (n,); one cycle passes."""
         reading = list(measured)
         for joint, play in self._play.items():
             half, position = play

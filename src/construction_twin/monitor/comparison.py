@@ -105,7 +105,7 @@ class Comparison:
     mode : str
         ``aligned`` or ``instant``.
     theta_virtual, theta_physical, threshold : tuple, shape (n,)
-        [rad]; [m] for linear joints.
+        [rad]; [m] for prismatic joints.
     round_trip : float
         Reception minus command stamp [s]; nan when unknown.
     servo_lag : float
@@ -150,7 +150,7 @@ class ComparisonSettings:
     Attributes
     ----------
     threshold : tuple, shape (n,)
-        Agreement at rest, per joint [rad]; [m] for linear joints.
+        Agreement at rest, per joint [rad]; [m] for prismatic joints.
     lag_allowance : float
         Largest servo lag that is believed, and until the lag is known what is allowed for it at the commanded velocity [s].
     lag_margin : float
@@ -175,14 +175,14 @@ def undetected(settings: ComparisonSettings, velocity: Sequence[float], known: b
     ----------
     settings : ComparisonSettings
     velocity : sequence of float, length n
-        Commanded velocity of each joint [rad/s]; [m/s] for linear joints.
+        Commanded velocity of each joint [rad/s]; [m/s] for prismatic joints.
     known : bool, optional
         Whether the lag is known: `lag.ENOUGH` samples in motion after the start of a command session.
 
     Returns
     -------
     difference : tuple, shape (n,)
-        [rad]; [m] for linear joints.
+        [rad]; [m] for prismatic joints.
     """
     lag = settings.lag_allowance + (settings.lag_margin if known else settings.lag_allowance)
     return tuple(limit + lag * abs(v) for limit, v in zip(settings.threshold, velocity))

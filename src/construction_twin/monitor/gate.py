@@ -1,7 +1,7 @@
 """The gate: Algorithm 1 in the command path. Nothing reaches either robot that has not passed here.
 
 Pure: `now` is an argument everywhere, in ns on the monotonic clock, which is never set: on the wall clock a step back would
-put off every time-out. Stamps are on a clock of their own. Angles in rad, linear joints in m.
+put off every time-out. Stamps are on a clock of their own. Angles in rad, prismatic joints in m.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class LagEstimate:
         return round(self._lag * NANOSECONDS)
 
     def learn(self, difference: tuple[float, ...], velocity: tuple[float, ...]) -> None:
-        """Take one sample; one at rest teaches nothing.
+        """Take one sample; a sample at rest is ignored.
 
         Parameters
         ----------

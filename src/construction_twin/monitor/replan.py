@@ -1,6 +1,6 @@
 """What the monitor must know of the plans to ask for a new one: where they go, and how fast they were approved to be.
 
-Pure. Angles in rad, m for linear joints.
+Pure. Angles in rad, m for prismatic joints.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ReplanGoal:
 
 
 class ReplanGoals:
-    """Goals of the newest plans, and of the one that was played last, however old."""
+    """Goals of the newest plans, and of the one that was played last, of any age."""
 
     def __init__(self):
         self._goals: dict[str, ReplanGoal] = {}

@@ -134,7 +134,7 @@ class SyncMachine:
     def on(
         self, event: SyncEvent, reason: str, now: int, comparison: Comparison | None = None, held_stamp: int = 0
     ) -> bool:
-        """Take an event; return whether the table has something to say about it in the present state.
+        """Take an event; return whether the table has a row for it in the present state.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """The transition log: a file of the monitor's changes of state, one JSON object per line, only ever added to.
 
-Values in rad, m for linear joints; times in ns since 1970.
+Values in rad, m for prismatic joints; times in ns since 1970.
 """
 
 from __future__ import annotations

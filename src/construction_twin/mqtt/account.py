@@ -31,7 +31,7 @@ class Account:
     user : str
         MQTT user name; it needs `password_file`.
     password_file : str
-        The password is its first line; nobody but the owner may read it.
+        The password is its first line; only the owner may read it.
     ca_file : str
         Certificates (PEM) of who signed the broker's; with it the connection is TLS.
     cert_file, key_file : str

@@ -71,7 +71,7 @@ class Broker:
 
 
 def unique_id(robot: str, role: str) -> str:
-    """Return a client id that nobody can guess: a client that connects with another one's id takes its connection away."""
+    """Return a client id that cannot be guessed: a client that connects with another one's id takes its connection away."""
     return f"{robot}-{role}-{secrets.token_hex(8)}"
 
 

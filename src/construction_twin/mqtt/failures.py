@@ -149,7 +149,7 @@ class ConnectionReport:
         self._report(refused_connection(self._broker, reason_code))
 
     def lost(self, reason_code: ReasonCode) -> None:
-        """Report the end of a connection that nobody wanted to end; what the broker said when it refused one stays."""
+        """Report the unwanted end of a connection; what the broker said when it refused one stays."""
         if reason_code.is_failure and not self.sentence:
             self._report(lost_connection(self._broker, reason_code))
 

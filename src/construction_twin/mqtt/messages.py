@@ -25,7 +25,7 @@ MAX_CONTROL_BYTES = 2048
 
 @dataclass(frozen=True)
 class Topics:
-    """Topic names of one robot, ``<prefix>/<robot>/...`` (docs/interface.md)."""
+    """Topic names of one robot, ``<prefix>/<robot>/...`` (docs/reference/mqtt.md)."""
 
     prefix: str
     robot: str

@@ -1,4 +1,4 @@
-"""An MQTT connection served from somebody else's select loop: no thread touches it while it works.
+"""An MQTT connection served from the caller's select loop: no thread touches it while it works.
 
 The gateway answers RSI packets from the same thread, so reading and writing MQTT must never block and must not compete for the
 interpreter. Only connecting, which can block for seconds, happens in a short-lived thread, and until it has succeeded the
@@ -110,7 +110,7 @@ class PolledClient:
         return isinstance(sock, ssl.SSLSocket) and sock.pending() > 0
 
     def close(self) -> None:
-        """Say goodbye to the broker and wait until it has hung up, at most 1 s."""
+        """Disconnect and wait until the broker has closed the connection, at most 1 s."""
         sock = self.client.socket()
         # paho closes its socket at once; with an answer still unread the broker would see a reset, and could lose our last words.
         # Of a TLS socket the TCP socket below is kept: what comes in is not read, only waited for
@@ -156,5 +156,5 @@ def _hear_out(line: socket.socket, deadline: float) -> None:
             if not line.recv(4096):
                 return
     except OSError:
-        # timed out or reset: nobody is left to hear
+        # timed out or reset: the broker is gone
         return

@@ -183,7 +183,7 @@ class ReviewLog:
         self._state = state
 
     def _check_untouched(self) -> None:
-        """The file must be the one that was verified: not removed, replaced, cut or written to by somebody else."""
+        """The file must be the one that was verified: not removed, replaced, cut or written to by another process."""
         try:
             there, here = os.stat(self.path), os.fstat(self._file)
         except OSError as error:

@@ -137,7 +137,7 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     Raises
     ------
     EthernetXmlError
-        For a missing, a foreign or a repeated axis, and for a channel that nobody would fill.
+        For a missing, a foreign or a repeated axis, and for a channel that is not filled.
     """
     if layout.onlysend:
         return

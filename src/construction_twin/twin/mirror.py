@@ -1,6 +1,6 @@
 """The twin while the arm leads: it follows the measured pose inside the limits, so it never jumps.
 
-Pure; angles in rad, linear joints in m, stamps in ns.
+Pure; angles in rad, prismatic joints in m, stamps in ns.
 """
 
 from __future__ import annotations

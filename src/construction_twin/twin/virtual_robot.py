@@ -1,6 +1,6 @@
 """The kinematic twin: executes commands exactly, after it has taken over the arm's pose.
 
-Pure; angles in rad, linear joints in m, stamps in ns.
+Pure; angles in rad, prismatic joints in m, stamps in ns.
 """
 
 from __future__ import annotations

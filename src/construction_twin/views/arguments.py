@@ -47,7 +47,7 @@ class Exit(enum.IntEnum):
     SILENT = 3
     #: `--wait`: the motion ended, but not at its goal.
     NOT_FINISHED = 4
-    #: `approve`: the person said no, or there is nobody to ask.
+    #: `approve`: the person said no, or there is no terminal to ask on.
     NOT_CONFIRMED = 5
     #: The command was interrupted; a motion goes on.
     INTERRUPTED = 130
@@ -109,7 +109,11 @@ def parser(robot: str) -> argparse.ArgumentParser:
 def _add_plan(plan: argparse.ArgumentParser) -> None:
     goal = plan.add_mutually_exclusive_group(required=True)
     goal.add_argument(
-        "--joints", type=_finite, nargs="+", metavar="VALUE", help="joint values, A1 first [deg; mm for a linear joint]"
+        "--joints",
+        type=_finite,
+        nargs="+",
+        metavar="VALUE",
+        help="joint values, A1 first [deg; mm for a prismatic joint]",
     )
     goal.add_argument(
         "--pose",

@@ -19,7 +19,7 @@ def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
     Parameters
     ----------
     values : sequence of float, length n
-        [deg], or [mm] for a linear joint, in the order of ``robot.joint_names``.
+        [deg], or [mm] for a prismatic joint, in the order of ``robot.joint_names``.
     robot : RobotModel
 
     Returns

@@ -1,6 +1,6 @@
 """What a reviewer sees of a plan before approving it: a ghost that plays it, its tool path, and what was measured on it.
 
-Pure; joint values in rad (m for a linear joint), times in s on any monotonic clock, points in the robot's base frame [m].
+Pure; joint values in rad (m for a prismatic joint), times in s on any monotonic clock, points in the robot's base frame [m].
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Playing:
     loop: bool
 
     def pose(self, now: float) -> tuple[float, ...]:
-        """Return where the ghost is at `now` [s]: joint values [rad], [m] for linear joints."""
+        """Return where the ghost is at `now` [s]: joint values [rad], [m] for prismatic joints."""
         trajectory, elapsed = self.plan.trajectory, now - self.began
         if self.loop:
             elapsed %= trajectory.duration / self.speed + LOOP_REST

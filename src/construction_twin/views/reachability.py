@@ -41,7 +41,7 @@ class PoseVerdict:
     sentence : str
         Why, for people.
     q : array, shape (n,), or None
-        The joint solution that was judged [rad], [m] for linear joints.
+        The joint solution that was judged [rad], [m] for prismatic joints.
     between : tuple of str, length 0 or 2
         The two bodies that touch.
     """
@@ -59,7 +59,7 @@ def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, wor
     ----------
     pose : Pose
     seed : sequence of float, length n
-        The arm's present joint values [rad], [m] for linear joints, within their ranges.
+        The arm's present joint values [rad], [m] for prismatic joints, within their ranges.
     solver : InverseKinematics
     world : CollisionWorld
 

@@ -42,7 +42,7 @@ class SyncFacts:
     ----------
     text, reason, policy, comparison : str
     errors, thresholds : tuple of float, length n
-        [rad], [m] for linear joints; empty while nothing is compared.
+        [rad], [m] for prismatic joints; empty while nothing is compared.
     round_trip, servo_lag : float
         [s]; nan when unknown.
     violations : int

@@ -112,7 +112,7 @@ def worst_joint(
     ----------
     names : sequence of str, length n
     errors, thresholds : sequence of float, length n
-        Of `Sync` [rad], [m] for linear joints.
+        Of `Sync` [rad], [m] for prismatic joints.
     linear : sequence of bool, length n
     """
     rows = [

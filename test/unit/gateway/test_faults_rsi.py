@@ -1,7 +1,8 @@
 """The network between gateway and controller fails, or the gateway does, while the arm moves.
 
 No PC can prevent the step that HOLDON makes. So: the gateway's own sequence stays inside the limits, the mock controller holds in
-every missed cycle and stops at `Timeout`, the gateway comes back by law 2, and the step is printed (`pytest -s`).
+every missed cycle and stops at `Timeout`, the gateway comes back as docs/architecture.md, law 2, says, and the step is printed
+(`pytest -s`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An exception that nobody foresaw, raised in every part of the running gateway: it brakes, answers, says so, and stays failed."""
+"""An unexpected exception, raised in every part of the running gateway: it brakes, answers, says so, and stays failed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from construction_twin.core.units import CYCLE
 from construction_twin.gateway.states import State
 
 
-class Unforeseen(Exception):
+class Unexpected(Exception):
     """What no handler of the package names."""
 
 
 def broken(*arguments, **options):
-    raise Unforeseen("injected")
+    raise Unexpected("injected")
 
 
 def broken_once(original):
@@ -31,7 +31,7 @@ def broken_once(original):
     def broken(*arguments):
         calls.append(arguments)
         if len(calls) == 1:
-            raise Unforeseen("injected")
+            raise Unexpected("injected")
         return original(*arguments)
 
     return broken
@@ -94,10 +94,10 @@ def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, 
             time.sleep(0.004)
         wait_until(lambda: service.failure, what="failure")
         assert_it_brakes_and_holds(controller, begin)
-        assert "Unforeseen in broken: injected" in service.failure
+        assert "Unexpected in broken: injected" in service.failure
         assert service.gateway.state is State.FAILED and service.gateway.fault
         said = [record for record in caplog.records if record.levelno == logging.CRITICAL]
-        assert len(said) == 1 and said[0].exc_info[0] is Unforeseen
+        assert len(said) == 1 and said[0].exc_info[0] is Unexpected
         if part not in MUTE:
             status = client.wait_for_status(state="failed") and client.status()
             assert status["fault"] and "start it again" in status["reason"] and status["run"] == service.gateway.run
@@ -154,7 +154,7 @@ def test_an_exception_that_ends_another_thread_is_one_of_the_gateway(broker, top
         service._mqtt.client.socket().shutdown(socket.SHUT_RDWR)
         wait_until(lambda: service.failure, what="failure")
         assert_it_brakes_and_holds(controller, begin)
-        assert "Unforeseen" in service.failure
+        assert "Unexpected" in service.failure
 
 
 def test_a_failed_gateway_still_ends_in_order(broker, topics):

@@ -99,7 +99,7 @@ def test_a_hole_longer_than_the_silence_brakes_with_every_delay_and_a_shorter_on
         assert cell.measured[0] >= before
         before = cell.measured[0]
     assert cell.state is State.HOLDING
-    # by law 5: another session from where the arm stands
+    # docs/architecture.md, law 5: another session from where the arm stands
     resume(cell)
 
 

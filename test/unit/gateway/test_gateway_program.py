@@ -326,7 +326,7 @@ def test_with_a_paho_that_was_not_tested_it_runs_on_the_public_interface_and_say
     assert len(client.on(topics.state)) > 100
 
 
-#: Lines that make one part of the program raise what nobody foresaw.
+#: Lines that make one part of the program raise an unexpected exception.
 _BROKEN = {
     "loop": "service.Gateway.poll = broken",
     "log's thread": "logging.handlers.QueueListener.handle = broken",

@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobian: the KR 120 against the facts sheet, an arm built quite differently, a linear track."""
+"""Forward kinematics and Jacobian: the KR 120 against docs/rsi.md, an arm built quite differently, a linear track."""
 
 from __future__ import annotations
 

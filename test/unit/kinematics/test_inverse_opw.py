@@ -1,4 +1,4 @@
-"""Which arms are of the OPW kind, and with which parameters: from axes alone, against the facts sheet and KDL."""
+"""Which arms are of the OPW kind, and with which parameters: from axes alone, against docs/rsi.md and KDL."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ import importlib
 import json
 import math
 import re
+import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -36,6 +37,8 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
+from construction_twin.ros.nodes import mqtt_bridge
+from construction_twin.ros.shared import stop_memory
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "src/construction_twin"
@@ -204,6 +207,17 @@ def test_every_class_of_parameters_is_in_the_reference():
         assert not has_settings or file.stem in modules, f"add {file.stem} to make_reference.NODES"
 
 
+def test_parameters_of_the_namespace_are_in_its_table():
+    table = PAGES["parameters"].split("## Parameters of the namespace")[1].split("| key of `robot`")[0]
+    rows = set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE))
+    code = "".join(file.read_text() for file in sorted((PACKAGE / "ros").rglob("*.py")))
+    # without a slash or ~: relative to the robot's namespace; `publishers` stands behind any namespace
+    read = set(re.findall(r"get_param\(f?\"(?:\{\w+\})?(\w+)\"", code))
+    constants = {mqtt_bridge.MIRROR_MODE, stop_memory.PARAMETER}
+    assert "publishers" in read
+    assert sorted((read | constants) - rows) == []
+
+
 # -- states
 
 
@@ -345,7 +359,7 @@ def test_nothing_cites_a_document_that_a_reader_cannot_open():
             "shared" + "/",
             "house" + r"\.md",
             r"(?<!docs/)(?<!/)\brsi" + r"\.md",
-            "design, " + "(?:law|section)",
+            r"\bdesign, " + "(?:law|section)",
         )
     )
     said = []
@@ -361,6 +375,7 @@ def test_nothing_cites_a_document_that_a_reader_cannot_open():
         "setup",
         "tools",
         "examples",
+        "benchmarks",
         "test",
     ):
         for file in sorted((ROOT / folder).rglob("*")):
@@ -368,10 +383,29 @@ def test_nothing_cites_a_document_that_a_reader_cannot_open():
                 __file__
             ):
                 # pages beside each other link without the folder
-                text = re.sub(r"\]\([^)]*\)", "", file.read_text().replace("[rsi.md]", ""))
+                text = re.sub(r"\]\([^)]*\)", "", file.read_text().replace("[rsi.md]", "]"))
                 text = text.replace("ros/shared/", "")
                 said += [f"{relative(file)}: {found}" for found in re.findall(elsewhere, text)]
     assert said == []
+
+
+def test_documents_named_outside_of_the_documents_exist():
+    folders = "src test scripts benchmarks tools examples config launch urdf krl msg srv nodes setup".split()
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--", *folders], cwd=ROOT, capture_output=True, check=True, text=True
+    )
+    named = 0
+    missing = []
+    for name in filter(None, listed.stdout.split("\0")):
+        try:
+            text = (ROOT / name).read_text()
+        except (UnicodeDecodeError, FileNotFoundError):
+            continue  # a picture or mesh; a file that was just removed
+        cited = re.findall(r"\bdocs/[\w/.-]*?\.md\b", text)
+        named += len(cited)
+        missing += [f"{name}: {document}" for document in cited if not (ROOT / document).is_file()]
+    assert named > 50
+    assert missing == []
 
 
 def test_make_targets_exist():

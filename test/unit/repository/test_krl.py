@@ -1,4 +1,4 @@
-"""krl/: what a user copies to the controller agrees with itself, with the facts sheet and with what gateway and mock read."""
+"""krl/: what a user copies to the controller agrees with itself, with docs/rsi.md and with what gateway and mock read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The KR 120's URDF against the facts sheet (docs/rsi.md, section 10)."""
+"""The KR 120's URDF against docs/rsi.md, section 10."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An error that nobody foresaw in a callback of the MQTT connection leaves its thread: `run_node` then ends the process.
+"""An unexpected exception in a callback of the MQTT connection leaves its thread: `run_node` then ends the process.
 
 A thread of the client that ended quietly would leave a bridge that looks alive and hears nothing. Over real sockets, with a broker
 of a few bytes, for both clients: the direct one that serves the link without TLS, and paho's own loop.
@@ -95,7 +95,7 @@ def test_an_error_in_a_callback_reaches_the_hook_that_ends_the_node(monkeypatch,
         client.loop_stop()
 
 
-def test_what_is_foreseen_is_counted_and_ends_nothing(monkeypatch):
+def test_an_expected_error_is_counted_and_ends_nothing(monkeypatch):
     bench = BridgeBench(Clocks(monkeypatch, mqtt_bridge))
     bench.bridge.on_state(b"nan,nan", [], False)
     bench.bridge.on_state(b"+005.730,-057.296", [], False)

@@ -131,7 +131,7 @@ def test_an_arm_of_unknown_pose_is_a_warning(bench):
     assert (bench.node._state.level, bench.node._state.sentence) == (WARN, "where b is, is not known")
 
 
-def test_what_nobody_foresaw_ends_the_process(bench, monkeypatch):
+def test_an_unexpected_exception_ends_the_process(bench, monkeypatch):
     """`run` is the main thread's work: see `run_node`."""
 
     def broken(*_):

@@ -1,4 +1,4 @@
-"""An unforeseen error ends a node's process with a code that roslaunch respawns on, in whatever thread it occurs.
+"""An unexpected exception ends a node's process with a code that roslaunch respawns on, in whatever thread it occurs.
 
 Each kind in a process of its own, without a master: what is injected goes through rospy's own code.
 """
@@ -67,7 +67,7 @@ def run(body: str) -> subprocess.CompletedProcess:
 
 
 @pytest.mark.parametrize("kind", INJECTED)
-def test_an_unforeseen_error_ends_the_process(kind):
+def test_an_unexpected_exception_ends_the_process(kind):
     ended = run(INJECTED[kind])
     assert ended.returncode == module.UNFORESEEN, ended.stderr
     assert "IndexError" in ended.stderr and "injected" in ended.stderr

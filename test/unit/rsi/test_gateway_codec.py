@@ -23,7 +23,7 @@ from construction_twin.rsi.gateway_codec import (
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 HOME = radians((0, -90, 90, 0, 90, 0))
 POSE = (1.35, 0.0, 1.569, math.pi, 0.0, math.pi)
-#: The facts sheet's example, written out: KE's set of blocks at Precision 4 (docs/rsi.md, section 2).
+#: The example of docs/rsi.md, section 2, written out: KE's set of blocks at Precision 4.
 GOLDEN_ROB = (
     b'<Rob Type="KUKA"><RIst X="1350.0000" Y="0.0000" Z="1569.0000" A="180.0000" B="0.0000" C="180.0000"/>'
     b'<RSol X="1350.0000" Y="0.0000" Z="1569.0000" A="180.0000" B="0.0000" C="180.0000"/>'

@@ -32,7 +32,7 @@ def watch(listener: RobotListener, rate: float, once: bool, timeout: float) -> N
     Raises
     ------
     SilenceError
-        If nobody reports.
+        If no robot reports.
     """
     if not listener.wait(lambda: listener.newest("sync") or listener.newest("link"), timeout):
         raise SilenceError("sync and link", f"nobody reports (waited {timeout:g} s)", "start bringup, or give --robot")

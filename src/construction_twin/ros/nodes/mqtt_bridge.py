@@ -87,7 +87,7 @@ class MqttBridge:
     """ROS and MQTT around a LinkSupervisor; `start` gives it topics, services and a connection.
 
     `_lock` guards the supervisor and the counters; nothing is sent while it is held. paho has locks of its own for the connection.
-    The supervisor is told the monotonic clock: a wall clock that is set must not make a gateway look alive, or an arm at rest.
+    The supervisor gets monotonic times: a wall clock that is set must not make a gateway look alive, or an arm at rest.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ class MqttBridge:
         received, now = now_ns(), time.monotonic_ns()
         try:
             if retained:
-                raise PayloadError("retained", "retained state: nobody knows how old it is")
+                raise PayloadError("retained", "retained state: its age is unknown")
             q = self._codec.decode(payload)
             # where the link carries properties, a pose without them is not the gateway's
             properties = read_state_properties(pairs) if pairs or self._properties else None

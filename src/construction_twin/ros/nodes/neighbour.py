@@ -68,7 +68,7 @@ class NeighbourNode:
         rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, self._horizon)
 
     def run(self) -> None:
-        """Check again and again, in the main thread: an unforeseen error ends the process, which is then started anew."""
+        """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
         rate = rospy.Rate(self._settings.rate)
         while not rospy.is_shutdown():
             began = time.monotonic()
@@ -79,7 +79,7 @@ class NeighbourNode:
 
     def check(self) -> None:
         """Judge the plan that is played and say so, then the one that waits."""
-        # a verdict is as old as what it goes by
+        # a verdict has the age of its poses
         stamp = rospy.Time.now()
         try:
             plans = self._own.plans()
@@ -113,7 +113,7 @@ class NeighbourNode:
         return followed is not None and followed.id == plan_id
 
     def _others(self) -> Others | None:
-        """Return the other arm; None where it cannot be told what it takes up."""
+        """Return the other arm; None when its space is unknown."""
         self._failure = ""
         try:
             obstacles = self._other.occupied(horizon=self._horizon)

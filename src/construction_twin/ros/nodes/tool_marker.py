@@ -40,7 +40,7 @@ from construction_twin.views.marker_goal import MarkerGoal, moved
 from construction_twin.views.reachability import PoseVerdict, Reach, judge_pose
 from construction_twin.views.texts import waiting_plan
 
-#: How often the marker follows the tool while nobody has dragged it, and the texts are renewed [s].
+#: How often the marker follows the tool while it has not been dragged, and the texts are renewed [s].
 PERIOD = 0.1
 
 _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]

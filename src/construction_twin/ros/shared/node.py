@@ -1,6 +1,6 @@
 """What every node does around its own work: start, turn a typed error into one sentence, end.
 
-An unforeseen error ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives
+An unexpected exception ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives
 on without one of its timers, or without its MQTT thread, is worse: it looks alive, and does not work.
 
 ==========================  =========================================================================================
@@ -27,7 +27,7 @@ import rospy
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
 
-#: Exit code of a process that an unforeseen error has ended.
+#: Exit code of a process that an unexpected exception has ended.
 UNFORESEEN = 1
 #: How long a service that failed has to send its answer [s].
 ANSWER_TIME = 0.2
@@ -117,5 +117,5 @@ def _end_in(seconds: float) -> None:
 
 def _write_down(where: str, error: BaseException | None, what_follows: str) -> None:
     trace = "".join(traceback.format_exception(error)) if error is not None else ""
-    rospy.logfatal("%s: an unforeseen error in %s, %s: %r\n%s", rospy.get_name(), where, what_follows, error, trace)
+    rospy.logfatal("%s: an unexpected exception in %s, %s: %r\n%s", rospy.get_name(), where, what_follows, error, trace)
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""That the gate was STOPPED outlasts its process: on the parameter server, for the monitor that roslaunch starts in its place."""
+"""Keeps the STOPPED session on the parameter server, so that a restarted monitor begins STOPPED."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.tool_marker_shapes import NAME
 from construction_twin.views.marker_goal import MarkerGoal
 
-#: How long a plan must have been shown before the menu approves or rejects it [s]: nobody has seen a plan that came with the click.
+#: How long a plan must have been shown before the menu approves or rejects it [s]: a plan that came with the click was not seen.
 SHOWN = 1.0
 #: The entry that is heard from every client; see `ToolMarkerMenu.on_feedback`.
 STOP = "Stop"
@@ -48,7 +48,7 @@ class ToolMarkerMenu:
         Returns the plan that waits for a verdict, or None.
     goal : MarkerGoal
     home : sequence of float, length n
-        The robot's home pose [rad], [m] for linear joints.
+        The robot's home pose [rad], [m] for prismatic joints.
     reviewer : str
         Who approves and rejects.
     say : callable

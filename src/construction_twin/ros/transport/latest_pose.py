@@ -53,7 +53,7 @@ class LatestPose:
         Returns
         -------
         q : tuple, shape (n,)
-            [rad], or [m] for linear joints, in the order of the names.
+            [rad], or [m] for prismatic joints, in the order of the names.
 
         Raises
         ------

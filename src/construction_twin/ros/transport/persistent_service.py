@@ -12,7 +12,7 @@ class PersistentService(rospy.ServiceProxy):
     """As a persistent `rospy.ServiceProxy`, for a service without arguments, and from several threads.
 
     A call whose connection broke is repeated once over a new one. So only a service may be called that may be called twice: of a
-    broken connection nobody knows whether the request had arrived.
+    broken connection it is unknown whether the request had arrived.
     """
 
     def __init__(self, service: str, kind: type):
