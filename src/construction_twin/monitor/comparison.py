@@ -160,8 +160,8 @@ class ComparisonSettings:
     """
 
     threshold: tuple[float, ...]
-    lag_allowance: float = 0.05
-    lag_margin: float = 0.02
+    lag_allowance: float
+    lag_margin: float
     aligned: bool = True
 
 

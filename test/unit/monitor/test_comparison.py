@@ -122,7 +122,7 @@ class TestPoseComparison:
         assert result.threshold == pytest.approx((0.06, 0.01))
 
     def test_a_single_twin_pose_is_compared_at_rest(self):
-        comparison = PoseComparison(ComparisonSettings((0.02,)))
+        comparison = PoseComparison(ComparisonSettings((0.02,), 0.05, 0.02))
         comparison.twin.add(T0, (1.0,))
         assert comparison.compare((1.0,), 0, T0).threshold == (0.02,)
 
@@ -145,20 +145,20 @@ class TestPoseComparison:
         assert result.worst() == 1 and not result.agrees
 
     def test_each_joint_has_its_own_threshold(self):
-        comparison = PoseComparison(ComparisonSettings((0.01, 0.002)))
+        comparison = PoseComparison(ComparisonSettings((0.01, 0.002), 0.05, 0.02))
         comparison.twin.add(T0, (0.0, 0.0))
         assert comparison.compare((0.009, 0.0), 0, T0).agrees
         assert not comparison.compare((0.0, 0.009), 0, T0).agrees
 
     @pytest.mark.parametrize("fraction, agrees", [(1.0, True), (0.81, True), (0.79, False)])
     def test_agreement_can_be_asked_for_within_a_share_of_the_threshold(self, fraction, agrees):
-        comparison = PoseComparison(ComparisonSettings((0.01, 0.01)))
+        comparison = PoseComparison(ComparisonSettings((0.01, 0.01), 0.05, 0.02))
         comparison.twin.add(T0, (0.0, 0.0))
         assert comparison.compare((0.008, 0.0), 0, T0).agrees_within(fraction) is agrees
 
     def test_instant_compares_with_the_present_pose_whatever_the_stamp_says(self):
         comparison = self.moving()
-        comparison.configure(ComparisonSettings((0.01, 0.01), aligned=False))
+        comparison.configure(ComparisonSettings((0.01, 0.01), 0.05, 0.02, aligned=False))
         result = comparison.compare((0.396, 0.0), T0 + 50 * CYCLE_NS, T0 + 99 * CYCLE_NS)
         assert result.mode == "instant" and result.theta_virtual == pytest.approx((0.396, 0.0))
         assert result.round_trip == pytest.approx(49 * 0.004)

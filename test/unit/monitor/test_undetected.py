@@ -34,7 +34,7 @@ def follow(settings: ComparisonSettings, lag: float, samples: int) -> tuple[Pose
 
 @pytest.mark.parametrize("beyond, agrees", [(-1e-6, True), (1e-6, False)])
 def test_the_bound_is_what_the_comparison_lets_pass(beyond, agrees):
-    settings = ComparisonSettings((0.01,))
+    settings = ComparisonSettings((0.01,), 0.05, 0.02)
     comparison, stamp = follow(settings, settings.lag_allowance, 400)
     lag = comparison.last.servo_lag
     assert lag == pytest.approx(settings.lag_allowance, abs=1e-4)
@@ -45,7 +45,7 @@ def test_the_bound_is_what_the_comparison_lets_pass(beyond, agrees):
 
 
 def test_until_the_lag_is_known_it_is_granted_twice():
-    settings = ComparisonSettings((0.01,))
+    settings = ComparisonSettings((0.01,), 0.05, 0.02)
     comparison, stamp = follow(settings, settings.lag_allowance, ENOUGH - 5)
     assert math.isnan(comparison.last.servo_lag)
     (most,) = undetected(settings, (SPEED,), known=False)
