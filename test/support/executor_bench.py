@@ -95,7 +95,7 @@ class Bench:
 
     def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> str:
         """Give a verdict; return the sentence."""
-        return self.approval.review(plan_id, plan_hash, approve, reviewer, reason)[1]
+        return self.approval.review(plan_id, plan_hash, approve, reviewer, reason).sentence
 
     def approve(self, plan: Plan) -> str:
         """Put a plan under review and approve it."""

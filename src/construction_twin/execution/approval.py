@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 
 from construction_twin.core.errors import RecordError, ReviewError
 from construction_twin.core.units import NANOSECONDS
@@ -15,6 +16,21 @@ from construction_twin.review.queue import APPROVED, REFUSED, REJECTED, Ending, 
 AUTO_APPROVE = "auto_approve"
 #: The scene that a plan was made for may be announced this long after the plan [ns].
 SCENE_DELAY = NANOSECONDS
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A verdict that was recorded and carried out.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    sentence : str
+        What was done.
+    """
+
+    verdict: Verdict
+    sentence: str
 
 
 class Approval:
@@ -40,15 +56,8 @@ class Approval:
         self._verdict = threading.RLock()
         self._seen: tuple[str, int] = ("", 0)
 
-    def review(
-        self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = ""
-    ) -> tuple[Verdict, str]:
+    def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Taken:
         """Record a verdict and carry it out.
-
-        Returns
-        -------
-        verdict : Verdict
-        sentence : str
 
         Raises
         ------
@@ -69,7 +78,7 @@ class Approval:
             self._record(verdict)
             try:
                 with self._lock:
-                    return verdict, self._carry_out(verdict)
+                    return Taken(verdict, self._carry_out(verdict))
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.approved and verdict.plan is not None:
@@ -78,7 +87,7 @@ class Approval:
                     self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, f"not rejected: {error}", verdict.plan))
                 raise
 
-    def approve_by_itself(self, now: int) -> tuple[Verdict, str] | None:
+    def approve_by_itself(self, now: int) -> Taken | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
 
         Parameters

@@ -68,6 +68,7 @@ class Playout:
         self.bounds = bounds
         self._governor = governor
         self._governed = False
+        # stamp and pose; plain tuples, and no records: they are made and unpacked in every cycle of 4 ms
         self._commands: deque[tuple[int, Pose]] = deque()
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
         self._slew = Slew()

@@ -5,8 +5,25 @@ from __future__ import annotations
 import heapq
 import itertools
 import random
+from typing import NamedTuple
 
 from construction_twin.core.units import NANOSECONDS
+
+
+class Underway(NamedTuple):
+    """A datagram that has not arrived; as a tuple it stands in the heap by its time, then in the order of sending.
+
+    Attributes
+    ----------
+    due : int
+        When it arrives [ns].
+    order : int
+    data : bytes
+    """
+
+    due: int
+    order: int
+    data: bytes
 
 
 class Line:
@@ -29,7 +46,7 @@ class Line:
         self._drop = self._duplicate = 0.0
         self._delay = self._jitter = 0
         self._order = itertools.count()
-        self._queue: list[tuple[int, int, bytes]] = []
+        self._queue: list[Underway] = []
         self.active = False
         self.dropped = self.doubled = self.delayed = 0
 
@@ -58,19 +75,19 @@ class Line:
         self.delayed += bool(self._delay or self._jitter)
         for _ in range(1 + twice):
             due = now + self._delay + round(self._random.random() * self._jitter)
-            heapq.heappush(self._queue, (due, next(self._order), data))
+            heapq.heappush(self._queue, Underway(due, next(self._order), data))
 
     def take(self, now: int) -> list[bytes]:
         """Return what has arrived by `now` [ns], in the order of arrival."""
         arrived = []
-        while self._queue and self._queue[0][0] <= now:
-            arrived.append(heapq.heappop(self._queue)[2])
+        while self._queue and self._queue[0].due <= now:
+            arrived.append(heapq.heappop(self._queue).data)
         self._note()
         return arrived
 
     def next_arrival(self) -> int | None:
         """Return when the next datagram arrives [ns], or None."""
-        return self._queue[0][0] if self._queue else None
+        return self._queue[0].due if self._queue else None
 
     def _note(self) -> None:
         # delayed datagrams are still delivered after the fault has ended

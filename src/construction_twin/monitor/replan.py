@@ -34,13 +34,31 @@ class ReplanGoal:
     seen: int = 0
 
 
+@dataclass(frozen=True)
+class Played:
+    """What the executor did when it was last heard.
+
+    Attributes
+    ----------
+    plan_id : str
+    playing : bool
+        It played that plan, and was not told to stop or to pause.
+    stamp : int
+        [ns]
+    """
+
+    plan_id: str = ""
+    playing: bool = False
+    stamp: int = 0
+
+
 class ReplanGoals:
     """Goals of the newest plans, and of the one that was played last, of any age."""
 
     def __init__(self):
         self._goals: dict[str, ReplanGoal] = {}
         # one value, stored and read at once: the executor's reports come in a thread of their own
-        self._execution: tuple[str, bool, int] = ("", False, 0)
+        self._execution = Played()
 
     def on_plan(
         self, plan_id: str, goal: Sequence[float], velocity_use: Sequence[float], acceleration_use: Sequence[float]
@@ -48,14 +66,14 @@ class ReplanGoals:
         """Take a plan that was offered; its use of the limits per joint, as measured by the planner."""
         speed, acceleration = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
         self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), speed, acceleration)
-        played = self._execution[0]
+        played = self._execution.plan_id
         old = [known for known in self._goals if known not in (played, plan_id)]
         for known in old[: max(len(old) - KEPT, 0)]:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, playing: bool, stamp: int) -> None:
         """Take what the executor did at `stamp` [ns]: whether it played that plan, and was not told to stop or to pause."""
-        self._execution = plan_id, playing, stamp
+        self._execution = Played(plan_id, playing, stamp)
 
     @property
     def interrupted(self) -> ReplanGoal | None:
@@ -64,8 +82,8 @@ class ReplanGoals:
         None when nothing plays: what a person stops or pauses is not taken up by itself, and with `auto_approve` a new plan would
         be. Nor is a plan that stands still, whose fractions the planner would read as its defaults.
         """
-        played, playing, seen = self._execution
-        found = self._goals.get(played) if playing else None
+        played = self._execution
+        found = self._goals.get(played.plan_id) if played.playing else None
         if found is None or found.speed_scale <= 0.0 or found.acceleration_scale <= 0.0:
             return None
-        return replace(found, seen=seen)
+        return replace(found, seen=played.stamp)

@@ -42,20 +42,33 @@ class Deployment:
 
 
 @dataclass(frozen=True)
+class Word:
+    """State word and reason of a report.
+
+    Attributes
+    ----------
+    state, reason : str
+    """
+
+    state: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class Seen:
     """What was heard so far.
 
     Attributes
     ----------
-    link, sync, execution : tuple of (str, str), or None
-        State word and reason of the three reports.
+    link, sync, execution : Word or None
+        Of the three reports.
     feedback, twin, scene : bool
         Whether a pose of the arm, a pose of the twin, a scene has come.
     """
 
-    link: tuple[str, str] | None = None
-    sync: tuple[str, str] | None = None
-    execution: tuple[str, str] | None = None
+    link: Word | None = None
+    sync: Word | None = None
+    execution: Word | None = None
     feedback: bool = False
     twin: bool = False
     scene: bool = False
@@ -139,7 +152,8 @@ def first_missing(seen: Seen, deployment: Deployment) -> Missing | None:
 
 def _link(seen: Seen, deployment: Deployment) -> Missing | None:
     """Broker, gateway, configuration, controller, first feedback."""
-    state, reason = seen.link or ("", "")
+    word = seen.link or Word("", "")
+    state, reason = word.state, word.reason
     real = deployment.arm == "real"
     if not state:
         return Missing("the bridge", "no report", "mqtt_bridge does not run; its reason stands in its log")
@@ -170,7 +184,8 @@ def _twin(seen: Seen, deployment: Deployment) -> Missing | None:
 
 
 def _armed(seen: Seen, deployment: Deployment) -> Missing | None:
-    state, reason = seen.link or ("", "")
+    word = seen.link or Word("", "")
+    state, reason = word.state, word.reason
     if state == "NEEDS_RESET":
         call = f"remove the cause, then rosservice call {deployment.namespace}/reset"
         return Missing("a reset", reason, call)
@@ -182,12 +197,13 @@ def _armed(seen: Seen, deployment: Deployment) -> Missing | None:
 
 
 def _gate(seen: Seen) -> Missing | None:
-    if seen.link is not None and seen.link[0] == "MIRROR":
+    if seen.link is not None and seen.link.state == "MIRROR":
         return None  # the arm leads; the gate is closed on purpose
-    state, reason = seen.sync or ("", "no report of pca_monitor")
+    word = seen.sync or Word("", "no report of pca_monitor")
+    state, reason = word.state, word.reason
     if state != "IN_SYNC":
         action = "call reset" if state in ("STOPPED", "FAULT") else "it opens when twin and arm agree"
         return Missing("the gate to open", f"{state or 'silent'}: {reason}", action)
-    if seen.execution is None or seen.execution[0] == "WAITING":
-        return Missing("the executor", seen.execution[1] if seen.execution else "no report", "it follows the gate")
+    if seen.execution is None or seen.execution.state == "WAITING":
+        return Missing("the executor", seen.execution.reason if seen.execution else "no report", "it follows the gate")
     return None

@@ -292,7 +292,7 @@ class TestWithdrawn:
 class TestAutoApprove:
     def test_plays_by_itself_and_leaves_a_verdict(self, bench):
         bench.executor.offer(make_plan())
-        verdict, _ = bench.approval.approve_by_itself(bench.stamp)
+        verdict = bench.approval.approve_by_itself(bench.stamp).verdict
         assert bench.state is ExecutorState.PLAYING and bench.records == [verdict]
         assert (verdict.verdict, verdict.reviewer) == ("approved", AUTO_APPROVE)
         assert bench.approval.approve_by_itself(bench.stamp) is None

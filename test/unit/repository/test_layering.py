@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections import Counter
 from dataclasses import fields
 from pathlib import Path
 from xml.etree import ElementTree
@@ -147,6 +148,45 @@ def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             assert node.names[0].name != "*"
+
+
+#: Where a node may use rospy's own `Subscriber` or `Service`, and how often.
+#: - RobotListener hears `/diagnostics`, which has many publishers, and counts messages of any kind, whose content it does not read.
+#: - `Service` of ros/shared/node.py is rospy's, with an end of the process after a handler that raised.
+BARE = {
+    "src/construction_twin/ros/shared/robot_listener.py": {"Subscriber": 2},
+    "src/construction_twin/ros/shared/node.py": {"Service": 1},
+}
+GUARDED = [
+    path
+    for folder in ("src/construction_twin/ros/nodes", "src/construction_twin/ros/shared", "examples")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+]
+
+
+def bare_uses(source: str) -> dict[str, int]:
+    """Count calls of, and classes from, rospy's own subscriber and service, and imports of them by name."""
+    uses: Counter[str] = Counter()
+    for node in ast.walk(ast.parse(source)):
+        made = [node.func] if isinstance(node, ast.Call) else node.bases if isinstance(node, ast.ClassDef) else []
+        uses.update(
+            each.attr for each in made if isinstance(each, ast.Attribute) and ast.unparse(each.value) == "rospy"
+        )
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "rospy":
+            uses.update(alias.name for alias in node.names)
+    return {name: count for name, count in uses.items() if name in ("Subscriber", "Service")}
+
+
+@pytest.mark.parametrize("path", GUARDED, ids=relative)
+def test_nodes_hear_one_publisher_and_end_on_what_nobody_foresaw(path):
+    """A bare `rospy.Subscriber` hears everybody, and of both rospy lives on after an exception."""
+    assert bare_uses(path.read_text()) == BARE.get(relative(path), {})
+
+
+def test_bare_uses_are_found():
+    assert bare_uses("rospy.Subscriber('a', A, f)\nrospy.Service('b', B, g)") == {"Subscriber": 1, "Service": 1}
+    assert bare_uses("from rospy import Service\nclass A(rospy.Subscriber): pass") == {"Service": 1, "Subscriber": 1}
+    assert bare_uses("Subscriber('a', A, f, refuse, 1)\nx: rospy.Subscriber") == {} and len(GUARDED) > 20
 
 
 @pytest.mark.parametrize("path", NODES, ids=relative)

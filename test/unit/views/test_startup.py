@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from construction_twin.views import preflight
-from construction_twin.views.startup import PATIENCE, Deployment, Seen, StartUp, first_missing
+from construction_twin.views.startup import PATIENCE, Deployment, Seen, StartUp, Word, first_missing
 
 CELL = Deployment("/kr120", "real", "10.0.0.5:8883", "10.0.0.6:49152", gateway=False)
 HERE = replace(CELL, arm="mock", gateway=True)
 GOOD = Seen(
-    link=("ARMED", "commands flow"),
-    sync=("IN_SYNC", "the poses agree"),
-    execution=("IDLE", ""),
+    link=Word("ARMED", "commands flow"),
+    sync=Word("IN_SYNC", "the poses agree"),
+    execution=Word("IDLE", ""),
     feedback=True,
     twin=True,
     scene=True,
@@ -26,18 +26,18 @@ GOOD = Seen(
     "change, what, action",
     [
         ({"link": None}, "the bridge", "its log"),
-        ({"link": ("DISCONNECTED", "nobody listens there")}, "the MQTT broker 10.0.0.5:8883", "broker_host"),
-        ({"link": ("GATEWAY_OFFLINE", "")}, "the gateway", "on the cell PC with --broker 10.0.0.5:8883"),
-        ({"link": ("MISMATCH", "its hash differs")}, "the gateway's configuration", "export"),
-        ({"link": ("NO_CONTROLLER", "")}, "the controller (RSI)", "start the RSI program"),
+        ({"link": Word("DISCONNECTED", "nobody listens there")}, "the MQTT broker 10.0.0.5:8883", "broker_host"),
+        ({"link": Word("GATEWAY_OFFLINE", "")}, "the gateway", "on the cell PC with --broker 10.0.0.5:8883"),
+        ({"link": Word("MISMATCH", "its hash differs")}, "the gateway's configuration", "export"),
+        ({"link": Word("NO_CONTROLLER", "")}, "the controller (RSI)", "start the RSI program"),
         ({"feedback": False}, "the first pose of the arm", "mqtt_bridge"),
         ({"twin": False}, "the twin", "virtual_robot"),
         ({"scene": False}, "the scene", "/kr120/scene"),
-        ({"link": ("NEEDS_RESET", "it braked")}, "a reset", "rosservice call /kr120/reset"),
-        ({"link": ("RESYNC", "")}, "twin and arm to take the same pose", "by itself"),
-        ({"sync": ("HOLDING", "joint_a3")}, "the gate to open", "agree"),
-        ({"sync": ("STOPPED", "held too long")}, "the gate to open", "reset"),
-        ({"execution": ("WAITING", "")}, "the executor", "gate"),
+        ({"link": Word("NEEDS_RESET", "it braked")}, "a reset", "rosservice call /kr120/reset"),
+        ({"link": Word("RESYNC", "")}, "twin and arm to take the same pose", "by itself"),
+        ({"sync": Word("HOLDING", "joint_a3")}, "the gate to open", "agree"),
+        ({"sync": Word("STOPPED", "held too long")}, "the gate to open", "reset"),
+        ({"execution": Word("WAITING", "")}, "the executor", "gate"),
         ({"execution": None}, "the executor", "gate"),
     ],
 )
@@ -47,21 +47,21 @@ def test_what_is_missing_is_named_with_what_to_do(change, what, action):
 
 
 def test_the_first_missing_thing_is_named():
-    assert first_missing(Seen(link=("NO_CONTROLLER", "")), CELL).what == "the controller (RSI)"
+    assert first_missing(Seen(link=Word("NO_CONTROLLER", "")), CELL).what == "the controller (RSI)"
     assert first_missing(Seen(), CELL).what == "the bridge"
     assert first_missing(GOOD, CELL) is None
 
 
 def test_advice_fits_what_was_started_here():
-    assert "49152 taken?" in first_missing(replace(GOOD, link=("GATEWAY_OFFLINE", "")), HERE).action
-    assert "mock_rsi" in first_missing(replace(GOOD, link=("NO_CONTROLLER", "")), HERE).action
+    assert "49152 taken?" in first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), HERE).action
+    assert "mock_rsi" in first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), HERE).action
 
 
 def test_the_port_is_named_where_it_is_known():
     of_the_xml = replace(HERE, rsi="127.0.0.1:0")
-    taken = first_missing(replace(GOOD, link=("GATEWAY_OFFLINE", "")), of_the_xml).action
+    taken = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), of_the_xml).action
     assert "127.0.0.1, PORT of the Ethernet XML taken?" in taken
-    elsewhere = first_missing(replace(GOOD, link=("NO_CONTROLLER", "")), CELL).action
+    elsewhere = first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), CELL).action
     assert "sends to the address given to rsi_gateway --listen" in elsewhere
 
 
@@ -72,12 +72,12 @@ def test_without_an_arm_nobody_waits_for_a_link():
 
 
 def test_a_mirrored_arm_needs_no_open_gate():
-    assert first_missing(replace(GOOD, link=("MIRROR", ""), sync=("WAITING", "")), CELL) is None
+    assert first_missing(replace(GOOD, link=Word("MIRROR", ""), sync=Word("WAITING", "")), CELL) is None
 
 
 def test_each_line_is_said_once_and_ready_at_the_end():
     startup = StartUp(CELL)
-    waiting = Seen(link=("DISCONNECTED", "nobody listens there"))
+    waiting = Seen(link=Word("DISCONNECTED", "nobody listens there"))
     assert startup.update(waiting, 10.0) == []
     (line,) = startup.update(waiting, 10.0 + PATIENCE)
     assert line.startswith("waiting for the MQTT broker 10.0.0.5:8883 (nobody listens there): start it")
@@ -85,7 +85,7 @@ def test_each_line_is_said_once_and_ready_at_the_end():
     (line,) = startup.update(GOOD, 61.0)
     assert line.startswith("ready; plan with") and "--robot kr120" in line and startup.missing is None
     assert startup.update(GOOD, 99.0) == []
-    lost = replace(GOOD, link=("NO_CONTROLLER", "RSI stopped"))
+    lost = replace(GOOD, link=Word("NO_CONTROLLER", "RSI stopped"))
     assert startup.update(lost, 100.0) == []
     (line,) = startup.update(lost, 100.0 + PATIENCE)
     assert line.startswith("not ready any more, waiting for the controller (RSI) (RSI stopped)")
@@ -95,8 +95,8 @@ def test_each_line_is_said_once_and_ready_at_the_end():
 def test_what_comes_up_by_itself_is_no_news():
     startup = StartUp(CELL)
     assert startup.update(Seen(), 1.0) == []
-    assert startup.update(Seen(link=("DISCONNECTED", "")), 1.0 + 0.6 * PATIENCE) == []
-    assert startup.update(Seen(link=("RESYNC", "")), 1.0 + 1.2 * PATIENCE) == []
+    assert startup.update(Seen(link=Word("DISCONNECTED", "")), 1.0 + 0.6 * PATIENCE) == []
+    assert startup.update(Seen(link=Word("RESYNC", "")), 1.0 + 1.2 * PATIENCE) == []
     assert len(startup.update(GOOD, 1.0 + 1.5 * PATIENCE)) == 1
 
 

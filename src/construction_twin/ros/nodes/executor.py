@@ -209,14 +209,14 @@ class ExecutorNode:
                 raise ReviewError(
                     f"{request.reviewer!r} is what the executor calls itself; expected the name of a person"
                 )
-            verdict, sentence = self._approval.review(
+            taken = self._approval.review(
                 request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
             )
         except ConstructionTwinError as error:
             rospy.logwarn("review refused: %s", error)
             return ReviewPlanResponse(False, str(error))
-        self._publish_verdict(verdict)
-        return ReviewPlanResponse(True, sentence)
+        self._publish_verdict(taken.verdict)
+        return ReviewPlanResponse(True, taken.sentence)
 
     def _on_stop(self, _request) -> TriggerResponse:
         with self._lock:
@@ -257,7 +257,7 @@ class ExecutorNode:
             rospy.logerr_throttle(5.0, "%s", error)
             return
         if taken is not None:
-            self._publish_verdict(taken[0])
+            self._publish_verdict(taken.verdict)
 
     def _write_records(self) -> None:
         self._said.flush()

@@ -15,7 +15,7 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.views.startup import Deployment, Seen, StartUp
+from construction_twin.views.startup import Deployment, Seen, StartUp, Word
 
 #: How often it checks [s].
 PERIOD = 0.25
@@ -63,7 +63,7 @@ class StartupNode:
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
         # a node that fell silent is not there
         words = {
-            name: (facts.text, facts.reason)
+            name: Word(facts.text, facts.reason)
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }

@@ -141,7 +141,7 @@ class RequestHandler:
         except ConstructionTwinError as error:
             return self._failed(error, asked, str(error))
         except (ArithmeticError, MemoryError, ValueError) as error:
-            # a request whose failure no check foresaw must get an answer, too
+            # a request that fails with an unexpected exception must get an answer, too
             rospy.logerr("%s", traceback.format_exc())
             kind = type(error).__name__
             return self._failed(error, asked, f"the request cannot be computed ({kind}: {error}); please report it")
