@@ -8,7 +8,8 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
 
 #: A verdict holds this long after the poses that it was computed from were read [ns]; the watch repeats it at its `rate`.
-#: Five periods: with fewer, a busy machine that leaves a few out would stop an arm without a conflict. It is part of the braking horizon.
+#: Five periods: with fewer, a busy machine that leaves a few out would stop an arm without a conflict. It is part of the braking
+#: horizon.
 VERDICT_TIMEOUT = NANOSECONDS // 2
 #: How far a verdict's stamp may lie ahead of our clock [ns]: both nodes run on one machine, whose clock may be corrected
 #: in between.
