@@ -36,7 +36,7 @@ SIZE, WEIGHT = (1100, 760), 300_000
 READY, DRAWN = 180.0, 150.0
 #: Time between two checks of what is drawn [s]: rviz draws without a graphics card and needs the processor.
 LOOK = 0.5
-#: Least fraction of the picture's width and height that the arm takes up.
+#: Least fraction of the picture's width and height that the arm covers.
 LARGE = 0.2
 GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
 #: Further away and higher, so that the text over the arm is in the picture.

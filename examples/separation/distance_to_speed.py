@@ -1,4 +1,4 @@
-"""From a separation distance to a speed limit: how near somebody is to the arm, and how fast it may move then.
+"""From a separation distance to a speed limit: how near a person is to the arm, and how fast it may move then.
 
 Pure; times are arguments, in ns on a monotonic clock; distances in m. An example of a source, not a safety function: neither
 sensor, nor table, nor this program are safety rated.

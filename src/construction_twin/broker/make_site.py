@@ -94,7 +94,8 @@ class SiteFolder:
         if not before.get("people"):
             kept = [SiteAccount(robot, "tablet").name for robot in site.shared]
             said += [
-                f"kept {name}, which is nobody's by name; --replace shuts out whoever has its password" for name in kept
+                f"kept {name}, an account without a person; --replace shuts out everyone who has its password"
+                for name in kept
             ]
         if site.certificates:
             said += self._make_certificates(site, authority, days, renew, replace)

@@ -31,7 +31,9 @@ class BoundedQueueHandler(QueueHandler):
             self.dropped += 1
             return
         if self.dropped:
-            record.msg = f"{record.getMessage()} ({self.dropped} lines before this one were dropped: nobody read them)"
+            record.msg = (
+                f"{record.getMessage()} ({self.dropped} lines before this one were dropped: they were not read)"
+            )
             record.args, self.dropped = None, 0
         self._records.put_nowait(record)
 

@@ -170,7 +170,7 @@ class ReviewQueue:
             )
         if not self.scene_alive:
             raise ReviewError(
-                f"plan {plan.id} cannot be approved: nobody publishes the scene any more; check that the scene node runs"
+                f"plan {plan.id} cannot be approved: the scene is not published any more; check that the scene node runs"
             )
         if plan.scene != self.scene:
             raise ReviewError(

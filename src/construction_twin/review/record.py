@@ -192,7 +192,7 @@ class ReviewLog:
             raise RecordError(str(self.path), "the file was replaced by another")
         if here.st_size != self._size:
             raise RecordError(
-                str(self.path), f"the file has {here.st_size} bytes, not {self._size}: somebody else wrote to it"
+                str(self.path), f"the file has {here.st_size} bytes, not {self._size}: another process wrote to it"
             )
 
     def _write(self, data: bytes) -> None:

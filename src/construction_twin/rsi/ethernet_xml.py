@@ -148,7 +148,7 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
             continue
         if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
             expected = (
-                "axis corrections (e.g. AK.A1) and Stop only: nobody fills any other channel; remove it from the file"
+                "axis corrections (e.g. AK.A1) and Stop only: no other channel is filled; remove it from the file"
             )
             raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
         if axis in elements:

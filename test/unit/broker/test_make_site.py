@@ -175,7 +175,7 @@ def test_the_tablet_that_nobody_owns_by_name_outlives_the_first_person(folder, c
     assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
     # the same rights as before, word for word
     assert all(line in after["broker/access.acl"].splitlines() for line in before["broker/access.acl"].splitlines())
-    assert capsys.readouterr().out.count("kept kr120-tablet, which is nobody's by name; --replace shuts out") == 1
+    assert capsys.readouterr().out.count("kept kr120-tablet, an account without a person; --replace shuts out") == 1
     # and whatever comes later: another run, a person, a robot, which has none
     make(folder)
     assert contents(folder) == after

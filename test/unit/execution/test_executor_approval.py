@@ -224,7 +224,7 @@ class TestScene:
         bench.executor.offer(make_plan())
         bench.executor.queue.scene_alive = False
         assert bench.approval.approve_by_itself(bench.stamp) is None
-        with pytest.raises(ReviewError, match="nobody publishes the scene"):
+        with pytest.raises(ReviewError, match="the scene is not published"):
             bench.review("p", "", True, "Ada")
         bench.executor.queue.scene_alive = True
         assert "approved" in bench.review("p", "", True, "Ada")

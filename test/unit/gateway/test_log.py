@@ -21,5 +21,5 @@ def test_a_log_that_nobody_reads_stays_bounded_and_says_later_what_is_missing():
     assert [records.get().getMessage() for _ in range(WAITING)][-1] == f"refused {WAITING - 1}"
     handler.handle(line(7))
     handler.handle(line(8))
-    assert records.get().getMessage() == "refused 7 (5 lines before this one were dropped: nobody read them)"
+    assert records.get().getMessage() == "refused 7 (5 lines before this one were dropped: they were not read)"
     assert records.get().getMessage() == "refused 8"

@@ -295,8 +295,8 @@ class TestWriting:
             (lambda path: path.unlink(), "gone"),
             (lambda path: path.rename(path.with_name("moved")), "gone"),
             (lambda path: (path.unlink(), path.write_text("")), "replaced"),
-            (lambda path: os.truncate(path, 10), "somebody else"),
-            (lambda path: path.open("a").write("{}\n"), "somebody else"),
+            (lambda path: os.truncate(path, 10), "another process"),
+            (lambda path: path.open("a").write("{}\n"), "another process"),
         ],
         ids=["removed", "moved", "replaced", "cut", "written to"],
     )

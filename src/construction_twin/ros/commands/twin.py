@@ -140,7 +140,7 @@ class Command:
         return plan
 
     def _await_latched(self, listener: RobotListener) -> None:
-        """Wait for the latched messages that were published before this process began, where somebody publishes them.
+        """Wait for the latched messages that were published before this process began, where they are published.
 
         No plan has been published yet if none was made since the start. A latched plan arrives within a moment; its verdict, if
         there is one, may arrive shortly after it.
@@ -247,7 +247,7 @@ def _user() -> str:
 def _confirmed() -> bool:
     """Ask at the terminal; without a terminal the answer is no."""
     if not sys.stdin.isatty():
-        print("twin: nobody can be asked here; look at the plan, then give --yes", file=sys.stderr)
+        print("twin: there is no terminal to ask on; look at the plan, then give --yes", file=sys.stderr)
         return False
     try:
         return input("approve, and so start it? [y/N] ").strip().lower() in ("y", "yes")

@@ -35,7 +35,7 @@ def watch(listener: RobotListener, rate: float, once: bool, timeout: float) -> N
         If no robot reports.
     """
     if not listener.wait(lambda: listener.newest("sync") or listener.newest("link"), timeout):
-        raise SilenceError("sync and link", f"nobody reports (waited {timeout:g} s)", "start bringup, or give --robot")
+        raise SilenceError("sync and link", f"no report (waited {timeout:g} s)", "start bringup, or give --robot")
     console = Console(highlight=False)
     listener.snapshot()  # begins to count
     if once:
