@@ -124,6 +124,11 @@ class ClosedForm:
         return max(self.off_m, self.off_rad) <= TOLERANCE
 
     @property
+    def misses(self) -> float:
+        """By how much the arm misses the model, as a fraction of what is allowed; 0: it is exact."""
+        return 0.0 if self.exact else max(self.off_m / NEAR_M, self.off_rad / NEAR_RAD)
+
+    @property
     def why(self) -> str:
         """Why the arm has a closed form: part of a sentence."""
         words = " and ".join(str(each) for each in self.properties)
@@ -171,8 +176,7 @@ def find_closed_form(chain: Chain, axes: Sequence[Axis], locked: int | None = No
         properties = tuple(_of_chain(each, free, locked) for each in kind)
         form = _model(properties, axes, tip, locked)
         if form is not None:
-            misses = max(form.off_m / NEAR_M, form.off_rad / NEAR_RAD)
-            found.append((0.0 if form.exact else misses, order, form))
+            found.append((form.misses, order, form))
     found.sort(key=lambda each: each[:2])
     for misses, _, form in found:
         if misses <= 1.0 and _works(form, chain):
@@ -240,7 +244,7 @@ def _what_is_missing(forms: Sequence[ClosedForm]) -> str:
     """Return by how much axes miss the kind that they are nearest to: part of a sentence."""
     if not forms:
         return "no two of its neighbouring axes meet"
-    nearest = min(forms, key=lambda form: max(form.off_m / NEAR_M, form.off_rad / NEAR_RAD))
+    nearest = min(forms, key=lambda form: form.misses)
     words = " and ".join(str(each) for each in nearest.properties)
     return (
         f"no closed form is near: the nearest one needs that {words}, which they miss by {nearest.off_m * 1e3:.3g} mm and "
