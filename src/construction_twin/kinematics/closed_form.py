@@ -113,7 +113,9 @@ class ClosedFormInverse(BranchInverse):
     @property
     def kind(self) -> ArmKind:
         """See `InverseKinematics.kind`."""
-        return ArmKind("OPW", "axes 2 and 3 are parallel, axes 4, 5 and 6 meet in a point, and neighbours are perpendicular")
+        return ArmKind(
+            "OPW", "axes 2 and 3 are parallel, axes 4, 5 and 6 meet in a point, and neighbours are perpendicular"
+        )
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""

@@ -23,6 +23,8 @@ from construction_twin.kinematics.chain import Chain, Pose
 NEAR_M, NEAR_RAD = 5e-3, math.radians(0.3)
 #: Axes that meet are at least this far from parallel: otherwise where they meet is not defined well [rad].
 _CROSSED = 0.02
+#: Axes whose directions have a smaller cosine are not taken for parallel ones.
+_ALIKE = 0.5
 #: Poses on which a model is tried, and how well its forward kinematics must agree with KDL's where it is exact [m], [rad].
 _TRIALS, _TRIAL_SEED = 20, 2024
 _AGREES = 1e-8
@@ -199,12 +201,11 @@ def _model(properties: tuple[Property, ...], axes: Sequence[Axis], tip: Pose, lo
     for each in properties:
         group = list(each.axes)
         if each.parallel:
-            senses = np.sign(directions[group] @ directions[group[0]])
-            mean = senses @ directions[group]
-            length = float(np.linalg.norm(mean))
-            if length < 0.5:
+            alike = directions[group] @ directions[group[0]]
+            if np.abs(alike).min() < _ALIKE:
                 return None
-            directions[group] = senses[:, None] * (mean / length)
+            mean = np.sign(alike) @ directions[group]
+            directions[group] = np.sign(alike)[:, None] * (mean / np.linalg.norm(mean))
     for each in properties:
         group = list(each.axes)
         if not each.parallel:

@@ -22,6 +22,7 @@ from construction_twin.kinematics.subproblems import SubproblemInverse
 
 __all__ = ["Configuration", "IkSettings", "IkSolution", "InverseKinematics", "inverse_kinematics"]
 
+
 def inverse_kinematics(
     chain: Chain, settings: IkSettings, rng: np.random.Generator, clock: Callable[[], float]
 ) -> InverseKinematics:

@@ -212,9 +212,7 @@ class RailInverse(InverseKinematics):
         places = np.append(even, seed[0])
         q, wrist, _ = self._branches(flange, places)
         more, singular = [], []
-        for found in find_singularities(
-            even, wrist[:-1, :4], lambda near: self._branches(flange, near).wrist[:, :4]
-        ):
+        for found in find_singularities(even, wrist[:-1, :4], lambda near: self._branches(flange, near).wrist[:, :4]):
             if found.angle > _SINGULAR:
                 more.append(found.place + found.width * np.tan(_WRIST_TURNS))
             # a place beyond the end by rounding is at the end
@@ -258,9 +256,8 @@ class RailInverse(InverseKinematics):
         before, here, after = (distances[np.clip(rows + step, 0, len(places) - 1), slots] for step in (-1, 0, 1))
         # ... elsewhere it falls hardly below the parabola through the places
         bend = np.maximum(before + after - 2.0 * here, 1e-12)
-        hopeful = np.where(
-            inner & (hopeful == here - _PROMISING), here - np.minimum((after - before) ** 2 / (8.0 * bend), _PROMISING) - _CLOSE, hopeful
-        )
+        fall = np.minimum((after - before) ** 2 / (8.0 * bend), _PROMISING)
+        hopeful = np.where(inner & (hopeful == here - _PROMISING), here - fall - _CLOSE, hopeful)
         best = math.inf
         for index in squares[rows, slots].argsort():
             if most == 0:
@@ -297,9 +294,7 @@ class RailInverse(InverseKinematics):
                 near = np.append(near, known)
             elif not len(near):
                 break
-            branches, new_squares, new_excess = self._turned(
-                self._branches(flange, near).q[:, slot], seed, near, turn
-            )
+            branches, new_squares, new_excess = self._turned(self._branches(flange, near).q[:, slot], seed, near, turn)
             cost = _cost(new_squares, new_excess)
             row = int(cost.argmin())
             if cost[row] < best:

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from eaik.pybindings.EAIK import Robot as Solver
 
-from construction_twin.core.motion_errors import BranchError, KinematicsError, NotFoundError
+from construction_twin.core.motion_errors import BranchError
 from construction_twin.kinematics.axes import joint_axes
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.decomposition import ClosedForm, NoClosedForm, find_closed_form
@@ -118,7 +118,9 @@ def find_redundant(chain: Chain) -> tuple[ClosedForm, int] | NoClosedForm:
         return form if isinstance(form, NoClosedForm) else (form, 0)
     axes = joint_axes(chain)
     found = [(joint, find_closed_form(chain, axes, joint)) for joint in _ORDER]
-    forms = [(form.misses, order, form, joint) for order, (joint, form) in enumerate(found) if isinstance(form, ClosedForm)]
+    forms = [
+        (form.misses, order, form, joint) for order, (joint, form) in enumerate(found) if isinstance(form, ClosedForm)
+    ]
     if forms:
         _, _, form, joint = min(forms, key=lambda each: each[:2])
         return form, joint
@@ -166,7 +168,7 @@ class RedundantInverse(InverseKinematics):
         return ArmKind("one redundant joint", self.form.why)
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
-        """See `InverseKinematics.nearest`: the nearest of what lies on the self-motions through the nearest sample and the seed's."""
+        """See `InverseKinematics.nearest`: the nearest to which the arm slides from the nearest samples; not proven."""
         start = self._checked(pose, seed, configuration)
         for solvers in self._divisions(float(start[self.held])):
             samples, excess = self._samples(solvers, pose, start)
@@ -204,7 +206,9 @@ class RedundantInverse(InverseKinematics):
         self.chain.robot.check_range(seed)
         check_pose(pose)
         if configuration is not None and configuration != Configuration():
-            raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
+            raise BranchError(
+                str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind"
+            )
         return np.array(seed, dtype=float)
 
     def _values(self, count: int) -> np.ndarray:
@@ -306,9 +310,10 @@ class RedundantInverse(InverseKinematics):
         for joint, turn in enumerate(self._turns):
             if turn and self._upper[joint] - self._lower[joint] >= turn:
                 for one in list(found):
-                    for q in np.arange(one.q[joint] - turn, self._lower[joint] - 1e-9, -turn).tolist() + np.arange(
-                        one.q[joint] + turn, self._upper[joint] + 1e-9, turn
-                    ).tolist():
+                    for q in (
+                        np.arange(one.q[joint] - turn, self._lower[joint] - 1e-9, -turn).tolist()
+                        + np.arange(one.q[joint] + turn, self._upper[joint] + 1e-9, turn).tolist()
+                    ):
                         other = one.q.copy()
                         other[joint] = q
                         found += self._confirmed(other, pose, seed)
