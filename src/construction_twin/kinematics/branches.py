@@ -48,7 +48,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
         self._narrow_first = sorted(ranges, key=lambda bounds: bounds[2] - bounds[1])
 
     def nearest_turn(
-        self, branch: Sequence[float], seed: Sequence[float], most: float = math.inf
+        self, branch: Sequence[float], seed: JointValues, most: float = math.inf
     ) -> tuple[float, list[float]] | None:
         """Return squared distance and joint values of a branch with the whole turns nearest to the seed; None: out of range.
 

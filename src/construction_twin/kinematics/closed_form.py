@@ -121,8 +121,8 @@ class ClosedFormInverse(BranchInverse):
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""
-        self.chain.robot.check_range(seed)
         start = seed.tolist() if isinstance(seed, np.ndarray) else [float(value) for value in seed]
+        self.chain.robot.check_range(start)
         best = self.find(pose, start, configuration)
         if best is None:
             self._explain(pose, start, configuration)
@@ -290,7 +290,8 @@ class ClosedFormInverse(BranchInverse):
         left = [slot for slot in range(len(SLOTS)) if configuration is None or SLOTS[slot].matches(configuration)]
         while left:
             # almost always the first nearest one is confirmed, so the others need not be known to their ends
-            best, nearest, q = math.inf, -1, []
+            best, nearest = math.inf, -1
+            q: list[float] = []
             for slot in left:
                 candidate = self.nearest_turn(rows[slot], seed, best)
                 if candidate is not None:

@@ -150,7 +150,8 @@ class SubproblemInverse(BranchInverse):
         left = list(rows)
         while left:
             # almost always the first nearest one is confirmed, so the others need not be known to their ends
-            best, nearest, q = math.inf, None, []
+            best, nearest = math.inf, None
+            q: list[float] = []
             for row in left:
                 candidate = self.nearest_turn(row, seed, best)
                 if candidate is not None:
