@@ -5,9 +5,17 @@ from __future__ import annotations
 import socket
 import threading
 from collections import deque
+from typing import Protocol
 
 import rospy
 from rospy.exceptions import TransportException, TransportTerminated
+
+
+class Sink(Protocol):
+    """A publisher as nodes use it."""
+
+    def publish(self, *content) -> None:
+        """Send a message, or what it is made of."""
 
 
 class Publisher(rospy.Publisher):
