@@ -49,7 +49,7 @@ class MockRsi:
     observe : callable, optional
         Called with this object in every cycle, right after sending; must be quick.
     report : callable, optional
-        Called with one sentence when a session starts or stops.
+        Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
     fault_seed : int, optional
         Of the faults' random numbers.
 
@@ -131,6 +131,8 @@ class MockRsi:
                 due = self._next_due(due, sent)
                 self._observe(self)
                 self._receive_until(max(due, sent + _CLOSEST))
+                if self.controller.refusals.news:
+                    self._tell_refusals()
         finally:
             self._socket.close()
 
@@ -162,6 +164,12 @@ class MockRsi:
             self._socket.close()
             self._socket = _open_socket()
             self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
+
+    def _tell_refusals(self) -> None:
+        news = self.controller.refusals.news
+        for sentence in news:
+            self._report(f"RSI session {self.controller.session}: {sentence}")
+        news.clear()
 
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc
