@@ -19,9 +19,7 @@ def test_why_replies_are_refused_is_told_once_and_not_in_every_cycle():
     assert cell.mock.refusals.news == [f"reply refused: {NO_STOP}"]
     assert cell.mock.refusals.present == cell.mock.refusals.last == NO_STOP
     cell.cycle(ZERO, encoder=SensorEncoder("KROSHU", AXES))
-    assert cell.mock.refusals.news[1:] == [
-        "reply refused: the reply's Type is 'KROSHU'; expected the SENTYPE 'ImFree'"
-    ]
+    assert cell.mock.refusals.news[1:] == ["reply refused: the reply's Type is 'KROSHU'; expected the SENTYPE 'ImFree'"]
 
 
 def test_that_replies_count_again_is_told_with_how_many_did_not():
@@ -74,4 +72,3 @@ def test_late_and_foreign_ipocs_are_named():
     assert cell.mock.refusals.last == (
         f"the reply carries IPOC {packet.ipoc + 1}; expected that of the packet, unchanged: {packet.ipoc}"
     )
-
