@@ -209,12 +209,14 @@ class MockController:
         pose = _flat(self._forward_kinematics(self.reported))
         return self._encoder.encode(self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay)
 
-    def receive(self, data: bytes) -> bool:
-        """Take one datagram that arrived during the open cycle.
+    def receive(self, data: bytes, in_time: bool = True) -> bool:
+        """Take one datagram that is read during the open cycle.
 
         Parameters
         ----------
         data : bytes
+        in_time : bool, optional
+            False: it arrived when the open cycle should have been over.
 
         Returns
         -------
@@ -236,6 +238,10 @@ class MockController:
                 return self._refuse("late_replies", "late", late)
             expected = f"the reply carries IPOC {telegram.ipoc}; expected that of the packet, unchanged: {self.ipoc}"
             return self._refuse("mismatched", "ipoc", expected)
+        if not in_time:
+            return self._refuse(
+                "late_replies", "late", f"the reply to IPOC {telegram.ipoc} came after the end of its cycle"
+            )
         if self._reply is not None:
             return self._count("duplicates")
         self._reply = telegram
