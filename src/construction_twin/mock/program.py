@@ -44,6 +44,7 @@ class MockSettings(pydantic.BaseModel):
     ethernet_xml: str = ""
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
+    stop_required: bool = False
     cumulative_delay: bool = False
     start_pose_deg: _Degrees = []
     correction_lower_deg: _Degrees = []
@@ -97,6 +98,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         units=_units(settings, robot),
         precision=settings.precision,
         timeout=settings.timeout,
+        stop_required=settings.stop_required,
         cumulative_delay=settings.cumulative_delay,
         correction_lower=listed("correction_lower_deg"),
         correction_upper=listed("correction_upper_deg"),

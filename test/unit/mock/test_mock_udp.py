@@ -8,10 +8,10 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from mock_pc import Pc, running
 
 from construction_twin.core.errors import ConfigurationError, FaultError, TransportError
 from construction_twin.core.units import CYCLE_NS, radians
@@ -26,46 +26,10 @@ from construction_twin.mock.program import (
 )
 from construction_twin.mock.servo import RealisticServo
 from construction_twin.robot.description import read_robot_files
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
 
 ROOT = Path(__file__).resolve().parents[3]
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
-
-
-class Pc(threading.Thread):
-    """Answers every packet with zero corrections while `answering`; keeps (monotonic ns, packet, source)."""
-
-    def __init__(self):
-        super().__init__(daemon=True)
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(0.05)
-        self.answering = True
-        self.received = []
-        self._encoder = SensorEncoder("ImFree", AXES)
-        self._closing = threading.Event()
-
-    @property
-    def address(self):
-        return self.socket.getsockname()
-
-    def run(self):
-        while not self._closing.is_set():
-            try:
-                data, source = self.socket.recvfrom(65535)
-            except TimeoutError:
-                continue
-            now = time.monotonic_ns()
-            packet = parse_robot(data, AXES)
-            if self.answering:
-                self.socket.sendto(self._encoder.encode(ZERO, packet.ipoc), source)
-            self.received.append((now, packet, source))
-
-    def close(self):
-        self._closing.set()
-        self.join(1.0)
-        self.socket.close()
 
 
 @pytest.fixture(scope="module")
@@ -79,21 +43,6 @@ def pc():
     pc.start()
     yield pc
     pc.close()
-
-
-@contextmanager
-def running(robot, address, restart_after=0.0, observe=lambda mock: None, **settings):
-    settings = MockSettings(gateway_host=address[0], gateway_port=address[1], **settings)
-    mock = MockRsi(build_controller(settings, robot), address, restart_after, observe)
-    stop = threading.Event()
-    thread = threading.Thread(target=mock.run, args=(stop,), daemon=True)
-    thread.start()
-    try:
-        yield mock
-    finally:
-        stop.set()
-        thread.join(1.0)
-        assert not thread.is_alive()
 
 
 def wait_for(condition, timeout=3.0):
