@@ -100,6 +100,11 @@ class TcpProxy:
             raise ValueError(f"{profile}: TCP neither loses nor repeats nor reorders")
         self._line.begin(profile)
 
+    @property
+    def is_cut(self) -> bool:
+        """Whether nothing gets through now."""
+        return self._line.is_cut
+
     def until_stall(self) -> float:
         """Return how long it is until the next stall begins [s]; infinite without any."""
         return self._line.until_stall()

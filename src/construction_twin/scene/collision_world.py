@@ -25,7 +25,7 @@ from construction_twin.scene.self_collision import SelfCollision
 #: Pinocchio's broad phases: for few bodies, comparing every box with every box is fastest; for many bodies, a tree.
 _FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
 _MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
-_MANY_BODIES = 128
+MANY_BODIES = 128
 #: With another arm in the world most bodies stand still; this broad phase first compares one box around each group of bodies
 #: that move together.
 _WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
@@ -42,6 +42,25 @@ class Contact:
     """
 
     between: tuple[str, str]
+
+
+@dataclass(frozen=True)
+class PairDistance:
+    """How far two bodies are from each other.
+
+    Attributes
+    ----------
+    between : tuple of str, length 2
+        As in `Contact`.
+    distance : float
+        Negative for two bodies that penetrate each other [m].
+    margin : float
+        At this distance or less they are in contact [m].
+    """
+
+    between: tuple[str, str]
+    distance: float
+    margin: float
 
 
 class CollisionWorld:
@@ -136,7 +155,7 @@ class CollisionWorld:
         # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
         self._order = slice(None) if (order == np.arange(len(order))).all() else order
         # one call per question: boxes around the bodies first, shapes only where the boxes overlap
-        manager = _WITH_NEIGHBOUR if reached else _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
+        manager = _WITH_NEIGHBOUR if reached else _FEW if len(self._bodies) <= MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
 
     def _neighbour_pairs(
@@ -262,6 +281,11 @@ class CollisionWorld:
         row, pair = smallest(travel, lambda row: self._distances(qs[row]), measure)
         measure(row, pair)
         return self._clearance(pair), row
+
+    def distances(self, q: JointValues) -> list[PairDistance]:
+        """Return every checked pair, measured one by one; far slower than `is_free` and `clearance`; parameters as there."""
+        found = zip(self._names, self._distances(q), self._pairs)
+        return [PairDistance(names, float(distance), margin) for names, distance, (_, _, margin) in found]
 
     def _measure(self, q: JointValues) -> int:
         """Measure every pair; return the closest one."""
