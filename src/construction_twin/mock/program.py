@@ -167,6 +167,7 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     )
     option = parser.add_argument
     option("--robot-xacro", type=Path, default=_ROOT / "urdf/kr120r2500.urdf.xacro", help="URDF or xacro [%(default)s]")
+    option("--robot-xacro-args", metavar="'NAME=VALUE ...'", help="arguments of the xacro [its defaults]")
     option("--robot-config", type=Path, default=_ROOT / "config/kr120.yaml", help="robot YAML [%(default)s]")
     option("--ethernet-xml", type=Path, default=_ROOT / "krl/ethernet/ctwin_ethernet.xml", metavar="FILE",
            help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
@@ -213,7 +214,9 @@ def main(argv: list[str] | None = None) -> int:
     options = vars(_arguments(sys.argv[1:] if argv is None else argv))
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
     try:
-        robot = read_robot_files(options.pop("robot_xacro"), options.pop("robot_config"))
+        robot = read_robot_files(
+            options.pop("robot_xacro"), options.pop("robot_config"), options.pop("robot_xacro_args", "")
+        )
         settings = _settings(options)
         controller = build_controller(settings, robot)
         mock = MockRsi(controller, gateway_address(settings), settings.restart_after, fault_seed=settings.fault_seed)

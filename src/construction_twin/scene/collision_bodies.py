@@ -9,6 +9,7 @@ import hashlib
 import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import coal
 import numpy as np
@@ -18,6 +19,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, read_mesh_file
 
@@ -75,15 +77,16 @@ class RobotBodies:
     Raises
     ------
     ConfigurationError
-        If Pinocchio cannot read the URDF or one of its meshes.
+        If Pinocchio cannot read the URDF, or one of its collision meshes is not found or cannot be read.
     """
 
     def __init__(self, robot: RobotModel):
         self.robot = robot
         try:
-            full = pinocchio.buildModelFromXML(robot.urdf)
-            shapes = pinocchio.buildGeomFromUrdfString(full, robot.urdf, pinocchio.GeometryType.COLLISION)
-        except (ValueError, RuntimeError) as error:
+            urdf = with_mesh_files(robot.urdf)
+            full = pinocchio.buildModelFromXML(urdf)
+            shapes = pinocchio.buildGeomFromUrdfString(full, urdf, pinocchio.GeometryType.COLLISION)
+        except (ElementTree.ParseError, ValueError, RuntimeError) as error:
             raise ConfigurationError(
                 "robot_description", str(error), "a URDF with readable collision shapes"
             ) from error

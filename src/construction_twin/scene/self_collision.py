@@ -222,16 +222,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         prog="self_collision",
         description="Find the pairs of links that need no check against each other, and write them to a YAML file.",
     )
-    parser.add_argument("urdf", help="URDF, or xacro with default arguments")
+    parser.add_argument("urdf", help="URDF or xacro")
     parser.add_argument("robot", help="robot YAML, e.g. config/kr120.yaml")
     parser.add_argument("output", help="file to write; - for the terminal")
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
     options = parser.parse_args(arguments)
     if options.samples < 1 or options.seed < 0:
         sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
     try:
-        robot = read_robot_files(options.urdf, options.robot)
+        robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         found = sample_self_collision(robot, options.samples, options.seed)
     except ConstructionTwinError as error:
         sys.exit(f"self_collision: {error}")
