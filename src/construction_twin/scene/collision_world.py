@@ -6,7 +6,6 @@ A world belongs to one scene; a changed scene needs a new world (`CollisionWorld
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ import pinocchio
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
-from construction_twin.scene.collision_bodies import Body, RobotBodies
+from construction_twin.scene.collision_bodies import Body, RobotBodies, forget_past_answers
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, product
@@ -147,7 +146,7 @@ class CollisionWorld:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
-        _forget_past_answers(self._geometry_data)
+        forget_past_answers(self._geometry_data)
         for request, (_, _, margin) in zip(self._geometry_data.collisionRequests, pairs):
             request.security_margin = margin
         order = robot_bodies.order
@@ -303,15 +302,6 @@ class CollisionWorld:
         return Clearance(
             float(result.min_distance), self._names[pair], (float(point[0]), float(point[1]), float(point[2]))
         )
-
-
-def _forget_past_answers(data: pinocchio.GeometryData) -> None:
-    """Switch off the warm start of the distance search, so that a result depends on the pose alone, not on earlier ones."""
-    with warnings.catch_warnings():
-        # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
-        warnings.simplefilter("ignore", DeprecationWarning)
-        for request in (*data.collisionRequests, *data.distanceRequests):
-            request.enable_cached_gjk_guess = False
 
 
 def checked_pairs(
