@@ -6,6 +6,7 @@ Metres; poses in the root of the URDF's tree, where Pinocchio has its world (`Ro
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -261,3 +262,12 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
             "robot_description collision shape", type(geometry).__name__, "a box, cylinder, sphere or mesh"
         )
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
+
+
+def forget_past_answers(data: pinocchio.GeometryData) -> None:
+    """Switch off the warm start of the distance search, so that a result depends on the pose alone, not on earlier ones."""
+    with warnings.catch_warnings():
+        # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for request in (*data.collisionRequests, *data.distanceRequests):
+            request.enable_cached_gjk_guess = False
