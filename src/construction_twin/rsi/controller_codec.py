@@ -134,13 +134,20 @@ class SensorDecoder:
         Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
     units : tuple of AxisUnit, length n, optional
         Default: every axis is revolute, and in the controller's own units.
+    stop_required : bool, optional
+        False: a declared `Stop` may be missing.
     """
 
     def __init__(
-        self, sentype: str, axes: tuple[str, ...], receive: tuple[str, ...] = (), units: tuple[AxisUnit, ...] = ()
+        self,
+        sentype: str,
+        axes: tuple[str, ...],
+        receive: tuple[str, ...] = (),
+        units: tuple[AxisUnit, ...] = (),
+        stop_required: bool = True,
     ):
-        self._stop_declared = STOP in receive
-        self._stop_ignored = bool(receive) and not self._stop_declared
+        self._stop_required = STOP in receive and stop_required
+        self._stop_ignored = bool(receive) and STOP not in receive
         receive = correction_channels(axes, receive)
         element_of = {axis: element for element, _, axis in (channel.partition(".") for channel in receive)}
         self._sentype = sentype
@@ -159,7 +166,7 @@ class SensorDecoder:
         Returns
         -------
         telegram : SensorTelegram
-            Corrections in rad and m; `stop` is None where the element is not declared.
+            Corrections in rad and m; `stop` is None where the element is not declared, or not there.
 
         Raises
         ------
@@ -180,7 +187,7 @@ class SensorDecoder:
         return SensorTelegram(read_ipoc(found), correction, self._stop(found.get(STOP)))
 
     def _stop(self, element: ElementTree.Element | None) -> bool | None:
-        if element is None and self._stop_declared:
+        if element is None and self._stop_required:
             raise TelegramError("element", "the reply has no Stop element")
         if element is None or self._stop_ignored:
             return None
