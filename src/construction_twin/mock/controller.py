@@ -288,6 +288,11 @@ class MockController:
         self._tool_speed = speed
         self._tool_limit = self._make_tool_limit(self.setpoint, self._last_step)
 
+    @property
+    def limits_tool_speed(self) -> bool:
+        """Whether the tool is limited: in T1, and after it until the arm has caught up."""
+        return self._tool_limit is not None
+
     def lift_tool_speed(self) -> None:
         """Select another mode: the arm catches up within its limits."""
         self._tool_speed = 0.0

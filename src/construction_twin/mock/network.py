@@ -136,7 +136,7 @@ class MockRsi:
                 if packet is not None:
                     self._send(packet)
                 sent = time.monotonic_ns()
-                due = self._next_due(due, sent)
+                due = self.next_due(due, sent)
                 self._ends = max(due, sent + _CLOSEST)
                 self._observe(self)
                 self._receive_until(self._ends)
@@ -196,7 +196,8 @@ class MockRsi:
             # e.g. no route: a controller does not notice it, it only gets no replies
             self.send_errors += 1
 
-    def _next_due(self, due: int, sent: int) -> int:
+    def next_due(self, due: int, sent: int) -> int:
+        """Return when the next packet is due, after one that was sent late or not [ns]; count what a long stall has cost."""
         late = sent - due
         self.overruns += late > _CLOSEST
         skipped = late // CYCLE_NS if late > CATCH_UP else 0

@@ -195,6 +195,10 @@ class Gate:
             self._forget()
         self.mirrored = leads
 
+    def rests(self, now: int) -> bool:
+        """Return whether the command has not changed for `REST`; `now` in ns."""
+        return self._moved_at is None or now - self._moved_at >= REST
+
     def check_rest(self, now: int) -> None:
         """Refuse a change of settings while the arm moves or may move, or while the gate holds; `now` in ns.
 
@@ -204,7 +208,7 @@ class Gate:
         """
         if self.mirrored:
             raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
-        if self._moved_at is not None and now - self._moved_at < REST:
+        if not self.rests(now):
             raise ConfigurationError(
                 "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
             )

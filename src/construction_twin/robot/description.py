@@ -21,7 +21,7 @@ from urdf_parser_py.urdf import Joint
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
-from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text
+from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text, xacro_arguments
 
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
 JointValues = Sequence[float] | np.ndarray
@@ -216,15 +216,17 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
     return robot
 
 
-def read_robot_files(urdf_path: str | Path, yaml_path: str | Path) -> RobotModel:
+def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: str = "") -> RobotModel:
     """Build a robot from files, without ROS.
 
     Parameters
     ----------
     urdf_path : str or Path
-        A URDF, or a xacro (``*.xacro``), which is expanded with its default arguments.
+        A URDF, or a xacro, which is expanded.
     yaml_path : str or Path
         The robot YAML.
+    xacro_args : str, optional
+        Arguments of the xacro, see `urdf.xacro_arguments`.
 
     Returns
     -------
@@ -235,8 +237,7 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path) -> RobotModel
     ConfigurationError
         See `load_robot`; also for a file that cannot be read or parsed.
     """
-    urdf = expand_xacro(urdf_path) if str(urdf_path).endswith(".xacro") else read_text(urdf_path)
-    return load_robot(urdf, _read_description(yaml_path))
+    return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), _read_description(yaml_path))
 
 
 def home_positions(yaml_path: str | Path) -> dict[str, float]:

@@ -6,8 +6,10 @@ Metres; poses in the root of the URDF's tree, where Pinocchio has its world (`Ro
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import coal
 import numpy as np
@@ -17,6 +19,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, read_mesh_file
 
@@ -74,15 +77,16 @@ class RobotBodies:
     Raises
     ------
     ConfigurationError
-        If Pinocchio cannot read the URDF or one of its meshes.
+        If Pinocchio cannot read the URDF, or one of its collision meshes is not found or cannot be read.
     """
 
     def __init__(self, robot: RobotModel):
         self.robot = robot
         try:
-            full = pinocchio.buildModelFromXML(robot.urdf)
-            shapes = pinocchio.buildGeomFromUrdfString(full, robot.urdf, pinocchio.GeometryType.COLLISION)
-        except (ValueError, RuntimeError) as error:
+            urdf = with_mesh_files(robot.urdf)
+            full = pinocchio.buildModelFromXML(urdf)
+            shapes = pinocchio.buildGeomFromUrdfString(full, urdf, pinocchio.GeometryType.COLLISION)
+        except (ElementTree.ParseError, ValueError, RuntimeError) as error:
             raise ConfigurationError(
                 "robot_description", str(error), "a URDF with readable collision shapes"
             ) from error
@@ -258,3 +262,12 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
             "robot_description collision shape", type(geometry).__name__, "a box, cylinder, sphere or mesh"
         )
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
+
+
+def forget_past_answers(data: pinocchio.GeometryData) -> None:
+    """Switch off the warm start of the distance search, so that a result depends on the pose alone, not on earlier ones."""
+    with warnings.catch_warnings():
+        # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for request in (*data.collisionRequests, *data.distanceRequests):
+            request.enable_cached_gjk_guess = False

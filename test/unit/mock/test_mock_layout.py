@@ -11,7 +11,13 @@ from processes import ROOT
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
-from construction_twin.mock.program import MockSettings, _arguments, _settings, build_controller, gateway_address
+from construction_twin.mock.program import (
+    MockSettings,
+    build_controller,
+    checked_settings,
+    gateway_address,
+    parse_arguments,
+)
 from construction_twin.mock.servo import IdealServo
 from construction_twin.robot.description import read_robot_files
 from construction_twin.rsi.ethernet_xml import read_ethernet_xml
@@ -195,9 +201,9 @@ def test_a_block_that_the_mock_cannot_send_is_refused(robot):
 
 
 def test_the_command_line_reads_the_shipped_file_unless_told_otherwise(tmp_path):
-    options = vars(_arguments([]))
+    options = vars(parse_arguments([]))
     options = {key: value for key, value in options.items() if not key.startswith("robot_")}
-    assert gateway_address(_settings(options)) == ("127.0.0.1", 49152)
+    assert gateway_address(checked_settings(options)) == ("127.0.0.1", 49152)
     options = {"gateway": "127.0.0.1:0", "ethernet_xml": tmp_path / "none.xml"}
     with pytest.raises(EthernetXmlError, match="none.xml"):
-        _settings(options)
+        checked_settings(options)

@@ -19,8 +19,8 @@ from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import (
     MockRsi,
     MockSettings,
-    _settings,
     build_controller,
+    checked_settings,
     joint_angles,
     make_forward_kinematics,
 )
@@ -171,7 +171,7 @@ def test_nobody_listening_is_no_error(robot):
 def test_late_packets_are_all_sent_and_only_a_long_stall_gives_up_grid_points(robot):
     mock = MockRsi(build_controller(MockSettings(gateway_host="127.0.0.1", gateway_port=9), robot), ("127.0.0.1", 9))
     for late_ms, grid_points in ((0, 1), (1.9, 1), (2.1, 1), (100, 1), (101, 26)):
-        assert mock._next_due(0, round(late_ms * 1e6)) == grid_points * CYCLE_NS
+        assert mock.next_due(0, round(late_ms * 1e6)) == grid_points * CYCLE_NS
     assert (mock.overruns, mock.skipped) == (3, 25)
 
 
@@ -236,7 +236,7 @@ def test_settings_choose_servo_and_start_pose(robot):
 )
 def test_settings_without_meaning_are_refused(options):
     with pytest.raises(ConfigurationError):
-        _settings(dict(options))
+        checked_settings(dict(options))
 
 
 def test_the_command_line_runs_without_ros_and_ends_on_sigterm(robot, pc):

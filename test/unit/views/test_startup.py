@@ -139,7 +139,7 @@ FINE = {
         ({"track": "off"}, "track:=off: expected true or false"),
         ({"robot_config": "/nope"}, "robot_config:=/nope: expected the absolute path"),
         ({"robot_config": ""}, "robot_config:='': expected the absolute path"),
-        ({"scene": "/nope"}, "scene:=/nope: expected the absolute path"),
+        ({"scene": "/nope"}, "scene:=/nope: expected the absolute path of a file that can be read, or none"),
         ({"broker_config": "/nope"}, "broker_config:=/nope: expected"),
         ({"rsi_listen": "192.168.1.10", "rsi_controller": ""}, "rsi_controller:='': expected the controller's address"),
         ({"servo": "perfect"}, "servo:=perfect: expected ideal or realistic"),
@@ -147,6 +147,11 @@ FINE = {
 )
 def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
     assert preflight.problem(FINE | change, "/a".__eq__).startswith(sentence)
+
+
+def test_none_is_no_file_of_a_scene_but_of_nothing_else():
+    assert preflight.problem(FINE | {"scene": "none"}, "/a".__eq__) == ""
+    assert preflight.problem(FINE | {"robot_config": "none"}, "/a".__eq__).startswith("robot_config:=none: expected")
 
 
 def test_arguments_that_can_work_pass():

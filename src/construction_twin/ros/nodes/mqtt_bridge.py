@@ -12,7 +12,6 @@ import uuid
 import xmlrpc.client
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import pydantic
 import rospy
@@ -44,7 +43,7 @@ from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 
 #: Period at which the link is polled [s].
@@ -58,13 +57,6 @@ class Settings(MqttSettings):
 
     reset_timeout: float = pydantic.Field(gt=0)
     max_state_age: float = pydantic.Field(gt=0)
-
-
-class Sink(Protocol):
-    """A publisher as the bridge uses it."""
-
-    def publish(self, *content) -> None:
-        """Send a message, or what it is made of."""
 
 
 @dataclass(frozen=True)
