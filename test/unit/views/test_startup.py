@@ -56,6 +56,18 @@ def test_advice_fits_what_was_started_here():
     assert "mock_rsi" in first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), HERE).action
 
 
+def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_when_it_is_gone():
+    startup, stopped = StartUp(CELL), replace(GOOD, controller="the controller's program is stopped (STOP)")
+    assert startup.update(GOOD, 1.0)[0].startswith("ready")
+    assert startup.update(stopped, 2.0) == []
+    assert startup.update(stopped, 2.0 + PATIENCE) == ["the controller's program is stopped (STOP)"]
+    assert startup.update(stopped, 9.0) == []
+    # a word of one moment is none
+    assert startup.update(GOOD, 9.1) == startup.update(stopped, 9.2) == startup.update(stopped, 30.0) == []
+    assert startup.update(GOOD, 31.0) == []
+    assert startup.update(GOOD, 31.0 + PATIENCE) == ["the controller reports nothing against a motion any more"]
+
+
 def test_the_port_is_named_where_it_is_known():
     of_the_xml = replace(HERE, rsi="127.0.0.1:0")
     taken = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), of_the_xml).action
