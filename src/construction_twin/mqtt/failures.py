@@ -95,12 +95,16 @@ def refused_connection(broker: Broker, reason_code: ReasonCode) -> str:
     )
 
 
+#: What to do where MQTT 5 is refused.
+_OLDER = (
+    "start with protocol:=3.1.1 (rsi_gateway on a cell PC: --protocol 3.1.1, with its configuration exported again); what is lost "
+    "then: docs/broker.md"
+)
+
+
 def _version_failure(broker: Broker) -> str:
     if broker.protocol == "5":
-        return (
-            "does not speak MQTT 5, only an older version: start with protocol:=3.1.1 (rsi_gateway on a cell PC: --protocol 3.1.1, "
-            "with its configuration exported again); what is lost then: docs/broker.md"
-        )
+        return f"does not speak MQTT 5, only an older version: {_OLDER}"
     return f"does not speak MQTT {broker.protocol}: start with protocol:=5, or use another broker"
 
 
@@ -113,9 +117,13 @@ def lost_connection(broker: Broker, reason_code: ReasonCode) -> str:
 def no_welcome(broker: Broker) -> str:
     """Return the sentence for a connection that was closed before a broker's answer (CONNACK) had come."""
     spoken = f"MQTT {broker.protocol} {'with' if broker.encrypted else 'without'} TLS"
+    older = ""
+    if broker.protocol == "5":
+        # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
+        older = f"; a broker that does not know MQTT 5 may do so (RabbitMQ before 3.13): {_OLDER}"
     return (
-        f"broker {broker.host}:{broker.port}: no broker's answer, the connection was closed; is the port right, and is {spoken} "
-        f"spoken there?{_maybe_certificate(broker)}"
+        f"broker {broker.host}:{broker.port} closed the connection without an answer: is the port right, and is {spoken} spoken "
+        f"there{older}{_maybe_certificate(broker)}"
     )
 
 
