@@ -1,9 +1,9 @@
 """The pairs of a robot's links that need no collision check, and why. Found by sampling, kept in a YAML file.
 
-A pair is left out when it is ``adjacent`` (joined by one joint, or by two joints with one origin, like A5 and A6 in a
-spherical wrist: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses (then the
-shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of the
-geometry that it was made from, and is refused for any other geometry.
+A pair is left out when it is ``adjacent`` (held by one joint, or by two joints with one origin, like A5 and A6 in a
+spherical wrist, see `adjacent_links`: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses
+(then the shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of
+the geometry that it was made from, and is refused for any other geometry.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import yaml
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
 from construction_twin.scene.pair_sampling import sample_pairs
 
@@ -126,23 +127,15 @@ def sample_self_collision(
 def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the pairs of links that move against each other: those to sample, and the adjacent ones."""
     joints = {body.link: body.joint for body in bodies.bodies}
+    held = adjacent_links(bodies)
     links = list(joints)
     pairs: list[tuple[str, str]] = []
     adjacent: list[tuple[str, str]] = []
     for index, second in enumerate(links):
         for first in links[:index]:
             if joints[first] != joints[second]:
-                (adjacent if _adjacent(bodies, joints[first], joints[second]) else pairs).append((first, second))
+                (adjacent if frozenset((first, second)) in held else pairs).append((first, second))
     return pairs, adjacent
-
-
-def _adjacent(bodies: RobotBodies, first: int, second: int) -> bool:
-    near, far = sorted((first, second))
-    parent = bodies.model.parents[far]
-    if parent == near:
-        return True
-    common_origin = not np.any(np.round(bodies.model.jointPlacements[far].translation, 9))
-    return parent != 0 and bodies.model.parents[parent] == near and common_origin
 
 
 class _Description(pydantic.BaseModel):
