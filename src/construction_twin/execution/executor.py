@@ -406,7 +406,7 @@ class Executor:
             self._events.append(Ending(self._run.plan, self.outcome, sentence))
         # a restart is told although the state stays
         if row.target is not row.state or action is Action.FORGET_TWIN:
-            self._enter(row.target, sentence)
+            self._enter(row.target or row.state, sentence)
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""
