@@ -31,12 +31,15 @@ from construction_twin.mock.refusals import ReplyRefusals
 from construction_twin.mock.servo import Servo
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, SensorTelegram
 from construction_twin.rsi.layout import STOP
+from construction_twin.rsi.status_channels import ControllerStatus, status_channels
 from construction_twin.rsi.telegram import axis_units
 
 #: Milliseconds the controller's clock advances from packet to packet at `#IPO_FAST`.
 IPOC_STEP = 4
 #: The servo is given this long to arrive at the end of a program [cycles].
 _SETTLING_CYCLES = 250
+#: On the optional channels, see `status_channels`.
+_T1, _AUT, _ACTIVE = 1, 3, 3
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
 _RANGE_SLACK = 1e-9
 
@@ -93,6 +96,8 @@ class MockController:
         The program that runs.
     refusals : ReplyRefusals
         Why replies did not count.
+    told : ControllerStatus
+        What the optional channels say in place of what is; None for a channel that says what is. It changes nothing else.
     counters : dict of str to int
         Totals since construction, see `COUNTERS`.
     """
@@ -117,6 +122,7 @@ class MockController:
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
         self.pressed = self.needs_person = self.deaf = False
+        self.told = ControllerStatus()
         self.ramp: EmergencyBrake | None = None
         self.program: Program | None = None
         self._tool_limit: ToolSpeedLimit | None = None
@@ -132,6 +138,7 @@ class MockController:
         self.reported: tuple[float, ...] = config.start_pose
         self._forward_kinematics = forward_kinematics
         layout = config.rsi_layout
+        self._tells_status = bool(status_channels(layout.send))
         self._encoder = RobotEncoder(config.axes, config.precision, layout.send, config.units)
         self._decoder: SensorDecoder | None = None
         if not layout.onlysend:
@@ -161,6 +168,16 @@ class MockController:
     def true(self) -> tuple[float, ...]:
         """Where the axes really are [rad], shape (n,)."""
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
+
+    @property
+    def status(self) -> ControllerStatus:
+        """What the optional channels say: T1 while the tool's speed is limited, else AUT; a program that runs; full override."""
+        told = self.told
+        return ControllerStatus(
+            told.mode or (_T1 if self._tool_speed else _AUT),
+            told.program or _ACTIVE,
+            100.0 if told.override is None else told.override,
+        )
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new RSI session, ending the present one if there is one.
@@ -207,7 +224,8 @@ class MockController:
         self._reply = None
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
-        return self._encoder.encode(self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay)
+        values = self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay
+        return self._encoder.encode(*values, self.status) if self._tells_status else self._encoder.encode(*values)
 
     def receive(self, data: bytes, in_time: bool = True) -> bool:
         """Take one datagram that is read during the open cycle.

@@ -21,6 +21,7 @@ from xml.etree import ElementTree
 
 from construction_twin.core.errors import EthernetXmlError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
+from construction_twin.rsi.status_channels import doubled_channel
 
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024
@@ -181,7 +182,8 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     Raises
     ------
     EthernetXmlError
-        For a position block that is not sent, for HOLDON 0 on a correction, and as `check_axes`.
+        For a position block that is not sent, an optional channel that is there twice, HOLDON 0 on a correction, and as
+        `check_axes`.
     """
     check_axes(layout, axes, where)
     blocks = {"AIPos": "the measured axes", "ASPos": "the pose that corrections are relative to"}
@@ -190,6 +192,10 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     for block, meaning in blocks.items():
         if block not in layout.send:
             raise EthernetXmlError(where, f"SEND DEF_{block}", None, f'TAG="DEF_{block}" INDX="INTERNAL": {meaning}')
+    twice = doubled_channel(layout.send)
+    if twice:
+        name = twice.partition(".")[0]
+        raise EthernetXmlError(where, f"SEND {twice}", f"a second channel for {name}", f"one: {name} or {name}.R")
     for channel, holdon in zip(layout.receive, layout.holdon):
         if channel != STOP and not holdon and not layout.onlysend:
             expected = '"1": with "0" one missed reply commands a jump back to the start pose'

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import coal
 import numpy as np
 import pinocchio
 
@@ -18,7 +19,7 @@ from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import Body, RobotBodies, forget_past_answers
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
 from construction_twin.scene.neighbour import Obstacle
-from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.self_collision import SelfCollision
 
 #: Pinocchio's broad phases: for few bodies, comparing every box with every box is fastest; for many bodies, a tree.
@@ -203,6 +204,44 @@ class CollisionWorld:
         pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
         results = zip(self._names, self._geometry_data.collisionResults)
         return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
+
+    def unchecked_pairs(self) -> list[tuple[SceneObject, str]]:
+        """Return the standing objects, each with every link that no joint moves, unless it may touch it."""
+        links = dict.fromkeys(body.link for body in self._own if body.item is None and not body.joint)
+        standing = (item for item in self.scene.objects if not item.link)
+        return [(item, link) for item in standing for link in links if link not in item.touch]
+
+    def distance(self, q: JointValues, first: str, second: str) -> float:
+        """Return the smallest distance between the shapes of two links or objects, whether the pair is checked or not.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            [rad] or [m]
+        first, second : str
+            Names.
+
+        Returns
+        -------
+        distance : float
+            [m]; negative: how deep one is in the other; inf if one of them has no shape.
+        """
+        self._q[self._order] = q
+        pinocchio.forwardKinematics(self._model, self._data, self._q)
+        request = coal.DistanceRequest()
+        placed: dict[str, list[tuple[coal.CollisionGeometry, coal.Transform3s]]] = {first: [], second: []}
+        for body in self._own:
+            if body.owner in placed:
+                place = self._data.oMi[body.joint] * body.placement
+                placed[body.owner].append((body.geometry, coal.Transform3s(place.rotation, place.translation)))
+        return min(
+            (
+                coal.distance(*one, *other, request, coal.DistanceResult())
+                for one in placed[first]
+                for other in placed[second]
+            ),
+            default=np.inf,
+        )
 
     def object_pose(self, q: JointValues, name: str) -> Pose:
         """Return an object's pose in the base_link, at joint values `q` when a link carries it.

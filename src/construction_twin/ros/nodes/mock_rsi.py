@@ -99,6 +99,7 @@ class MockRsiNode:
             "ipoc": controller.ipoc,
             "delay": controller.delay,
             "stat": controller.stat,
+            "controller": controller.status.report(),
             "start_pose_deg": to_wire(controller.start_pose, linear),
             "applied_deg": to_wire(controller.applied, linear),
             "correction_lower_deg": to_wire(controller.correction_lower, linear),

@@ -25,7 +25,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.states import LinkState
-from construction_twin.link.status_values import status_values
+from construction_twin.link.status_values import controller_sentence, status_values
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -407,9 +407,14 @@ class MqttBridge:
             rospy.loginfo("%s: %s", state[0].name, state[1])
 
     def _reason(self) -> str:
-        """Return the supervisor's sentence; without a connection, also why there is none."""
+        """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
         reason, why = self._supervisor.reason, self._connection.sentence
-        return f"{reason}: {why}" if why and self._supervisor.state is LinkState.DISCONNECTED else reason
+        state = self._supervisor.state
+        if state is LinkState.DISCONNECTED:
+            return f"{reason}: {why}" if why else reason
+        # a status of a gateway that is gone says nothing of now
+        said = "" if state is LinkState.GATEWAY_OFFLINE else controller_sentence(self._supervisor.status)
+        return f"{reason}; {said}" if said else reason
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
         # a copy: other threads go on counting

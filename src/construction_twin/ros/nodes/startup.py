@@ -67,7 +67,7 @@ class StartupNode:
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        came = self._came
+        came, link = self._came, snapshot.link
         seen = Seen(
             link=words.get("link"),
             sync=words.get("sync"),
@@ -75,6 +75,7 @@ class StartupNode:
             feedback="feedback" in came,
             twin="twin" in came,
             scene="scene" in came,
+            controller=link.counters.get("controller_sentence", "") if link is not None and "link" in words else "",
         )
         for line in self._startup.update(seen, time.monotonic()):
             waits = self._startup.missing is not None
