@@ -55,7 +55,7 @@ class Body:
 
 
 class RobotBodies:
-    """A robot's joints and collision shapes. Joints outside ``robot.joint_names`` are locked at zero.
+    """A robot's joints and collision shapes. Joints outside of the chain are locked where `RobotModel.other_joints` says.
 
     Parameters
     ----------
@@ -77,7 +77,8 @@ class RobotBodies:
     Raises
     ------
     ConfigurationError
-        If Pinocchio cannot read the URDF, or one of its collision meshes is not found or cannot be read.
+        If Pinocchio cannot read the URDF, or one of its collision meshes is not found or cannot be read; if a mimic joint
+        outside of the chain moves collision shapes with it.
     """
 
     def __init__(self, robot: RobotModel):
@@ -92,7 +93,8 @@ class RobotBodies:
             ) from error
         wanted = set(robot.joint_names)
         locked = [index for index, name in enumerate(full.names) if index and name not in wanted]
-        self.model, shapes = pinocchio.buildReducedModel(full, shapes, locked, pinocchio.neutral(full))
+        _refuse_moving_shapes(robot, full, shapes)
+        self.model, shapes = pinocchio.buildReducedModel(full, shapes, locked, _standing(robot, full))
         self.order = np.array([self.model.joints[self.model.getJointId(name)].idx_q for name in robot.joint_names])
         self.strokes = np.zeros(len(self.order))
         self.strokes[self.order] = np.maximum(np.abs(robot.lower), np.abs(robot.upper))
@@ -159,6 +161,32 @@ class RobotBodies:
             return Body(item.name, "", 0, self.root_T_base * pose, geometry, item)
         frame = self.model.frames[self.model.getFrameId(item.link, pinocchio.FrameType.BODY)]
         return Body(item.name, item.link, frame.parentJoint, frame.placement * pose, geometry, item)
+
+
+def _standing(robot: RobotModel, full: pinocchio.Model) -> np.ndarray:
+    """Return a configuration of the whole URDF: joints outside of the chain where they stand, the others at zero."""
+    positions = np.zeros(full.nv)
+    for other in robot.other_joints:
+        if other.position:
+            positions[full.joints[full.getJointId(other.name)].idx_v] = other.position
+    return pinocchio.integrate(full, pinocchio.neutral(full), positions)
+
+
+def _refuse_moving_shapes(robot: RobotModel, full: pinocchio.Model, shapes: pinocchio.GeometryModel) -> None:
+    """Refuse shapes that move with the chain, but are not part of it: in the checks they would stand still."""
+    for other in robot.other_joints:
+        if other.position is not None:
+            continue
+        moved = set(full.subtrees[full.getJointId(other.name)])
+        links = sorted(
+            {full.frames[shape.parentFrame].name for shape in shapes.geometryObjects if shape.parentJoint in moved}
+        )
+        if links:
+            raise ConfigurationError(
+                f"robot_description joint {other.name}",
+                f"a mimic joint that follows {other.follows} of the chain and moves collision shapes of {links}",
+                "no collision shapes behind it, because their motion is not checked; enclose it in shapes of links of the chain",
+            )
 
 
 def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
