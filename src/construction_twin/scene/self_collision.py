@@ -8,11 +8,9 @@ the geometry that it was made from, and is refused for any other geometry.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,13 +19,13 @@ import numpy as np
 import pydantic
 import yaml
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.robot.description import RobotModel
 from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
 from construction_twin.scene.pair_sampling import sample_pairs
 
-#: Poses that `main` samples by default, and the seed of their random numbers.
+#: Poses that are sampled by default, and the seed of their random numbers.
 SAMPLES, SEED = 20000, 0
 #: A pair that came this close [m] in a sample is checked: a contact may lie between the samples.
 NEAR = 0.05
@@ -207,31 +205,3 @@ def read_self_collision(path: str | Path, robot: RobotModel) -> SelfCollision:
     if not isinstance(description, dict):
         raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
     return load_self_collision(description, RobotBodies(robot), str(path))
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Sample a robot's self collisions and write the file; needs no ROS master."""
-    parser = argparse.ArgumentParser(
-        prog="self_collision",
-        description="Find the pairs of links that need no check against each other, and write them to a YAML file.",
-    )
-    parser.add_argument("urdf", help="URDF or xacro")
-    parser.add_argument("robot", help="robot YAML, e.g. config/kr120.yaml")
-    parser.add_argument("output", help="file to write; - for the terminal")
-    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
-    parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
-    parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
-    options = parser.parse_args(arguments)
-    if options.samples < 1 or options.seed < 0:
-        sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
-    try:
-        robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
-        found = sample_self_collision(robot, options.samples, options.seed)
-    except ConstructionTwinError as error:
-        sys.exit(f"self_collision: {error}")
-    text = self_collision_yaml(robot, found, options.samples, options.seed)
-    if options.output == "-":
-        print(text, end="")
-        return
-    Path(options.output).write_text(text, encoding="utf-8")
-    print(f"{options.output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")
