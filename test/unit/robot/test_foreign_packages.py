@@ -21,7 +21,7 @@ from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.scene.self_collision import main as self_collision
+from construction_twin.scene.self_collision_command import main as self_collision
 
 
 @pytest.fixture
