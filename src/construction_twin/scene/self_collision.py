@@ -23,6 +23,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
 
@@ -211,10 +212,8 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     try:
         parsed = _Description.model_validate(dict(description))
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = "/".join(map(str, first["loc"]))
-        value = None if first["type"] == "missing" else first["input"]
-        raise ConfigurationError(f"{where} {key}", value, first["msg"]) from error
+        wrong = wrong_value(error, _Description.model_json_schema())
+        raise ConfigurationError(f"{where} {wrong.key}", wrong.value, wrong.expected) from error
     found = geometry_hash(bodies)
     if parsed.geometry != found:
         raise ConfigurationError(
