@@ -46,7 +46,7 @@ NODES = {
     "static_frames": ("construction_twin.ros.nodes.static_frames", ""),
     "startup": ("construction_twin.ros.nodes.startup", ""),
     "separation": ("separation_node", "separation"),
-    "experiment": ("construction_twin.ros.commands.experiment", "experiment"),
+    "experiment": ("construction_twin.ros.commands.experiment_settings", "experiment"),
     "scenario": ("construction_twin.ros.commands.scenario", ""),
 }
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
