@@ -28,6 +28,7 @@ class Status:
     mode: str
     correction: list[float]
     last_ipoc_jump_ms: int
+    cycle: dict
     run: str
     hash: str
     decimals: int

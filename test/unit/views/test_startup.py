@@ -57,6 +57,23 @@ def test_advice_fits_what_was_started_here():
     assert "mock_rsi" in first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), HERE).action
 
 
+@pytest.mark.parametrize(
+    "gateway, real, mock",
+    [
+        ("no_controller", "start the RSI program, or cure what is refused", "or what it sends"),
+        ("measuring", "by itself within seconds", "by itself within seconds"),
+        ("other_cycle", "correct RSI_ON", "one rsi_cycle"),
+        ("joined_running", "once RSI has timed out", "by itself"),
+    ],
+)
+def test_without_a_session_the_advice_fits_what_the_gateway_says(gateway, real, mock):
+    why = "the controller's cycle is 12 ms"
+    seen = replace(GOOD, link=Word("NO_CONTROLLER", why, gateway))
+    for deployment, advice in ((CELL, real), (HERE, mock)):
+        missing = first_missing(seen, deployment)
+        assert advice in missing.action and missing.reason == why
+
+
 def test_the_port_is_named_where_it_is_known():
     of_the_xml = replace(HERE, rsi="127.0.0.1:0")
     taken = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), of_the_xml).action
