@@ -10,6 +10,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.rsi_session import IPOC_NS
 from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram
+from construction_twin.rsi.status_channels import StatusReader, status_channels
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 DRAIN_LIMIT = 64
@@ -60,6 +61,8 @@ class TelegramInbox:
         self._clock = clock
         self._controller = controller
         self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
+        channels = status_channels(gateway.config.layout.send)
+        self._status = StatusReader(channels) if channels else None
         self._timeout = round(gateway.config.timeout * NANOSECONDS)
 
     def newest(self) -> Arrival | None:
@@ -83,6 +86,8 @@ class TelegramInbox:
             if telegram is None:
                 continue
             self._gateway.clock.note(telegram.ipoc, arrived)
+            if self._status is not None:
+                self._gateway.note_status(*self._status.read(data))
             if newest is not None:
                 behind = (newest.telegram.ipoc - telegram.ipoc) * IPOC_NS
                 if source == newest.source and 0 <= behind <= self._timeout:
