@@ -21,6 +21,7 @@ from urdf_parser_py.urdf import Joint
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
+from construction_twin.robot.other_joints import OtherJoint, find_other_joints
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text, xacro_arguments
 
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
@@ -76,6 +77,8 @@ class RobotModel:
     axes : tuple of AxisMapping, length n
     linear : tuple of bool, length n
         True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
+    other_joints : tuple of OtherJoint
+        The movable joints outside of the chain, and where they stand.
     """
 
     name: str
@@ -91,6 +94,7 @@ class RobotModel:
     home: tuple[float, ...]
     axes: tuple[AxisMapping, ...]
     linear: tuple[bool, ...]
+    other_joints: tuple[OtherJoint, ...] = ()
 
     def check_range(self, q: JointValues) -> None:
         """Check that every joint lies within its range, limits included.
@@ -167,6 +171,8 @@ class _RobotDescription(pydantic.BaseModel):
     base_link: str
     tip_link: str
     joints: dict[str, dict[str, Any]]
+    #: [rad], [m]; the one place of the file in SI: which unit a joint has, the URDF says
+    other_joints: dict[str, _Finite] = {}
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
@@ -211,6 +217,7 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
         home=tuple(si.home for si in settings),
         axes=tuple(AxisMapping(joint.rsi, joint.sign, si.offset) for joint, si in zip(described, settings)),
         linear=tuple(joint.joint_type == "prismatic" for joint in joints),
+        other_joints=find_other_joints(model, [joint.name for joint in joints], parsed.other_joints),
     )
     _check_home(robot)
     return robot
@@ -241,7 +248,7 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: s
 
 
 def home_positions(yaml_path: str | Path) -> dict[str, float]:
-    """Return the home pose of a robot YAML by joint name [rad], [m]; needs no URDF.
+    """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; needs no URDF.
 
     Raises
     ------
@@ -250,9 +257,10 @@ def home_positions(yaml_path: str | Path) -> dict[str, float]:
     """
     parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
     kinds = {name: _PrismaticJoint if "home_mm" in joint else _RevoluteJoint for name, joint in parsed.joints.items()}
-    return {
+    home = {
         name: _validate(kinds[name], joint, f"robot/joints/{name}").si().home for name, joint in parsed.joints.items()
     }
+    return home | parsed.other_joints
 
 
 def _read_description(yaml_path: str | Path) -> dict:

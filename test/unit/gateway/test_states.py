@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from gateway_cell import Cell, following, gap, slow
 
+from construction_twin.core.state_table import cells
 from construction_twin.gateway import states
-from construction_twin.gateway.states import TABLE, Action, Event, Guard, Machine, State, table_cells
+from construction_twin.gateway.states import TABLE, Action, Event, Guard, Machine, State
 
 PLACE = Path(states.__file__).parent
 
@@ -45,8 +46,8 @@ def test_guards_and_actions_are_all_used_and_rows_are_in_words():
     assert {row.guard for row in TABLE} == set(Guard)
     assert {row.action for row in TABLE} == set(Action)
     assert {row.event for row in TABLE} == set(Event)
-    assert len(table_cells()) == len(TABLE) == len(set(TABLE))
-    for state, event, guard, action, target in table_cells():
+    assert len(cells(TABLE)) == len(TABLE) == len(set(TABLE))
+    for state, event, guard, action, target in cells(TABLE):
         assert state and event and isinstance(guard, str) and isinstance(action, str)
         assert target in {"", *(each.value for each in State)}
 

@@ -23,7 +23,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.monitor.gate import POLICIES, Gate, GateSettings
-from construction_twin.monitor.states import HELD_STATES, TABLE, SyncEvent, SyncState
+from construction_twin.monitor.states import HELD_STATES, ROWS, SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
 LIMITS = MotionLimits.of(ROBOT)
@@ -96,7 +96,7 @@ class Cell(RuleBasedStateMachine):
 
     def check_transitions(self):
         for change in self.gate.take_transitions():
-            assert TABLE[change.source][change.event] is change.target
+            assert change.target in {row.target for row in ROWS[change.source, change.event]}
             assert change.source is self.state and change.reason and 0 < change.at <= self.stamp
             if change.source is SyncState.STOPPED is not change.target:
                 assert change.event is SyncEvent.NEW_SESSION and self.new_session

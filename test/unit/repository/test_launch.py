@@ -73,6 +73,11 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
         ("scene:=/no/such.yaml", "preflight: scene:=/no/such.yaml: expected the absolute path"),
         ("arm:=real", "preflight: bridge_account:='' with arm:=real: "),
         ("arm:=real auto_approve:=true", "preflight: auto_approve:=true with arm:=real: "),
+        ("scene:=", "preflight: scene:='': roslaunch drops an empty value"),
+        (
+            "brocker:=false",
+            "preflight: brocker:=false: bringup.launch has no such argument; did you mean broker:=false?",
+        ),
     ],
 )
 def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins(argument, sentence):
@@ -95,3 +100,20 @@ def test_the_arm_alone_is_a_scene_that_roslaunch_passes_on():
     )
     assert run.returncode == 0, run.stderr
     assert yaml.safe_load(run.stdout)["/kr120/scene/scene"] == "none"
+
+
+@pytest.mark.parametrize("file", ["bringup", "two_robots", "experiment", "scenario"])
+def test_the_sentence_of_a_refusal_is_the_last_line_below_a_few_of_roslaunch(file):
+    run = subprocess.run(
+        ["roslaunch", "construction_twin", f"{file}.launch", "self_collision:=/no/such.yaml"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:1"},
+    )
+    assert run.returncode == 1
+    first, *between, last = run.stderr.splitlines()
+    assert first == last and last.startswith(
+        "preflight: self_collision:=/no/such.yaml: expected the absolute path of a file"
+    )
+    assert len("".join(between)) < 300, between

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -200,30 +199,3 @@ def test_a_real_arm_without_accounts_or_without_a_person_must_be_meant(change, s
 )
 def test_a_real_arm_with_accounts_and_a_person_starts_and_so_does_what_is_meant(change):
     assert preflight.problem(REAL | change, "/a".__eq__, "/a".__eq__) == ""
-
-
-@pytest.mark.parametrize(
-    "text, said",
-    [
-        ("allow_anonymous true\n", True),
-        ("# allow_anonymous true\nallow_anonymous false\n", False),
-        ("listener 8883\n", False),
-        (None, True),
-    ],
-)
-def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_path, capsys, text, said):
-    file, account = tmp_path / "mosquitto.conf", tmp_path / "account.json"
-    account.write_text("{}")
-    if text is not None:
-        file.write_text(text)
-    arguments = ["arm:=real", f"bridge_account:={account}", "gateway:=false", "broker:=true", f"broker_config:={file}"]
-    assert preflight.main(arguments) == said
-    assert ("broker_config" in capsys.readouterr().err) is said
-
-
-def test_preflight_as_a_program(capsys, tmp_path):
-    assert preflight.main(["arm:=mock", f"robot_config:={Path(__file__).resolve()}"]) == 0
-    assert capsys.readouterr().out == "ok\n"
-    assert preflight.main([f"robot_config:={tmp_path}"]) == 1
-    assert preflight.main(["robot_config:=test_startup.py"]) == 1
-    assert capsys.readouterr().err.count("preflight: robot_config:=") == 2
