@@ -322,8 +322,7 @@ def state_rows(module: str) -> list[tuple[str, ...]]:
 
     States with the same row share one; "any" stands for all of them.
     """
-    code = importlib.import_module(module)
-    return _shared_rows(code.table_cells() if hasattr(code, "table_cells") else cells(code.TABLE))
+    return _shared_rows(cells(importlib.import_module(module).TABLE))
 
 
 def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
