@@ -11,6 +11,7 @@ from mock_pc import ZERO, Pc, running
 from processes import ROOT, wait_until
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.mock import network
 from construction_twin.mock.arrival import ArrivalClock
 from construction_twin.robot.description import read_robot_files
 from construction_twin.rsi.gateway_codec import parse_robot
@@ -54,6 +55,23 @@ def test_replies_of_5_and_11_ms_are_late_also_when_the_mock_itself_wakes_later(r
         wait_until(lambda: len(pc.received) >= 60)
         assert delays_after(pc, slow) == [1, 1]
         assert mock.counters["late_replies"] >= 2 <= mock.counters["missed"]
+
+
+def test_without_stamps_a_reply_that_is_read_in_the_open_cycle_counts(robot, pc, monkeypatch):
+    monkeypatch.setattr(network, "ask_for_stamps", lambda sock: False)
+    slow = []
+
+    def sleep(mock):
+        """Wake up only after the answer has come."""
+        if mock.counters["packets"] in pc.after:
+            ipoc = mock.controller.ipoc
+            slow.append(ipoc)
+            wait_until(lambda: ipoc in pc.answered)
+
+    pc.after = {20: 11 * MS}
+    with running(robot, pc.address, observe=sleep, timeout=2500):
+        wait_until(lambda: len(pc.received) >= 60)
+        assert delays_after(pc, slow) == [0]
 
 
 @STAMPED
@@ -126,9 +144,9 @@ def test_a_wall_clock_that_is_set_judges_nothing_until_it_was_read_again(clocks,
     clocks.ahead += step
     read = clocks.steady
     # set after the datagram came: its stamp is on a clock that is no more
-    assert arrival.arrival(stamp, read) == read
+    assert arrival.arrival(stamp, read) is None
     arrival.measure()
-    assert arrival.arrival(stamp, read) == read
+    assert arrival.arrival(stamp, read) is None
     arrival.measure()
     came = clocks.steady
     assert arrival.arrival(came + clocks.ahead, came + 5 * MS) == pytest.approx(came, abs=1000)
