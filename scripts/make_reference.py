@@ -46,7 +46,7 @@ NODES = {
     "static_frames": ("construction_twin.ros.nodes.static_frames", ""),
     "startup": ("construction_twin.ros.nodes.startup", ""),
     "separation": ("separation_node", "separation"),
-    "experiment": ("construction_twin.ros.commands.experiment", "experiment"),
+    "experiment": ("construction_twin.ros.commands.experiment_settings", "experiment"),
     "scenario": ("construction_twin.ros.commands.scenario", ""),
 }
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
@@ -59,6 +59,7 @@ _EXPLAINED = {
     ("mqtt_bridge", "protocol"): "MQTT version: 5 or 3.1.1",
     ("static_frames", "parent"): "frame in which the robot stands",
     ("static_frames", "prefixes"): "tf prefixes of the robot's copies: twin, physical, preview",
+    ("static_frames", "chain_only"): "those whose joint states hold the joints of the chain alone; the frames of the others come from here",
     ("startup", "broker"): "address of the broker, HOST:PORT",
     ("startup", "rsi"): "address on which the gateway listens, HOST:PORT",
     ("mock_rsi", "ethernet_xml"): "text of the Ethernet XML: SENTYPE, blocks, channels, HOLDON, ONLYSEND, port",

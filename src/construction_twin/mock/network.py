@@ -1,8 +1,8 @@
-"""The mock controller on the network: UDP client and 4 ms clock around `MockController`. Runs without ROS.
+"""The mock controller on the network: UDP client and clock around `MockController`. Runs without ROS.
 
 The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, but this process can be
 late. Then the packets that are due follow each other at half a cycle until they are on the grid again: the PC always has half a
-cycle to answer, and IPOC, which advances by 4 per packet, stays in step with time. Grid points are skipped only after a stall
+cycle to answer, and IPOC, which advances by a cycle per packet, stays in step with time. Grid points are skipped only after a stall
 longer than `CATCH_UP`. Late packets and skipped grid points are counted (`overruns`, `skipped`).
 
 A reply is in time when it *arrived* before its cycle ended, whenever this process came to read it: on Linux the kernel's stamp
@@ -22,7 +22,7 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError, TransportError
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.arrival import ArrivalClock
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
@@ -31,9 +31,7 @@ from construction_twin.rsi.udp import ask_for_stamps, receive
 log = logging.getLogger(__name__)
 
 #: Packets that are late by no more than this are all sent [ns].
-CATCH_UP = 25 * CYCLE_NS
-#: Shortest distance of two packets [ns].
-_CLOSEST = CYCLE_NS // 2
+CATCH_UP = NANOSECONDS // 10
 #: Most datagrams read before the clock is checked again, so that a flood of datagrams cannot stop it.
 _DRAIN_LIMIT = 64
 
@@ -90,6 +88,9 @@ class MockRsi:
         self.faults = FaultBoard(controller, fault_seed)
         self.overruns = self.skipped = self.foreign = self.send_errors = self.left = 0
         self._gateway = _resolve(*gateway)
+        self._cycle = controller.config.cycle * NANOSECONDS // 1000
+        #: Shortest distance of two packets [ns].
+        self._closest = self._cycle // 2
         self._restart_after = round(restart_after * NANOSECONDS)
         self._observe = observe
         self._report = report
@@ -137,7 +138,7 @@ class MockRsi:
                     self._send(packet)
                 sent = time.monotonic_ns()
                 due = self.next_due(due, sent)
-                self._ends = max(due, sent + _CLOSEST)
+                self._ends = max(due, sent + self._closest)
                 self._observe(self)
                 self._receive_until(self._ends)
                 if self.controller.refusals.news:
@@ -199,10 +200,10 @@ class MockRsi:
     def next_due(self, due: int, sent: int) -> int:
         """Return when the next packet is due, after one that was sent late or not [ns]; count what a long stall has cost."""
         late = sent - due
-        self.overruns += late > _CLOSEST
-        skipped = late // CYCLE_NS if late > CATCH_UP else 0
+        self.overruns += late > self._closest
+        skipped = late // self._cycle if late > CATCH_UP else 0
         self.skipped += skipped
-        return due + (1 + skipped) * CYCLE_NS
+        return due + (1 + skipped) * self._cycle
 
     def _receive_until(self, deadline: int) -> None:
         now = time.monotonic_ns()

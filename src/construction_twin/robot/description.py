@@ -21,6 +21,7 @@ from urdf_parser_py.urdf import Joint
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
+from construction_twin.core.validation import configuration_error
 from construction_twin.robot.other_joints import OtherJoint, find_other_joints
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text, xacro_arguments
 
@@ -293,10 +294,7 @@ def _validate(model: type[_Model], values: Mapping, where: str) -> _Model:
     try:
         return model.model_validate(values)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        where = "/".join([where, *map(str, first["loc"])])
-        value = None if first["type"] == "missing" else first["input"]
-        raise ConfigurationError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
+        raise configuration_error(error, model, where) from error
 
 
 def _check_joint(joint: Joint) -> None:

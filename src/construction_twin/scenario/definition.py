@@ -15,6 +15,7 @@ import yaml
 
 from construction_twin.core.errors import ScenarioError
 from construction_twin.core.units import radians
+from construction_twin.core.validation import wrong_value
 from construction_twin.mock.faults import KINDS
 
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
@@ -161,9 +162,8 @@ def make_scenario(name: str, content: object) -> Scenario:
     try:
         return Scenario.model_validate({"name": name, **content})
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        place = "/".join(map(str, first["loc"]))
-        raise ScenarioError(f"{name}: {place}: found {first.get('input')!r}; {first['msg']}") from error
+        wrong = wrong_value(error, Scenario.model_json_schema())
+        raise ScenarioError(f"{name}: {wrong.key}: found {wrong.value!r}, expected {wrong.expected}") from error
 
 
 def read_scenario(path: Path) -> Scenario:

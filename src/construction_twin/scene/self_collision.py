@@ -1,9 +1,9 @@
 """The pairs of a robot's links that need no collision check, and why. Found by sampling, kept in a YAML file.
 
-A pair is left out when it is ``adjacent`` (joined by one joint, or by two joints with one origin, like A5 and A6 in a
-spherical wrist: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses (then the
-shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of the
-geometry that it was made from, and is refused for any other geometry.
+A pair is left out when it is ``adjacent`` (held by one joint, or by two joints with one origin, like A5 and A6 in a
+spherical wrist, see `adjacent_links`: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses
+(then the shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of
+the geometry that it was made from, and is refused for any other geometry.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
+from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
 from construction_twin.scene.pair_sampling import sample_pairs
 
@@ -124,23 +126,15 @@ def sample_self_collision(
 def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the pairs of links that move against each other: those to sample, and the adjacent ones."""
     joints = {body.link: body.joint for body in bodies.bodies}
+    held = adjacent_links(bodies)
     links = list(joints)
     pairs: list[tuple[str, str]] = []
     adjacent: list[tuple[str, str]] = []
     for index, second in enumerate(links):
         for first in links[:index]:
             if joints[first] != joints[second]:
-                (adjacent if _adjacent(bodies, joints[first], joints[second]) else pairs).append((first, second))
+                (adjacent if frozenset((first, second)) in held else pairs).append((first, second))
     return pairs, adjacent
-
-
-def _adjacent(bodies: RobotBodies, first: int, second: int) -> bool:
-    near, far = sorted((first, second))
-    parent = bodies.model.parents[far]
-    if parent == near:
-        return True
-    common_origin = not np.any(np.round(bodies.model.jointPlacements[far].translation, 9))
-    return parent != 0 and bodies.model.parents[parent] == near and common_origin
 
 
 class _Description(pydantic.BaseModel):
@@ -189,10 +183,8 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     try:
         parsed = _Description.model_validate(dict(description))
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = "/".join(map(str, first["loc"]))
-        value = None if first["type"] == "missing" else first["input"]
-        raise ConfigurationError(f"{where} {key}", value, first["msg"]) from error
+        wrong = wrong_value(error, _Description.model_json_schema())
+        raise ConfigurationError(f"{where} {wrong.key}", wrong.value, wrong.expected) from error
     found = geometry_hash(bodies)
     if parsed.geometry != found:
         raise ConfigurationError(

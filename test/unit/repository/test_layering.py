@@ -16,7 +16,7 @@ from separation_node import Settings as SeparationSettings
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import home_positions, read_robot_files
-from construction_twin.ros.commands.experiment import ExperimentSettings
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings

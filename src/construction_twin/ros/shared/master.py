@@ -17,6 +17,8 @@ from construction_twin.core.errors import ConfigurationError, SilenceError
 TIMEOUT = 5.0
 #: How long a node may take to say that it lives [s].
 NODE_TIMEOUT = 2.0
+#: What to do when there is none.
+TO_DO = "start bringup, or set ROS_MASTER_URI"
 _CALLER = "/construction_twin"
 #: What a call may end with when there is no master, or another program on its port.
 _FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
@@ -90,7 +92,7 @@ def await_master(timeout: float = TIMEOUT) -> None:
         _ask(uri, timeout, "getPid")
     except _FAILURES as error:
         problem = f"no ROS master answers ({error})"
-        raise SilenceError(uri, problem, "start bringup, or set ROS_MASTER_URI") from error
+        raise SilenceError(uri, problem, TO_DO) from error
 
 
 def running(names: Iterable[str], uri: str) -> list[RunningNode]:
