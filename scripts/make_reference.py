@@ -76,6 +76,7 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
+    ("ik_report", "nodes/ik_report", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),
