@@ -33,6 +33,22 @@ def pc():
     pc.close()
 
 
+def asleep(pc):
+    """Return what makes the mock wake up after each late answer has come, and not before."""
+
+    def sleep(mock):
+        if mock.counters["packets"] in pc.after:
+            ipoc = mock.controller.ipoc
+            wait_until(lambda: ipoc in pc.answered)
+
+    return sleep
+
+
+def asked_late(pc):
+    """Return the IPOC of the packets whose answers were to be late."""
+    return [packet.ipoc for number, (_, packet, _) in enumerate(list(pc.received), 1) if number in pc.after]
+
+
 def delays_after(pc, packets):
     """Return what `Delay` says in the packet after each of these."""
     told = {packet.ipoc: packet.delay for _, packet, _ in list(pc.received)}
@@ -41,37 +57,19 @@ def delays_after(pc, packets):
 
 @STAMPED
 def test_replies_of_5_and_11_ms_are_late_also_when_the_mock_itself_wakes_later(robot, pc):
-    slow = []
-
-    def sleep(mock):
-        """Wake up only after the answer has come."""
-        if mock.counters["packets"] in pc.after:
-            ipoc = mock.controller.ipoc
-            slow.append(ipoc)
-            wait_until(lambda: ipoc in pc.answered)
-
     pc.after = {20: 5 * MS, 40: 11 * MS}
-    with running(robot, pc.address, observe=sleep, timeout=2500) as mock:
+    with running(robot, pc.address, observe=asleep(pc), timeout=2500) as mock:
         wait_until(lambda: len(pc.received) >= 60)
-        assert delays_after(pc, slow) == [1, 1]
+        assert delays_after(pc, asked_late(pc)) == [1, 1]
         assert mock.counters["late_replies"] >= 2 <= mock.counters["missed"]
 
 
 def test_without_stamps_a_reply_that_is_read_in_the_open_cycle_counts(robot, pc, monkeypatch):
     monkeypatch.setattr(network, "ask_for_stamps", lambda sock: False)
-    slow = []
-
-    def sleep(mock):
-        """Wake up only after the answer has come."""
-        if mock.counters["packets"] in pc.after:
-            ipoc = mock.controller.ipoc
-            slow.append(ipoc)
-            wait_until(lambda: ipoc in pc.answered)
-
     pc.after = {20: 11 * MS}
-    with running(robot, pc.address, observe=sleep, timeout=2500):
+    with running(robot, pc.address, observe=asleep(pc), timeout=2500):
         wait_until(lambda: len(pc.received) >= 60)
-        assert delays_after(pc, slow) == [0]
+        assert delays_after(pc, asked_late(pc)) == [0]
 
 
 @STAMPED
