@@ -24,6 +24,8 @@ from xml.etree import ElementTree
 import pydantic
 import yaml
 
+from construction_twin.core.state_table import cells
+
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "reference"
 _PART = re.compile(r"(<!-- generated: ([a-z ]+) -->\n).*?(<!-- end of \2 -->\n)", re.DOTALL)
@@ -317,14 +319,10 @@ def _exit_codes() -> str:
 def state_rows(module: str) -> list[tuple[str, ...]]:
     """Return a state machine's table in words, as its module has it: state, event, guard, action, next state.
 
-    States with the same row share one; "any" stands for all of them. The monitor's table has neither guards nor actions.
+    States with the same row share one; "any" stands for all of them.
     """
     code = importlib.import_module(module)
-    if hasattr(code, "table_cells"):
-        rows = [tuple(row) for row in code.table_cells()]
-        return rows if any(row[0] == "any" or ", " in row[0] for row in rows) else _shared_rows(rows)
-    table = [(s.name, f"`{e.value}`", t.name) for s, row in code.TABLE.items() for e, t in row.items()]
-    return _shared_rows(table)
+    return _shared_rows(code.table_cells() if hasattr(code, "table_cells") else cells(code.TABLE))
 
 
 def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -338,8 +336,6 @@ def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 def _state_table(module: str) -> str:
     rows = state_rows(module)
     columns = ["state", "event", "guard", "action", "next state"]
-    if len(rows[0]) == 3:
-        columns = ["state", "event", "next state"]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     return "\n".join([*lines, *(f"| {' | '.join(map(_cell, row))} |".replace("|  |", "| |") for row in rows), ""])
 

@@ -97,22 +97,42 @@ class BranchError(KinematicsError):
         super().__init__(f"configuration {asked!r} {reason}; {choice}")
 
 
-class NoSolutionError(KinematicsError):
-    """No joint solution within the ranges was found.
+class UnreachableOrientationError(KinematicsError):
+    """The target's position can be reached, but not with its orientation, whatever the joint ranges."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the target cannot be reached with its orientation, whatever the joint ranges; its position can, turn the target"
+        )
+
+
+class NotFoundError(KinematicsError):
+    """No joint solution was found in the time given, which does not prove that there is none.
 
     Attributes
     ----------
-    seeds : int
+    tried : int
         Number of starting points tried.
+    budget_s : float
+        The time given [s].
     residual_m, residual_rad : float
-        Position and orientation error of the best attempt.
+        Position and orientation error of the best attempt within the ranges; inf without any.
+    hint : str
+        What the search saw besides: part of a sentence, or "".
     """
 
-    def __init__(self, seeds: int, residual_m: float, residual_rad: float):
-        self.seeds, self.residual_m, self.residual_rad = seeds, residual_m, residual_rad
+    def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
+        self.tried, self.budget_s, self.hint = tried, budget_s, hint
+        self.residual_m, self.residual_rad = residual_m, residual_rad
+        seen = (
+            [f"the best attempt was {residual_m * 1e3:.3f} mm and {residual_rad:.6f} rad away"]
+            if residual_m < 1e3
+            else []
+        )
+        seen += [hint] if hint else []
         super().__init__(
-            f"no joint solution within the ranges after {seeds} seeds; the best attempt was {residual_m * 1e3:.3f} mm and "
-            f"{residual_rad:.6f} rad away; try another orientation or a longer time budget"
+            f"no joint solution was found in the time given ({budget_s:.3g} s, {tried} starting points); it may still be "
+            f"reachable, because this was searched, not computed: {'; '.join([*seen, 'allow more time or turn the target'])}"
         )
 
 
@@ -298,7 +318,7 @@ class CartesianPathError(PlanningError):
     Attributes
     ----------
     reason : str
-        ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``collision`` or ``deviation``.
+        ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``not found``, ``collision`` or ``deviation``.
     fraction, distance : float
         How far it can be followed: fraction of the path's length, and metres (see `tool_path.TURN_LENGTH` for turns).
     waypoint : int

@@ -27,6 +27,7 @@ from construction_twin.gateway.stop_report import StopReport
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties, is_session
 from construction_twin.rsi.gateway_codec import RobotTelegram
+from construction_twin.rsi.status_channels import ControllerStatus
 
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. After a single missed telegram the
 #: motion goes on at its speed, because starting from rest would be a larger step [ns].
@@ -89,6 +90,8 @@ class Gateway:
         self._silence = round(config.silence * NANOSECONDS)
         self._answered_stamp = 0
         self._ending = False
+        #: What the controller says of itself, where its Ethernet XML has the optional channels.
+        self._said = ControllerStatus()
         self._machine = Machine(
             {
                 Guard.ANSWERS: lambda occasion: "ONLYSEND" if self.mode is Mode.READ_ONLY else "",
@@ -188,6 +191,12 @@ class Gateway:
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
         return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
 
+    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
+        """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
+        self._said = status
+        if unreadable:
+            self.counters["status_channels_unreadable"] += unreadable
+
     def observe(self, telegram: RobotTelegram, correction: tuple[float, ...]) -> None:
         """Take note of a telegram that the last resort answered with `correction` [rad]: the arm's pose is still reported."""
         if telegram.measured is not None:
@@ -201,7 +210,9 @@ class Gateway:
         """Notice silence, of the controller or of a speed limit's source; call this at least every 0.1 s."""
         self._poll_speed_limit(now)
         if self._controller.is_silent(now):
-            self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s"))
+            said = self._said.sentence
+            last = f"; the last one said: {said}" if said else ""
+            self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
@@ -227,6 +238,7 @@ class Gateway:
 
     def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
         self._controller.end()
+        self._said = ControllerStatus()
         self._player.remove()
         self._disarm()
 
@@ -531,6 +543,7 @@ class Gateway:
             fault=self.fault,
             mode=self.mode.value,
             correction=list(self.correction),
+            controller=self._said.report(),
             last_ipoc_jump_ms=self._controller.jump_ms,
             run=self.run,
             hash=config.hash,

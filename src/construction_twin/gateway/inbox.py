@@ -11,6 +11,7 @@ from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.rsi_session import IPOC_NS
 from construction_twin.gateway.states import State
 from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram
+from construction_twin.rsi.status_channels import StatusReader, status_channels
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 DRAIN_LIMIT = 64
@@ -62,6 +63,8 @@ class TelegramInbox:
         self._controller = controller
         self._told = ""
         self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
+        channels = status_channels(gateway.config.layout.send)
+        self._status = StatusReader(channels) if channels else None
         self._timeout = round(gateway.config.timeout * NANOSECONDS)
 
     def newest(self) -> Arrival | None:
@@ -84,6 +87,8 @@ class TelegramInbox:
             telegram = self._read(data, source)
             if telegram is None:
                 continue
+            if self._status is not None:
+                self._gateway.note_status(*self._status.read(data))
             if newest is not None:
                 behind = (newest.telegram.ipoc - telegram.ipoc) * IPOC_NS
                 if source == newest.source and 0 <= behind <= self._timeout:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+from construction_twin.core import state_table
 from construction_twin.gateway.config import GatewayConfig
 
 
@@ -96,27 +97,7 @@ class Action(Enum):
     LAST_RESORT = "fault; the last resort brakes and answers"
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One row of the table.
-
-    Attributes
-    ----------
-    state : State
-    event : Event
-    guard : Guard
-        Rows of the same state and event are tried in order; the first one whose guard holds applies.
-    action : Action
-        Done before the next state is entered.
-    target : State or None
-        Next state; None: state and reason stay.
-    """
-
-    state: State
-    event: Event
-    guard: Guard
-    action: Action
-    target: State | None
+Row = state_table.Row[State, Event, Guard, Action]
 
 
 def _rows(
@@ -126,7 +107,7 @@ def _rows(
     action: Action = Action.NONE,
     guard: Guard = Guard.NONE,
 ) -> list[Row]:
-    return [Row(state, event, guard, action, target) for state in states]
+    return state_table.rows(states, event, guard, action, target)
 
 
 _LIVE = tuple(state for state in State if state is not State.FAILED)
@@ -162,6 +143,8 @@ TABLE: tuple[Row, ...] = (
     *_rows(_LIVE, Event.FAILURE, State.FAILED, Action.LAST_RESORT),
 )
 
+ROWS = state_table.by_cause(TABLE)
+
 #: What the arm brakes for, as `status` and the counters ``stops_<cause>`` name it.
 CAUSES = {
     Event.STREAM_SILENT: "silence",
@@ -170,14 +153,6 @@ CAUSES = {
     Event.DRIFTED: "drift",
     Event.STOP: "stop",
 }
-
-
-def table_cells() -> list[tuple[str, str, str, str, str]]:
-    """Return the table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
-    return [
-        (row.state.value, row.event.value, row.guard.value, row.action.value, row.target.value if row.target else "")
-        for row in TABLE
-    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,9 +206,6 @@ class Machine:
         self.changed = True
         self._guards = {Guard.NONE: lambda occasion: "", **guards}
         self._actions = {Action.NONE: lambda event, occasion: None, **actions}
-        self._table: dict[tuple[State, Event], list[Row]] = {}
-        for row in TABLE:
-            self._table.setdefault((row.state, row.event), []).append(row)
 
     def on(self, event: Event, occasion: Occasion) -> str:
         """Take an event.
@@ -244,7 +216,7 @@ class Machine:
             "" when a row applied; else in one sentence why none did.
         """
         refusal = f"gateway is {self.state.value}: {self.reason}"
-        for row in self._table.get((self.state, event), ()):
+        for row in ROWS[self.state, event]:
             refusal = self._guards[row.guard](occasion)
             if not refusal:
                 self._actions[row.action](event, occasion)

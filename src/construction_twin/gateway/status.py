@@ -27,6 +27,7 @@ class Status:
     fault: bool
     mode: str
     correction: list[float]
+    controller: dict
     last_ipoc_jump_ms: int
     run: str
     hash: str

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import product
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 
 from construction_twin.core.motion_errors import (
     BranchError,
-    NoSolutionError,
+    NotFoundError,
     OrientationError,
     PositionRangeError,
     UnreachableError,
 )
+from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
 from construction_twin.kinematics.singular_wrist import SingularWrist
@@ -29,10 +29,8 @@ from construction_twin.kinematics.solution import (
     Configuration,
     IkSettings,
     IkSolution,
-    InverseKinematics,
     check_pose,
     distinct,
-    refine,
     residual,
 )
 from construction_twin.robot.description import JointValues
@@ -62,8 +60,6 @@ _NUDGE = 3e-7
 _NO_LIMITS = [(9.0, 10.0)] * 6
 #: Number of directions compared where the wrist centre is on axis 1.
 _HEADINGS = 72
-#: Candidates that miss the pose by less than this are refined; the others are not solutions [m], [rad].
-_REFINABLE = 1e-3
 
 
 class Branches(NamedTuple):
@@ -84,7 +80,7 @@ class Branches(NamedTuple):
     extension: np.ndarray
 
 
-class ClosedFormInverse(InverseKinematics):
+class ClosedFormInverse(BranchInverse):
     """Inverse kinematics of an arm of the OPW kind.
 
     At a singular wrist (axes 4 and 6 in line) joints 4 and 6 each take half of the difference to the seed, which gives the
@@ -107,10 +103,6 @@ class ClosedFormInverse(InverseKinematics):
         # Its private core takes matrices. The package's version is pinned.
         self._solver = model.solver()._robot
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
-        slack = settings.tolerance_rad
-        self._slack = [(lower - slack, upper + slack) for lower, upper in zip(chain.robot.lower, chain.robot.upper)]
-        ranges = [(joint, lower, upper) for joint, (lower, upper) in enumerate(self._slack)]
-        self._narrow_first = sorted(ranges, key=lambda bounds: bounds[2] - bounds[1])
         self._opw_T_base = np.linalg.inv(model.base_T_opw)
         self._tip_T_flange = np.linalg.inv(model.flange_T_tip)
         self._target = np.eye(4)
@@ -150,7 +142,8 @@ class ClosedFormInverse(InverseKinematics):
                         self._singular_wrist.families(branches[slot], pose, start) if singular else [branches[slot]]
                     )
                     for member in members:
-                        found += self._turned(member, singular, pose, start, have)
+                        # `SingularWrist` has chosen the turns of joints 4 and 6 already
+                        found += self.turned(member, pose, start, have, (3, 5) if singular else ())
         if not found:
             self._explain(pose, start, configuration)
         found.sort(key=lambda solution: solution.distance)
@@ -251,7 +244,7 @@ class ClosedFormInverse(InverseKinematics):
         best: dict[str | None, tuple[float, int]] = {}
         for number, slots in enumerate(branches.tolist()):
             for have, branch in zip(SLOTS, slots):
-                candidate = self._nearest_turn(branch, seed)
+                candidate = self.nearest_turn(branch, seed)
                 if candidate is not None:
                     best[have.shoulder] = min(best.get(have.shoulder, (math.inf, 0)), (candidate[0], number))
         chosen = {0, *(number for _, number in best.values())}
@@ -282,73 +275,15 @@ class ClosedFormInverse(InverseKinematics):
             if configuration is None or SLOTS[slot].matches(configuration):
                 if wrist[slot] < _WRIST_SINGULAR:
                     branch = next(iter(self._singular_wrist.families(np.array(branch), pose, seed)), branch)
-                candidate = self._nearest_turn(branch, seed)
+                candidate = self.nearest_turn(branch, seed)
                 if candidate is not None:
                     candidates.append((*candidate, slot))
         candidates.sort()
         for _, q, slot in candidates:
-            solution = self._confirmed(q, pose, seed, SLOTS[slot])
+            solution = self.confirmed(q, pose, seed, SLOTS[slot])
             if solution is not None:
                 return solution
         return None
-
-    def _nearest_turn(self, branch: Sequence[float], seed: JointValues) -> tuple[float, list[float]] | None:
-        """Return squared distance and joint values of a branch with the whole turns nearest to the seed; None: out of range.
-
-        Plain floats, and the joint with the narrowest range first, because most branches fail at the first or second joint.
-        """
-        square = 0.0
-        q = [0.0] * len(branch)
-        for joint, lower, upper in self._narrow_first:
-            value, near = branch[joint], seed[joint]
-            if value != value:  # nan: there is no such branch
-                return None
-            value += TURN * round((near - value) / TURN)
-            # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
-            if value > upper:
-                value -= TURN
-            elif value < lower:
-                value += TURN
-            if not lower <= value <= upper:
-                return None
-            square += (value - near) ** 2
-            q[joint] = value
-        return square, q
-
-    def _turned(
-        self, branch: np.ndarray, singular: bool, pose: Pose, seed: JointValues, configuration: Configuration
-    ) -> list[IkSolution]:
-        """Return a branch with every choice of whole turns, where forward kinematics confirms it.
-
-        `singular`: joints 4 and 6, with their whole turns, have been chosen by `SingularWrist` already.
-        """
-        if not np.isfinite(branch).all():
-            return []
-        choices = []
-        for joint, (value, (lower, upper)) in enumerate(zip(branch.tolist(), self._slack)):
-            turns = range(math.ceil((lower - value) / TURN), math.floor((upper - value) / TURN) + 1)
-            choices.append([value] if singular and joint in (3, 5) else [value + TURN * turn for turn in turns])
-        found = (self._confirmed(q, pose, seed, configuration) for q in product(*choices))
-        return [solution for solution in found if solution is not None]
-
-    def _confirmed(
-        self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration
-    ) -> IkSolution | None:
-        """Return joint values as a solution if forward kinematics confirms them; near misses are refined first."""
-        robot = self.chain.robot
-        q = [min(max(value, lower), upper) for value, lower, upper in zip(q, robot.lower, robot.upper)]
-        error_m, error_rad = residual(self.chain, q, pose)
-        if not self._is_solved(error_m, error_rad):
-            if not max(error_m, error_rad) < _REFINABLE:
-                return None
-            q = refine(self.chain, np.array(q), pose).tolist()
-            error_m, error_rad = residual(self.chain, q, pose)
-            if not self._is_solved(error_m, error_rad):
-                return None
-        return IkSolution(np.array(q), error_m, error_rad, math.dist(q, seed), configuration)
-
-    def _is_solved(self, error_m: float, error_rad: float) -> bool:
-        return error_m <= self.settings.tolerance_m and error_rad <= self.settings.tolerance_rad
 
     def _explain(self, pose: Pose, seed: JointValues, configuration: Configuration | None) -> NoReturn:
         """Raise the error that says why there is no solution."""
@@ -364,7 +299,7 @@ class ClosedFormInverse(InverseKinematics):
         if extension[0] < 0.0:
             raise UnreachableError(-float(extension[0]), self.is_too_close(flange))
         self.raise_range_error(branches[0][np.isfinite(branches[0]).all(axis=1)])
-        raise NoSolutionError(len(SLOTS), *self._best_residual(branches[0], pose))
+        raise NotFoundError(len(SLOTS), 0.0, *self._best_residual(branches[0], pose))
 
     def raise_range_error(self, branches: np.ndarray) -> None:
         """Raise the error that names the joint out of range, taken from the branch that is out of range by the least.

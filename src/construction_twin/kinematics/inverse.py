@@ -10,12 +10,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from construction_twin.kinematics.axes import joint_axes
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
+from construction_twin.kinematics.decomposition import ClosedForm, find_closed_form
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
 from construction_twin.kinematics.rail import RailInverse, find_rail
 from construction_twin.kinematics.solution import Configuration, IkSettings, IkSolution, InverseKinematics
+from construction_twin.kinematics.subproblems import SubproblemInverse
 
 __all__ = ["Configuration", "IkSettings", "IkSolution", "InverseKinematics", "inverse_kinematics"]
 
@@ -46,6 +49,9 @@ def inverse_kinematics(
     if isinstance(model, OpwModel):
         return ClosedFormInverse(chain, model, settings)
     search = NumericInverse(chain, settings, rng, clock)
+    form = find_closed_form(chain, joint_axes(chain)) if not any(chain.robot.linear) else None
+    if isinstance(form, ClosedForm):
+        return SubproblemInverse(chain, form, search)
     rail = find_rail(chain)
     if isinstance(rail, NotOpw):
         _LOG.info("%s: inverse kinematics by search, because %s", chain.robot.name, model.reason)

@@ -17,9 +17,7 @@ import PyKDL
 
 from construction_twin.core.motion_errors import (
     BranchError,
-    NoSolutionError,
-    OrientationError,
-    PositionRangeError,
+    NotFoundError,
     UnreachableError,
 )
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
@@ -173,6 +171,22 @@ class NumericInverse(InverseKinematics):
                 break
         return q
 
+    def missing_position(self, pose: Pose, seed: np.ndarray) -> float:
+        """Return the smallest distance found of the tip to a position within the ranges, orientation ignored [m]."""
+        best = math.inf
+        starts = self.starts(seed)
+        for _ in range(_POSITION_STARTS):
+            q = next(starts)
+            for _ in range(_POSITION_STEPS):
+                error = pose.position - self.chain.forward(q).position
+                length = float(np.linalg.norm(error))
+                if length < 0.1 * self.settings.tolerance_m:
+                    return length
+                step = _damped(self.chain.jacobian(q)[:3], error)
+                q = np.clip(q + step, self._lower, self._upper)
+            best = min(best, length)
+        return best
+
     def _step(
         self, q: np.ndarray, desired: np.ndarray, error: np.ndarray, free: np.ndarray | None = None
     ) -> np.ndarray:
@@ -301,38 +315,21 @@ class _Search:
             raise UnreachableError(distance - chain.reach)
 
     def _explain(self) -> NoReturn:
-        """Raise the error that says why there is no solution, as far as the search can tell."""
-        missing = self._missing_position()
-        if not self._outside:
-            if missing > self._settings.tolerance_m and missing < math.inf:
-                raise UnreachableError(missing, self._is_too_close())
-            raise NoSolutionError(self._tried, *self._residual)
-        nearest = min(self._outside, key=lambda q: self._inverse.excess(q).max())
-        joint = int(self._inverse.excess(nearest).argmax())
-        robot = self._inverse.chain.robot
-        kind = OrientationError if missing <= self._settings.tolerance_m else PositionRangeError
-        raise kind(robot.joint_names[joint], float(nearest[joint]), robot.lower[joint], robot.upper[joint])
+        """Raise the error that says that nothing was found, and what the search saw besides. It can prove nothing."""
+        raise NotFoundError(self._tried, self._settings.budget_s, *self._residual, self._hint())
 
-    def _missing_position(self) -> float:
-        """Return the smallest distance of the tip to the target's position within the ranges, orientation ignored [m]."""
-        inverse = self._inverse
-        best = math.inf
-        starts = inverse.starts(self._seed)
-        for _ in range(_POSITION_STARTS):
-            q = next(starts)
-            for _ in range(_POSITION_STEPS):
-                error = self._pose.position - inverse.chain.forward(q).position
-                length = float(np.linalg.norm(error))
-                if length < 0.1 * self._settings.tolerance_m:
-                    return length
-                step = _damped(inverse.chain.jacobian(q)[:3], error)
-                q = np.clip(q + step, inverse._lower, inverse._upper)
-            best = min(best, length)
-        return best
-
-    def _is_too_close(self) -> bool:
-        chain = self._inverse.chain
-        return float(np.linalg.norm(self._pose.position - chain.shoulder)) < 0.5 * chain.reach
+    def _hint(self) -> str:
+        """Return what the search saw besides solutions: part of a sentence, or ""."""
+        inverse, robot = self._inverse, self._inverse.chain.robot
+        if self._outside:
+            nearest = min(self._outside, key=lambda q: inverse.excess(q).max())
+            joint = int(inverse.excess(nearest).argmax())
+            low, high = robot.lower[joint], robot.upper[joint]
+            return f"with {robot.joint_names[joint]} at {nearest[joint]:.6f} it would be, outside its range {low:.6f} to {high:.6f}"
+        missing = inverse.missing_position(self._pose, self._seed)
+        if self._settings.tolerance_m < missing < math.inf:
+            return f"the nearest position found was {missing * 1e3:.3f} mm away, in any orientation"
+        return ""
 
 
 def _damped(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:

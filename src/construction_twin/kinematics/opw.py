@@ -13,12 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import py_opw_kinematics
-import PyKDL
 
+from construction_twin.kinematics.axes import TOLERANCE, Axis, intersection, joint_axes
 from construction_twin.kinematics.chain import Chain, to_pose
 
-#: Angles and lengths below this are zero [rad], [m]; and how well both forward kinematics must agree.
-TOLERANCE = 1e-9
 #: Poses on which the parameters are checked against KDL.
 _CHECKS = 50
 _CHECK_SEED = 2014
@@ -113,18 +111,6 @@ class OpwModel:
         return [direction / np.linalg.norm(direction) for direction in directions]
 
 
-@dataclass(frozen=True, eq=False)
-class _Axis:
-    """A joint axis at zero pose: a point on it and its direction, in the base."""
-
-    point: np.ndarray
-    direction: np.ndarray
-
-    def nearest(self, point: np.ndarray) -> np.ndarray:
-        """Return the point on the axis that is nearest to `point`, shape (3,) [m]."""
-        return self.point + self.direction * ((point - self.point) @ self.direction)
-
-
 def find_opw(chain: Chain) -> OpwModel | NotOpw:
     """Decide whether a chain is of the OPW kind.
 
@@ -145,8 +131,8 @@ def find_opw(chain: Chain) -> OpwModel | NotOpw:
         return NotOpw(
             f"it has {revolute} revolute and {len(chain.robot.linear) - revolute} prismatic joints, not six revolute ones"
         )
-    axes = _axes(chain)
-    wrist = _intersection(axes[3], axes[4])
+    axes = joint_axes(chain)
+    wrist = intersection(axes[3], axes[4])
     reason = _difference(axes, wrist)
     if reason or wrist is None:
         return NotOpw(reason)
@@ -157,32 +143,7 @@ def find_opw(chain: Chain) -> OpwModel | NotOpw:
     return model
 
 
-def _axes(chain: Chain) -> list[_Axis]:
-    """Return the axes of the movable joints with all joints at zero."""
-    axes = []
-    base_T_parent = PyKDL.Frame()
-    for number in range(chain.kdl.getNrOfSegments()):
-        segment = chain.kdl.getSegment(number)
-        joint = segment.getJoint()
-        if joint.getType() != PyKDL.Joint.Fixed:
-            point, direction = base_T_parent * joint.JointOrigin(), base_T_parent.M * joint.JointAxis()
-            axes.append(_Axis(np.array(list(point)), np.array(list(direction))))
-        base_T_parent = base_T_parent * segment.pose(0.0)
-    return axes
-
-
-def _intersection(first: _Axis, second: _Axis) -> np.ndarray | None:
-    """Return where two lines meet, or None."""
-    normal = np.cross(first.direction, second.direction)
-    if np.linalg.norm(normal) < TOLERANCE:
-        return None
-    # the point on the first line that is nearest to the second one
-    along = np.cross(second.point - first.point, second.direction) @ normal / (normal @ normal)
-    point = first.point + along * first.direction
-    return point if np.linalg.norm(second.nearest(point) - point) < TOLERANCE else None
-
-
-def _difference(axes: list[_Axis], wrist: np.ndarray | None) -> str:
+def _difference(axes: list[Axis], wrist: np.ndarray | None) -> str:
     """Return the first property in which an arm differs from the OPW kind, or "" if there is none."""
     d = [axis.direction for axis in axes]
     if wrist is None:
@@ -203,7 +164,7 @@ def _difference(axes: list[_Axis], wrist: np.ndarray | None) -> str:
     return ""
 
 
-def _measure(axes: list[_Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
+def _measure(axes: list[Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
     """Return the model with the lengths, signs and offsets of the axes at zero pose. x, y, z are the OPW base's directions."""
     d = [axis.direction for axis in axes]
     tip = to_pose(chain.frame([0.0] * 6))

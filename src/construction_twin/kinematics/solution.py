@@ -170,8 +170,10 @@ class InverseKinematics(abc.ABC):
             If it can be reached only with a joint out of range; names the joint and its range.
         BranchError
             If no solution has the configuration asked for, or the arm knows no configurations.
-        NoSolutionError
-            If nothing was found within the budget and no reason could be proven.
+        UnreachableOrientationError
+            If its position can be reached, but not with its orientation.
+        NotFoundError
+            If nothing was found within the budget, which proves nothing.
         JointRangeError
             If the seed is out of range.
         KinematicsError
@@ -251,8 +253,8 @@ def distinct(solutions: Sequence[IkSolution]) -> list[IkSolution]:
     return kept
 
 
-def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8) -> np.ndarray:
-    """Improve joint values that almost reach a pose, by Newton steps that stay within the ranges.
+def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool = True) -> np.ndarray:
+    """Improve joint values that almost reach a pose, by Newton steps.
 
     Parameters
     ----------
@@ -261,13 +263,17 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8) -> np.ndarra
         [rad] or [m]
     pose : Pose
     steps : int
+        At most.
+    within : bool
+        Stay within the ranges.
 
     Returns
     -------
     q : array, shape (n,)
-        Within the ranges; whether it reaches the pose is for the caller to check.
+        Whether it reaches the pose is for the caller to check.
     """
-    lower, upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
+    endless = np.full(len(q), np.inf)
+    lower, upper = (np.array(chain.robot.lower), np.array(chain.robot.upper)) if within else (-endless, endless)
     q = np.clip(q, lower, upper)
     for _ in range(steps):
         error = pose_error(chain.forward(q), pose)

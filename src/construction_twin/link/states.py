@@ -1,6 +1,8 @@
-"""The state machine of the link: one table of states, events, guards, actions and the states that they lead to.
+"""The state machine of the link: one table of states, events, guards, actions and the states that they lead to, and the table of
+the link to a bare PLC, which has no gateway to ask.
 
-Pure data. `LinkSupervisor` finds out which event happened, evaluates the guards and carries out the actions.
+Pure data. `LinkSupervisor` finds out which event happened, evaluates the guards and carries out the actions; `BareSupervisor` those
+of the second table.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ class LinkEvent(Enum):
     RESET_ASKED = "a person calls `reset` or `arm`, or ends mirror mode"
     MIRROR_ASKED = "a person begins mirror mode"
     HALTED = "a person calls `halt`"
+    RESPONSIBILITY_TAKEN = "a person arms a bare PLC, and takes the responsibility by name"
 
 
 class Guard(Enum):
@@ -55,6 +58,7 @@ class Guard(Enum):
     POSES_DIFFER = "twin and arm are not within the start tolerance, or the arm moves before the first session"
     ARM_REFUSED = "the gateway refused `arm`"
     OLD_SESSION_COMMANDS = "the gateway still follows the session before mirror mode"
+    NOT_TOGETHER = "twin and arm are not at rest within the start tolerance"
 
 
 class Action(Enum):
@@ -76,6 +80,9 @@ class Action(Enum):
     SEND_RESET = "send `reset`"
     SEND_ARM = "send `arm`"
     RESET_OLD_SESSION = "send `reset` for the session before mirror mode"
+    BEGIN_NAMED_SESSION = "begin a session in this person's name"
+    NOTE_RESPONSIBLE = "say who is responsible, and what is not checked"
+    TELL_PERSON = "say that a person must arm, by name"
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,16 +150,46 @@ TABLE = (
     Row(_RESYNC, LinkEvent.ARM_ACCEPTED, None, Action.NOTE_ARMED, LinkState.ARMED),
 )
 
-#: The rows for a state and an event, in the table's order.
-ROWS: dict[tuple[LinkState, LinkEvent], tuple[Row, ...]] = {
-    (state, event): tuple(row for row in TABLE if state in row.states and row.event is event)
-    for state in LinkState
-    for event in LinkEvent
-}
+#: The same for a bare PLC: nothing is asked of it, and only a person's name leads to ARMED.
+BARE_TABLE = (
+    Row(_ANY, LinkEvent.BROKER_LOST, None, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
+    Row(_ANY, LinkEvent.GATEWAY_LOST, None, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
+    Row(_ANY, LinkEvent.MISMATCHED, None, Action.FORGET_REQUESTS, LinkState.MISMATCH),
+    Row(_ANY, LinkEvent.CONTROLLER_LOST, None, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
+    # what a person asks for
+    Row(_ANY, LinkEvent.HALTED, None, Action.NOTE_HALT, LinkState.NEEDS_RESET),
+    Row(_ANY, LinkEvent.MIRROR_ASKED, None, Action.BEGIN_MIRROR, LinkState.MIRROR),
+    Row(
+        (LinkState.NEEDS_RESET,),
+        LinkEvent.RESPONSIBILITY_TAKEN,
+        None,
+        Action.BEGIN_NAMED_SESSION,
+        LinkState.RESYNC,
+    ),
+    # nothing is missing
+    Row(_ANY, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
+    Row(_ABSENT, LinkEvent.PRESENT, None, Action.TELL_PERSON, LinkState.NEEDS_RESET),
+    Row(_RESYNC, LinkEvent.TURN, Guard.NOT_TOGETHER, None, LinkState.RESYNC),
+    Row(_RESYNC, LinkEvent.TURN, None, Action.NOTE_RESPONSIBLE, LinkState.ARMED),
+)
+
+Rows = dict[tuple[LinkState, LinkEvent], tuple[Row, ...]]
 
 
-def table_cells() -> list[tuple[str, str, str, str, str]]:
-    """Return the table for the documentation: state, event, guard, action, next state; one row of texts each."""
+def _rows(table: tuple[Row, ...]) -> Rows:
+    return {
+        (state, event): tuple(row for row in table if state in row.states and row.event is event)
+        for state in LinkState
+        for event in LinkEvent
+    }
+
+
+#: The rows for a state and an event, in the tables' order.
+ROWS, BARE_ROWS = _rows(TABLE), _rows(BARE_TABLE)
+
+
+def table_cells(table: tuple[Row, ...] = TABLE) -> list[tuple[str, str, str, str, str]]:
+    """Return a table for the documentation: state, event, guard, action, next state; one row of texts each."""
     return [
         (
             _names(row.states),
@@ -161,7 +198,7 @@ def table_cells() -> list[tuple[str, str, str, str, str]]:
             row.action.value if row.action else "",
             row.target.name,
         )
-        for row in TABLE
+        for row in table
     ]
 
 

@@ -34,6 +34,9 @@ class MockConfig:
         Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
     timeout : int
         Cycles without a valid reply after which RSI stops.
+    stop_required : bool
+        True: a reply without the `Stop` that the layout declares does not count; False: it counts, as one with Stop 0 (docs/rsi.md,
+        section 3).
     cumulative_delay : bool
         True: `Delay` counts all missed cycles of the session; False: consecutive ones.
     correction_lower, correction_upper : tuple of float, or None
@@ -61,6 +64,7 @@ class MockConfig:
     units: tuple[AxisUnit, ...] = ()
     precision: int = 6
     timeout: int = 100
+    stop_required: bool = False
     cumulative_delay: bool = False
     correction_lower: tuple[float, ...] | None = None
     correction_upper: tuple[float, ...] | None = None

@@ -4,6 +4,9 @@ The clock is a grid of absolute deadlines; it never waits for a reply. A real co
 late. Then the packets that are due follow each other at half a cycle until they are on the grid again: the PC always has half a
 cycle to answer, and IPOC, which advances by 4 per packet, stays in step with time. Grid points are skipped only after a stall
 longer than `CATCH_UP`. Late packets and skipped grid points are counted (`overruns`, `skipped`).
+
+A reply is in time when it *arrived* before its cycle ended, whenever this process came to read it: on Linux the kernel's stamp
+tells. Elsewhere it is in time when it was read before the next packet left.
 """
 
 from __future__ import annotations
@@ -20,9 +23,10 @@ from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError, TransportError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.mock.arrival import ArrivalClock
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
-from construction_twin.rsi.udp import receive
+from construction_twin.rsi.udp import ask_for_stamps, receive
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +53,7 @@ class MockRsi:
     observe : callable, optional
         Called with this object in every cycle, right after sending; must be quick.
     report : callable, optional
-        Called with one sentence when a session starts or stops.
+        Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
     fault_seed : int, optional
         Of the faults' random numbers.
 
@@ -91,6 +95,9 @@ class MockRsi:
         self._report = report
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
         self._socket = _open_socket()
+        self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
+        #: A reply that arrives later than this is too late for the open cycle [ns].
+        self._ends = 0
         self._session = 0
         self._stopped_at: int | None = None
 
@@ -123,14 +130,18 @@ class MockRsi:
                 self._serve_requests()
                 self._follow_session(due)
                 self.faults.tick()
+                self._clock.measure()
                 packet = self.controller.begin_cycle()
                 self.left = time.monotonic_ns()
                 if packet is not None:
                     self._send(packet)
                 sent = time.monotonic_ns()
-                due = self._next_due(due, sent)
+                due = self.next_due(due, sent)
+                self._ends = max(due, sent + _CLOSEST)
                 self._observe(self)
-                self._receive_until(max(due, sent + _CLOSEST))
+                self._receive_until(self._ends)
+                if self.controller.refusals.news:
+                    self._tell_refusals()
         finally:
             self._socket.close()
 
@@ -159,9 +170,16 @@ class MockRsi:
             self._stopped_at = None
         if controller.session != self._session:
             self._session = controller.session
-            self._socket.close()
-            self._socket = _open_socket()
+            # the new one first: while one of them asks for stamps, the kernel goes on stamping
+            before, self._socket = self._socket, _open_socket()
+            before.close()
             self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
+
+    def _tell_refusals(self) -> None:
+        news = self.controller.refusals.news
+        for sentence in news:
+            self._report(f"RSI session {self.controller.session}: {sentence}")
+        news.clear()
 
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc
@@ -178,7 +196,8 @@ class MockRsi:
             # e.g. no route: a controller does not notice it, it only gets no replies
             self.send_errors += 1
 
-    def _next_due(self, due: int, sent: int) -> int:
+    def next_due(self, due: int, sent: int) -> int:
+        """Return when the next packet is due, after one that was sent late or not [ns]; count what a long stall has cost."""
         late = sent - due
         self.overruns += late > _CLOSEST
         skipped = late // CYCLE_NS if late > CATCH_UP else 0
@@ -190,8 +209,9 @@ class MockRsi:
         while True:
             # select: poll and epoll count in whole milliseconds
             select.select([self._socket], [], [], max(0, self._wake_up(deadline) - now) / NANOSECONDS)
-            self._drain()
+            # the time first: what arrived before the deadline is then read before the cycle ends
             now = time.monotonic_ns()
+            self._drain()
             if self.faults.to_pc.active or self.faults.to_controller.active:
                 self._deliver(now)
             if now >= deadline:
@@ -207,23 +227,25 @@ class MockRsi:
 
     def _deliver(self, now: int) -> None:
         """Deliver the datagrams whose delay is over."""
-        for packet in self.faults.to_pc.take(now):
-            self._put_on_wire(packet)
-        for data in self.faults.to_controller.take(now):
-            self.controller.receive(data)
+        for underway in self.faults.to_pc.take(now):
+            self._put_on_wire(underway.data)
+        for underway in self.faults.to_controller.take(now):
+            self.controller.receive(underway.data, underway.due <= self._ends)
 
     def _drain(self) -> None:
         for _ in range(_DRAIN_LIMIT):
             try:
-                data, _, source = receive(self._socket)
+                data, stamp, source = receive(self._socket)
             except BlockingIOError:
                 return
             if source != self._gateway:
                 self.foreign += 1
-            elif self.faults.to_controller.active:
-                self.faults.to_controller.put(data, time.monotonic_ns())
+                continue
+            arrived = self._clock.arrival(stamp, time.monotonic_ns())
+            if self.faults.to_controller.active:
+                self.faults.to_controller.put(data, arrived)
             else:
-                self.controller.receive(data)
+                self.controller.receive(data, arrived <= self._ends)
 
 
 def _open_socket() -> socket.socket:
@@ -231,6 +253,7 @@ def _open_socket() -> socket.socket:
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setblocking(False)
     made.bind(("", 0))
+    ask_for_stamps(made)
     return made
 
 

@@ -45,6 +45,7 @@ class MockSettings(pydantic.BaseModel):
     ethernet_xml: str = ""
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
+    stop_required: bool = False
     cumulative_delay: bool = False
     start_pose_deg: _Degrees = []
     correction_lower_deg: _Degrees = []
@@ -98,6 +99,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         units=_units(settings, robot),
         precision=settings.precision,
         timeout=settings.timeout,
+        stop_required=settings.stop_required,
         cumulative_delay=settings.cumulative_delay,
         correction_lower=listed("correction_lower_deg"),
         correction_upper=listed("correction_upper_deg"),
@@ -160,7 +162,8 @@ def axis_angles(robot: RobotModel, q: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(axis.sign * value + axis.offset for axis, value in zip(robot.axes, q))
 
 
-def _arguments(argv: list[str]) -> argparse.Namespace:
+def parse_arguments(argv: list[str]) -> argparse.Namespace:
+    """Return the options of the command line; only those that were given, or have a default."""
     parser = argparse.ArgumentParser(
         prog="mock_rsi",
         description="Mock KUKA KR C4 with RSI: a UDP client with its own 4 ms clock. Needs no ROS.",
@@ -168,6 +171,7 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     )
     option = parser.add_argument
     option("--robot-xacro", type=Path, default=_ROOT / "urdf/kr120r2500.urdf.xacro", help="URDF or xacro [%(default)s]")
+    option("--robot-xacro-args", metavar="'NAME=VALUE ...'", help="arguments of the xacro [its defaults]")
     option("--robot-config", type=Path, default=_ROOT / "config/kr120.yaml", help="robot YAML [%(default)s]")
     option("--ethernet-xml", type=Path, default=_ROOT / "krl/ethernet/ctwin_ethernet.xml", metavar="FILE",
            help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
@@ -198,7 +202,8 @@ def _pose(text: str) -> list[float]:
     return [float(value) for value in text.split(",")]
 
 
-def _settings(options: dict) -> MockSettings:
+def checked_settings(options: dict) -> MockSettings:
+    """Return the settings that `parse_arguments` gave; ConfigurationError when one makes no sense."""
     host, _, port = options.pop("gateway").rpartition(":")
     if "ethernet_xml" in options:
         options["ethernet_xml"] = load_ethernet_xml(options["ethernet_xml"]).text
@@ -210,11 +215,13 @@ def _settings(options: dict) -> MockSettings:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the mock until SIGINT or SIGTERM, then say what was counted; return the exit code."""
-    options = vars(_arguments(sys.argv[1:] if argv is None else argv))
+    options = vars(parse_arguments(sys.argv[1:] if argv is None else argv))
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
     try:
-        robot = read_robot_files(options.pop("robot_xacro"), options.pop("robot_config"))
-        settings = _settings(options)
+        robot = read_robot_files(
+            options.pop("robot_xacro"), options.pop("robot_config"), options.pop("robot_xacro_args", "")
+        )
+        settings = checked_settings(options)
         controller = build_controller(settings, robot)
         mock = MockRsi(controller, gateway_address(settings), settings.restart_after, fault_seed=settings.fault_seed)
     except ConstructionTwinError as error:

@@ -175,7 +175,7 @@ class RealisticServo(Servo):
         if not (omega > 0.0 and zeta > 0.0 and resolution >= 0.0):
             raise ValueError(f"omega {omega}, zeta {zeta}, resolution {resolution}; expected > 0, > 0, >= 0")
         super().__init__()
-        self._transition = _transition(omega, zeta, CYCLE)
+        self._transition = transition_matrix(omega, zeta, CYCLE)
         self._resolution = resolution
         self._position: list[float] = []
         self._velocity: list[float] = []
@@ -263,7 +263,7 @@ class Chase:
         return self.position
 
 
-def _transition(omega: float, zeta: float, period: float) -> tuple[tuple[float, float], tuple[float, float]]:
+def transition_matrix(omega: float, zeta: float, period: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return exp(A * period) of (x - u, x') for x'' = -omega^2 (x - u) - 2 zeta omega x', u constant, any damping."""
     centre = -zeta * omega
     root = omega * cmath.sqrt(zeta * zeta - 1.0)

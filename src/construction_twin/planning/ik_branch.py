@@ -13,9 +13,10 @@ from construction_twin.core.motion_errors import (
     CartesianPathError,
     JointRangeError,
     KinematicsError,
-    NoSolutionError,
+    NotFoundError,
     PoseRangeError,
     UnreachableError,
+    UnreachableOrientationError,
 )
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
@@ -226,8 +227,10 @@ class Branch:
             other = self._inverse.nearest(self.path.pose(end), seed)
         except PoseRangeError as error:
             return self.end("joint limit", begin, str(error), error)
-        except NoSolutionError as error:
+        except UnreachableOrientationError as error:
             return self.end("unreachable", begin, str(error), error)
+        except NotFoundError as error:
+            return self.end("not found", begin, str(error), error)
         now, then = self._inverse.configuration(seed), other.configuration
         what = f"the next pose needs another configuration ({now} here, {then} there), which no straight path reaches"
         return self.end("flip", begin, f"{what}; start in that one or move the path")

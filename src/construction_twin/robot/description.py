@@ -22,7 +22,8 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
 from construction_twin.core.validation import configuration_error
-from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text
+from construction_twin.robot.other_joints import OtherJoint, find_other_joints
+from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text, xacro_arguments
 
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
 JointValues = Sequence[float] | np.ndarray
@@ -77,6 +78,8 @@ class RobotModel:
     axes : tuple of AxisMapping, length n
     linear : tuple of bool, length n
         True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
+    other_joints : tuple of OtherJoint
+        The movable joints outside of the chain, and where they stand.
     """
 
     name: str
@@ -92,6 +95,7 @@ class RobotModel:
     home: tuple[float, ...]
     axes: tuple[AxisMapping, ...]
     linear: tuple[bool, ...]
+    other_joints: tuple[OtherJoint, ...] = ()
 
     def check_range(self, q: JointValues) -> None:
         """Check that every joint lies within its range, limits included.
@@ -168,6 +172,8 @@ class _RobotDescription(pydantic.BaseModel):
     base_link: str
     tip_link: str
     joints: dict[str, dict[str, Any]]
+    #: [rad], [m]; the one place of the file in SI: which unit a joint has, the URDF says
+    other_joints: dict[str, _Finite] = {}
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
@@ -212,20 +218,23 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
         home=tuple(si.home for si in settings),
         axes=tuple(AxisMapping(joint.rsi, joint.sign, si.offset) for joint, si in zip(described, settings)),
         linear=tuple(joint.joint_type == "prismatic" for joint in joints),
+        other_joints=find_other_joints(model, [joint.name for joint in joints], parsed.other_joints),
     )
     _check_home(robot)
     return robot
 
 
-def read_robot_files(urdf_path: str | Path, yaml_path: str | Path) -> RobotModel:
+def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: str = "") -> RobotModel:
     """Build a robot from files, without ROS.
 
     Parameters
     ----------
     urdf_path : str or Path
-        A URDF, or a xacro (``*.xacro``), which is expanded with its default arguments.
+        A URDF, or a xacro, which is expanded.
     yaml_path : str or Path
         The robot YAML.
+    xacro_args : str, optional
+        Arguments of the xacro, see `urdf.xacro_arguments`.
 
     Returns
     -------
@@ -236,12 +245,11 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path) -> RobotModel
     ConfigurationError
         See `load_robot`; also for a file that cannot be read or parsed.
     """
-    urdf = expand_xacro(urdf_path) if str(urdf_path).endswith(".xacro") else read_text(urdf_path)
-    return load_robot(urdf, _read_description(yaml_path))
+    return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), _read_description(yaml_path))
 
 
 def home_positions(yaml_path: str | Path) -> dict[str, float]:
-    """Return the home pose of a robot YAML by joint name [rad], [m]; needs no URDF.
+    """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; needs no URDF.
 
     Raises
     ------
@@ -250,16 +258,17 @@ def home_positions(yaml_path: str | Path) -> dict[str, float]:
     """
     parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
     kinds = {name: _PrismaticJoint if "home_mm" in joint else _RevoluteJoint for name, joint in parsed.joints.items()}
-    return {
+    home = {
         name: _validate(kinds[name], joint, f"robot/joints/{name}").si().home for name, joint in parsed.joints.items()
     }
+    return home | parsed.other_joints
 
 
 def _read_description(yaml_path: str | Path) -> dict:
     try:
         description = yaml.safe_load(read_text(yaml_path))
     except yaml.YAMLError as error:
-        raise ConfigurationError(str(yaml_path), str(error), "a YAML file") from error
+        raise ConfigurationError(str(yaml_path), " ".join(str(error).split()), "a YAML file") from error
     if not isinstance(description, dict):
         raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
     return description

@@ -1,4 +1,4 @@
-"""Triangles from STL and OBJ files, read strictly: what Coal builds from them is safe only when every number is checked.
+"""Triangles from STL and OBJ files, read strictly: what Coal builds from them is safe only when every number is checked; and STL files.
 
 Vertices in the file's own unit; a scale makes them metres.
 """
@@ -59,6 +59,22 @@ def parse_mesh(
         raise SceneError(where, found, f"1 to {MOST_TRIANGLES} triangles; simplify or repair the mesh")
     _check(where, path, vertices, triangles, scale)
     return vertices * scale, triangles
+
+
+def binary_stl(corners: np.ndarray) -> bytes:
+    """Return the contents of a binary STL file.
+
+    Parameters
+    ----------
+    corners : array, shape (t, 3, 3)
+        Of each triangle [m], counterclockwise seen from outside.
+    """
+    triangles = np.zeros(len(corners), _STL_TRIANGLE)
+    triangles["corners"] = corners
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    triangles["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()
 
 
 def _check(where: str, path: str, vertices: np.ndarray, triangles: np.ndarray, scale: tuple) -> None:

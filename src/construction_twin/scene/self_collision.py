@@ -12,13 +12,12 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import pinocchio
 import pydantic
 import yaml
 
@@ -26,6 +25,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
+from construction_twin.scene.pair_sampling import sample_pairs
 
 #: Poses that `main` samples by default, and the seed of their random numbers.
 SAMPLES, SEED = 20000, 0
@@ -88,7 +88,13 @@ def _rounded(values) -> list[float]:
     return (np.round(np.asarray(values, dtype=float), 9) + 0.0).ravel().tolist()
 
 
-def sample_self_collision(robot: RobotModel, samples: int = SAMPLES, seed: int = SEED) -> SelfCollision:
+def sample_self_collision(
+    robot: RobotModel,
+    samples: int = SAMPLES,
+    seed: int = SEED,
+    processes: int = 1,
+    report: Callable[[int, int], None] = lambda poses, pairs: None,
+) -> SelfCollision:
     """Find the pairs of links that need no check.
 
     Parameters
@@ -97,20 +103,24 @@ def sample_self_collision(robot: RobotModel, samples: int = SAMPLES, seed: int =
     samples : int, optional
         Poses: the home pose and random ones within the ranges.
     seed : int, optional
+    processes, report : optional
+        As of `sample_pairs`; the result does not depend on them.
 
     Returns
     -------
     self_collision : SelfCollision
+
+    Raises
+    ------
+    ConfigurationError
+        If the robot's shapes cannot be read.
     """
     bodies = RobotBodies(robot)
     pairs, adjacent = _link_pairs(bodies)
-    touched, near = _sample(bodies, pairs, samples, np.random.default_rng(seed))
+    found = sample_pairs(robot, pairs, NEAR, samples, seed, processes, report)
     ignored = {frozenset(pair): "adjacent" for pair in adjacent}
-    for pair in pairs:
-        if touched[pair] == samples:
-            ignored[frozenset(pair)] = "always"
-        elif not near[pair]:
-            ignored[frozenset(pair)] = "never"
+    ignored |= {frozenset(pair): "never" for pair in found.never}
+    ignored |= {frozenset(pair): "always" for pair in found.always}
     return SelfCollision(ignored, geometry_hash(bodies))
 
 
@@ -134,36 +144,6 @@ def _adjacent(bodies: RobotBodies, first: int, second: int) -> bool:
         return True
     common_origin = not np.any(np.round(bodies.model.jointPlacements[far].translation, 9))
     return parent != 0 and bodies.model.parents[parent] == near and common_origin
-
-
-def _sample(bodies: RobotBodies, pairs: Sequence[tuple[str, str]], samples: int, rng: np.random.Generator):
-    """Return, for each pair of links, the number of poses in contact and of those nearly in contact."""
-    model, geometry = bodies.model, pinocchio.GeometryModel()
-    for index, body in enumerate(bodies.bodies):
-        geometry.addGeometryObject(pinocchio.GeometryObject(str(index), body.joint, body.placement, body.geometry))
-    owners = []
-    wanted = set(pairs)
-    for second, other in enumerate(bodies.bodies):
-        for first, one in enumerate(bodies.bodies[:second]):
-            if (one.link, other.link) in wanted:
-                geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
-                owners.append((one.link, other.link))
-    counts = []
-    lower, upper = np.array(bodies.robot.lower), np.array(bodies.robot.upper)
-    poses = np.vstack([bodies.robot.home, rng.uniform(lower, upper, (samples - 1, len(lower)))])
-    for margin in (0.0, NEAR):
-        data, shapes = model.createData(), geometry.createData()
-        for request in shapes.collisionRequests:
-            request.security_margin = margin
-        count = dict.fromkeys(pairs, 0)
-        q = np.zeros(len(lower))
-        for pose in poses:
-            q[bodies.order] = pose
-            pinocchio.computeCollisions(model, data, geometry, shapes, q, False)
-            for pair in {pair for pair, result in zip(owners, shapes.collisionResults) if result.isCollision()}:
-                count[pair] += 1
-        counts.append(count)
-    return counts
 
 
 class _Description(pydantic.BaseModel):
@@ -241,16 +221,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         prog="self_collision",
         description="Find the pairs of links that need no check against each other, and write them to a YAML file.",
     )
-    parser.add_argument("urdf", help="URDF, or xacro with default arguments")
+    parser.add_argument("urdf", help="URDF or xacro")
     parser.add_argument("robot", help="robot YAML, e.g. config/kr120.yaml")
     parser.add_argument("output", help="file to write; - for the terminal")
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
     options = parser.parse_args(arguments)
     if options.samples < 1 or options.seed < 0:
         sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
     try:
-        robot = read_robot_files(options.urdf, options.robot)
+        robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         found = sample_self_collision(robot, options.samples, options.seed)
     except ConstructionTwinError as error:
         sys.exit(f"self_collision: {error}")

@@ -37,6 +37,8 @@ NUMBERS = {
     "realtime": (0, 80),
     "frame_rate": (1, 250),
 }
+#: What stands for no file: roslaunch drops an empty value.
+NONE = "none"
 #: Files that must be there, and those that may be left out.
 FILES = ("robot_xacro", "robot_config", "self_collision", "ethernet_xml")
 OPTIONAL_FILES = ("scene", "cell", "bridge_account", "gateway_account")
@@ -138,6 +140,8 @@ def _expected(name: str, value: str, is_file: Callable[[str], bool]) -> str:
         lowest, highest = NUMBERS[name]
         if not (value.isascii() and value.isdigit() and lowest <= int(value) <= highest):
             return f"a whole number from {lowest} to {highest}"
+    if name == "scene" and value == NONE:
+        return ""
     if (name in FILES or (name in OPTIONAL_FILES and value)) and not is_file(value):
-        return "the absolute path of a file that can be read"
+        return "the absolute path of a file that can be read" + (f", or {NONE}" if name == "scene" else "")
     return ""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.core.motion_errors import KinematicsError, PoseRangeError, UnreachableError
+from construction_twin.core.motion_errors import KinematicsError, NotFoundError, PoseRangeError, UnreachableError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.robot.description import RobotModel
@@ -29,6 +29,8 @@ class Reach(enum.Enum):
     CONTACT = "contact"
     #: There is no joint solution.
     OUT = "out"
+    #: None was found in the time given; there may be one.
+    UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,8 @@ def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, wor
     """
     try:
         solutions = [solution.q for solution in solver.all(pose, seed)]
+    except NotFoundError as error:
+        return PoseVerdict(Reach.UNKNOWN, f"no joint values found in {error.budget_s:.3g} s; there may be some")
     except KinematicsError as error:
         return PoseVerdict(Reach.OUT, why_out(error, solver.chain.robot))
     touching: list[PoseVerdict] = []

@@ -64,6 +64,8 @@ class Seen:
         Of the three reports.
     feedback, twin, scene : bool
         Whether a pose of the arm, a pose of the twin, a scene has come.
+    controller : str
+        Why the arm may not move, as the controller says itself; "" for no reason.
     """
 
     link: Word | None = None
@@ -72,6 +74,7 @@ class Seen:
     feedback: bool = False
     twin: bool = False
     scene: bool = False
+    controller: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,9 @@ class StartUp:
         self._since = 0.0
         self._said: Missing | None = None
         self._ready = False
+        self._controller = ""
+        self._controller_said = ""
+        self._controller_since = 0.0
 
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.
@@ -124,6 +130,18 @@ class StartUp:
         now : float
             On a clock that never runs back [s].
         """
+        return self._progress(seen, now) + self._note_controller(seen.controller, now)
+
+    def _note_controller(self, sentence: str, now: float) -> list[str]:
+        """Return what the controller says against a motion, when it has said it for `PATIENCE`, and that it does no more."""
+        if sentence != self._controller:
+            self._controller, self._controller_since = sentence, now
+        if sentence == self._controller_said or now - self._controller_since < PATIENCE:
+            return []
+        self._controller_said = sentence
+        return [sentence or "the controller reports nothing against a motion any more"]
+
+    def _progress(self, seen: Seen, now: float) -> list[str]:
         missing = first_missing(seen, self._deployment)
         if missing != self.missing or not self._since:
             self.missing, self._since = missing, now

@@ -14,9 +14,9 @@ from inverse_cases import KR120, TRACK, UR_LIKE, assert_solves, make_inverse
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
-from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
 from construction_twin.kinematics.rail import RailInverse, find_rail
+from construction_twin.kinematics.subproblems import SubproblemInverse
 
 
 def changed(joint: str, xyz: str | None = None, rpy: str | None = None, axis: str | None = None):
@@ -64,7 +64,9 @@ def test_arms_of_other_kinds_are_told_why(robot, reason):
     assert re.search(reason, found.reason), found.reason
 
 
-@pytest.mark.parametrize("robot, kind", [(KR120, ClosedFormInverse), (TRACK, RailInverse), (UR_LIKE, NumericInverse)])
+@pytest.mark.parametrize(
+    "robot, kind", [(KR120, ClosedFormInverse), (TRACK, RailInverse), (UR_LIKE, SubproblemInverse)]
+)
 def test_the_arm_decides_how_it_is_solved(robot, kind):
     assert type(make_inverse(robot)) is kind
 

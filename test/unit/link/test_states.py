@@ -7,20 +7,31 @@ import itertools
 import pytest
 from supervisor_bench import armed, bench
 
-from construction_twin.link.states import ROWS, TABLE, Action, Guard, LinkEvent, LinkState, table_cells
+from construction_twin.link.states import (
+    BARE_ROWS,
+    BARE_TABLE,
+    ROWS,
+    TABLE,
+    Action,
+    Guard,
+    LinkEvent,
+    LinkState,
+    table_cells,
+)
 
 #: Fixtures of the bench.
 __all__ = ["armed", "bench"]
 
 
 def test_every_event_guard_and_action_is_used():
-    assert {row.event for row in TABLE} == set(LinkEvent)
-    assert {row.guard for row in TABLE} - {None} == set(Guard)
-    assert {row.action for row in TABLE} - {None} == set(Action)
+    table = TABLE + BARE_TABLE
+    assert {row.event for row in table} == set(LinkEvent)
+    assert {row.guard for row in table} - {None} == set(Guard)
+    assert {row.action for row in table} - {None} == set(Action)
 
 
 def test_no_row_stands_behind_one_that_always_counts():
-    for rows in ROWS.values():
+    for rows in [*ROWS.values(), *BARE_ROWS.values()]:
         assert all(row.guard is not None for row in rows[:-1])
         assert len({row.guard for row in rows}) == len(rows)
 
@@ -28,6 +39,18 @@ def test_no_row_stands_behind_one_that_always_counts():
 def test_only_an_accepted_arm_leads_to_armed_and_only_from_resync():
     leading = [row for row in TABLE if row.target is LinkState.ARMED]
     assert [(row.event, row.states) for row in leading] == [(LinkEvent.ARM_ACCEPTED, (LinkState.RESYNC,))]
+
+
+def test_only_a_person_s_name_leads_a_bare_plc_to_armed():
+    leading = [row for row in BARE_TABLE if row.target is LinkState.ARMED]
+    assert [(row.event, row.states, row.action) for row in leading] == [
+        (LinkEvent.TURN, (LinkState.RESYNC,), Action.NOTE_RESPONSIBLE)
+    ]
+    into_resync = [row for row in BARE_TABLE if row.target is LinkState.RESYNC and row.states != (LinkState.RESYNC,)]
+    assert [(row.event, row.states) for row in into_resync] == [
+        (LinkEvent.RESPONSIBILITY_TAKEN, (LinkState.NEEDS_RESET,))
+    ]
+    assert not {row.action for row in BARE_TABLE} & {Action.SEND_ARM, Action.SEND_RESET, Action.RESET_OLD_SESSION}
 
 
 def test_halt_leads_from_everywhere_to_a_state_that_only_a_person_or_an_interruption_leaves_without_guards():

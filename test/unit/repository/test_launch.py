@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from roslaunch import rlutil
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -88,6 +89,17 @@ def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins(argument,
     )
     assert run.returncode != 0 or "Invalid" in run.stderr
     assert sentence in run.stderr and "Traceback" not in run.stderr
+
+
+def test_the_arm_alone_is_a_scene_that_roslaunch_passes_on():
+    run = subprocess.run(
+        ["roslaunch", "--dump-params", "construction_twin", "bringup.launch", "scene:=none"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode == 0, run.stderr
+    assert yaml.safe_load(run.stdout)["/kr120/scene/scene"] == "none"
 
 
 @pytest.mark.parametrize("file", ["bringup", "two_robots", "experiment", "scenario"])

@@ -36,11 +36,11 @@ NODES = sorted(path for path in (ROOT / "nodes").iterdir() if path.is_file()) + 
 LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
 
-#: What the library may import besides the standard library and itself. PyKDL is ROS's, but needs no ROS to run.
+#: What the library may import besides the standard library and itself. PyKDL and rospkg are ROS's, but need no ROS to run.
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
     "coal", "pinocchio", "py_opw_kinematics", "manifold3d",
-    "shtab",
+    "rospkg", "shtab",
 }  # fmt: skip
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from memory import size
 from plan_samples import make_plan
 
 from construction_twin.core.errors import ConfigurationError, RecordError
@@ -340,8 +341,10 @@ class TestFailingDisk:
         with monkeypatch.context() as patch:
             patch.setattr(os, "write", fail)
             for number in range(KEPT + 7):
+                if number == KEPT:
+                    held = size(log)
                 log.defer(verdict(f"p{number}", verdict="withdrawn"))
-            assert len(log._deferred) == KEPT and log.lost == 7
+            assert size(log) < held + 7 and log.lost == 7
             for _ in range(2):
                 with pytest.raises(RecordError, match="nothing is approved without a record"):
                     log.append(verdict("approved"))

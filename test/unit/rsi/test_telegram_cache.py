@@ -156,7 +156,7 @@ def test_where_no_shape_fits_it_is_seldom_looked_for(monkeypatch, change):
     # and a shape that fits is found again
     for _ in range(codec.RELEARN_AFTER + 2):
         assert decoder.parse(plain) == RobotDecoder(AXES).parse(plain)
-    assert decoder._shape.read(plain)
+    assert len(looked) > 2
 
 
 @given(

@@ -56,6 +56,18 @@ def test_advice_fits_what_was_started_here():
     assert "mock_rsi" in first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), HERE).action
 
 
+def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_when_it_is_gone():
+    startup, stopped = StartUp(CELL), replace(GOOD, controller="the controller's program is stopped (STOP)")
+    assert startup.update(GOOD, 1.0)[0].startswith("ready")
+    assert startup.update(stopped, 2.0) == []
+    assert startup.update(stopped, 2.0 + PATIENCE) == ["the controller's program is stopped (STOP)"]
+    assert startup.update(stopped, 9.0) == []
+    # a word of one moment is none
+    assert startup.update(GOOD, 9.1) == startup.update(stopped, 9.2) == startup.update(stopped, 30.0) == []
+    assert startup.update(GOOD, 31.0) == []
+    assert startup.update(GOOD, 31.0 + PATIENCE) == ["the controller reports nothing against a motion any more"]
+
+
 def test_the_port_is_named_where_it_is_known():
     of_the_xml = replace(HERE, rsi="127.0.0.1:0")
     taken = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), of_the_xml).action
@@ -126,7 +138,7 @@ FINE = {
         ({"track": "off"}, "track:=off: expected true or false"),
         ({"robot_config": "/nope"}, "robot_config:=/nope: expected the absolute path"),
         ({"robot_config": ""}, "robot_config:='': expected the absolute path"),
-        ({"scene": "/nope"}, "scene:=/nope: expected the absolute path"),
+        ({"scene": "/nope"}, "scene:=/nope: expected the absolute path of a file that can be read, or none"),
         ({"broker_config": "/nope"}, "broker_config:=/nope: expected"),
         ({"rsi_listen": "192.168.1.10", "rsi_controller": ""}, "rsi_controller:='': expected the controller's address"),
         ({"servo": "perfect"}, "servo:=perfect: expected ideal or realistic"),
@@ -134,6 +146,11 @@ FINE = {
 )
 def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
     assert preflight.problem(FINE | change, "/a".__eq__).startswith(sentence)
+
+
+def test_none_is_no_file_of_a_scene_but_of_nothing_else():
+    assert preflight.problem(FINE | {"scene": "none"}, "/a".__eq__) == ""
+    assert preflight.problem(FINE | {"robot_config": "none"}, "/a".__eq__).startswith("robot_config:=none: expected")
 
 
 def test_arguments_that_can_work_pass():

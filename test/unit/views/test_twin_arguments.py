@@ -129,6 +129,15 @@ def test_status_tells_states_reasons_and_troubled_nodes():
     assert "link       no report" in "\n".join(status_lines(snapshot(link=None)))
 
 
+def test_status_tells_what_the_controller_says_where_it_says_something():
+    told = {"controller_mode": "T1", "controller_program": "STOP", "controller_override_percent": "30"}
+    lines = status_lines(snapshot(link=LinkFacts("ARMED", "session 1", counters=told)))
+    assert "controller T1, program STOP, override 30 %" in lines
+    lines = status_lines(snapshot(link=LinkFacts("ARMED", "session 1", counters={"controller_program": "ACTIVE"})))
+    assert "controller program ACTIVE" in lines
+    assert not any(line.startswith("controller") for line in status_lines(snapshot()))
+
+
 def test_ready_only_when_a_plan_could_be_approved():
     assert snapshot().not_ready() == []
     assert snapshot(link=None).not_ready() == []

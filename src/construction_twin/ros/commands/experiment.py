@@ -138,7 +138,7 @@ class Experiment:
             return "" if started else f"plan {plan_id} to be approved ({rospy.resolve_name('review_plan')})"
 
         self._wait(not_started, "the plan was not started")
-        with _ProgressView(self._console, title) as show:
+        with ProgressView(self._console, title) as show:
             end = self._follow(plan_id, show)
         if end.plan_id != plan_id:
             raise ExperimentError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
@@ -223,7 +223,7 @@ class Experiment:
         self._link = message
 
 
-class _ProgressView:
+class ProgressView:
     """Shows progress: a bar on a terminal, elsewhere a line every 10 %. Entering yields ``show(fraction)``."""
 
     def __init__(self, console: Console, title: str):

@@ -40,4 +40,5 @@ def main() -> None:
         f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; RSI on UDP port "
         f"{layout.port}, SENTYPE {layout.sentype}, "
         + ("read-only" if layout.onlysend else f"channels {', '.join(layout.receive)}")
+        + (f"; not filled, so they stay as they are: {', '.join(layout.not_filled)}" if layout.not_filled else "")
     )

@@ -317,7 +317,9 @@ def command(arguments: list[str]) -> int:
 
 def _judge(options: argparse.Namespace, console: Console) -> int:
     robot = read_robot_files(
-        options.robot_xacro or package_file(XACRO), options.robot_config or package_file(DESCRIPTION)
+        options.robot_xacro or package_file(XACRO),
+        options.robot_config or package_file(DESCRIPTION),
+        options.robot_xacro_args,
     )
     name = options.judge.resolve().name
     scenario = read_scenario(options.scenario or package_file(f"config/scenarios/{name}.yaml"))
@@ -339,6 +341,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--decimals", type=int, default=3, help="decimals of a degree on the wire [3]")
     parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro (default: {XACRO})")
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")
     return parser
 

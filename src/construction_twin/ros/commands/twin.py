@@ -42,7 +42,7 @@ class Command:
     def __init__(self, options: argparse.Namespace):
         self._options = options
         self._namespace = "/" + options.robot.strip("/")
-        self._client = OperatorClient(self._namespace, options.timeout, f"twin ({_user()})")
+        self._client = OperatorClient(self._namespace, options.timeout, f"twin ({account_name()})")
 
     def run(self) -> Exit:
         """Do it; see `OperatorClient` for what is raised."""
@@ -154,7 +154,7 @@ class Command:
         print("\n".join(plan_lines(plan, self._robot().linear)))
 
     def _verdict(self, plan: Plan, approve: bool) -> str:
-        reviewer = self._options.reviewer or _user()
+        reviewer = self._options.reviewer or account_name()
         return self._client.review(plan.id, plan.hash, approve, reviewer, self._options.reason)
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
@@ -219,7 +219,7 @@ def _report(error: ConstructionTwinError, code: Exit) -> Exit:
     return code
 
 
-def _user() -> str:
+def account_name() -> str:
     """Return the user's login name, or the number of an account without a name (in a container)."""
     try:
         return getpass.getuser()

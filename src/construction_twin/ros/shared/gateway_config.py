@@ -17,19 +17,21 @@ from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
 
 
-def config_from_parameters(namespace: str = "") -> GatewayConfig:
+def config_from_parameters(namespace: str = "", needs_xml: bool = True) -> GatewayConfig:
     """Return the configuration that a namespace's `robot_description`, `robot` and `gateway` parameters describe.
 
     Parameters
     ----------
     namespace : str, optional
         ``/kr120/``; the node's own by default.
+    needs_xml : bool, optional
+        Whether a controller's Ethernet XML belongs to it; it does not with a bare PLC, which speaks no RSI.
     """
     name = namespace + "gateway"
     if not rospy.has_param(name):
         raise ConfigurationError(rospy.resolve_name(name), None, "link settings, as launch/bringup.launch loads them")
     settings = rospy.get_param(name)
-    if "ethernet_xml" not in settings:
+    if "ethernet_xml" not in settings and needs_xml:
         raise ConfigurationError(
             rospy.resolve_name(f"{name}/ethernet_xml"),
             None,

@@ -22,6 +22,7 @@ COLOURS = {
     Reach.FREE: (0.1, 0.75, 0.25, 0.8),
     Reach.CONTACT: (1.0, 0.55, 0.0, 0.9),
     Reach.OUT: (0.9, 0.05, 0.05, 0.9),
+    Reach.UNKNOWN: (0.55, 0.35, 0.75, 0.9),
     None: (0.55, 0.57, 0.6, 0.8),
 }
 #: Can be read in front of the sky, the floor and the arm.

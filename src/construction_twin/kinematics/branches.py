@@ -1,0 +1,125 @@
+"""From the branches of a closed form to solutions: whole turns, ranges, the nearest to a seed, confirmed by KDL.
+
+Branches are joint values of revolute joints [rad], each known up to whole turns; ranges are not considered in them.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.solution import (
+    TURN,
+    Configuration,
+    IkSettings,
+    IkSolution,
+    InverseKinematics,
+    refine,
+    residual,
+)
+from construction_twin.robot.description import JointValues
+
+#: Candidates that miss the pose by less than this are refined; the others are not solutions [m], [rad].
+_REFINABLE = 1e-3
+
+
+class BranchInverse(InverseKinematics, abc.ABC):
+    """What all inverse kinematics of revolute joints in closed form share.
+
+    Parameters
+    ----------
+    chain : Chain
+        Of revolute joints.
+    settings : IkSettings
+        The tolerances are used.
+    """
+
+    def __init__(self, chain: Chain, settings: IkSettings):
+        super().__init__(chain, settings)
+        slack = settings.tolerance_rad
+        self._slack = [(lower - slack, upper + slack) for lower, upper in zip(chain.robot.lower, chain.robot.upper)]
+        ranges = [(joint, lower, upper) for joint, (lower, upper) in enumerate(self._slack)]
+        self._narrow_first = sorted(ranges, key=lambda bounds: bounds[2] - bounds[1])
+
+    def nearest_turn(self, branch: Sequence[float], seed: Sequence[float]) -> tuple[float, list[float]] | None:
+        """Return squared distance and joint values of a branch with the whole turns nearest to the seed; None: out of range.
+
+        Parameters
+        ----------
+        branch : sequence of float, length n
+            nan in the joint with the narrowest range: there is no such branch.
+        seed : sequence of float, length n
+            Within the ranges.
+        """
+        # plain floats, and the joint with the narrowest range first, because most branches fail at the first or second joint
+        square = 0.0
+        q = [0.0] * len(branch)
+        for joint, lower, upper in self._narrow_first:
+            value, near = branch[joint], seed[joint]
+            if value != value:  # nan
+                return None
+            value += TURN * round((near - value) / TURN)
+            # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
+            if value > upper:
+                value -= TURN
+            elif value < lower:
+                value += TURN
+            if not lower <= value <= upper:
+                return None
+            square += (value - near) ** 2
+            q[joint] = value
+        return square, q
+
+    def turned(
+        self,
+        branch: np.ndarray,
+        pose: Pose,
+        seed: JointValues,
+        configuration: Configuration | None,
+        kept: Sequence[int] = (),
+    ) -> list[IkSolution]:
+        """Return a branch with every choice of whole turns, where forward kinematics confirms it.
+
+        Parameters
+        ----------
+        branch : array, shape (n,)
+        pose : Pose
+        seed : sequence of float, length n
+        configuration : Configuration or None
+            The branch's, for the solutions.
+        kept : sequence of int
+            Joints whose turns have been chosen already.
+        """
+        if not np.isfinite(branch).all():
+            return []
+        choices = []
+        for joint, (value, (lower, upper)) in enumerate(zip(branch.tolist(), self._slack)):
+            turns = range(math.ceil((lower - value) / TURN), math.floor((upper - value) / TURN) + 1)
+            choices.append([value] if joint in kept else [value + TURN * turn for turn in turns])
+        found = (self.confirmed(q, pose, seed, configuration) for q in product(*choices))
+        return [solution for solution in found if solution is not None]
+
+    def confirmed(
+        self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration | None
+    ) -> IkSolution | None:
+        """Return joint values as a solution if forward kinematics confirms them; near misses are refined first."""
+        robot = self.chain.robot
+        q = [min(max(value, lower), upper) for value, lower, upper in zip(q, robot.lower, robot.upper)]
+        error_m, error_rad = residual(self.chain, q, pose)
+        if not self.is_solved(error_m, error_rad):
+            if not max(error_m, error_rad) < _REFINABLE:
+                return None
+            q = refine(self.chain, np.array(q), pose).tolist()
+            error_m, error_rad = residual(self.chain, q, pose)
+            if not self.is_solved(error_m, error_rad):
+                return None
+        return IkSolution(np.array(q), error_m, error_rad, math.dist(q, seed), configuration)
+
+    def is_solved(self, error_m: float, error_rad: float) -> bool:
+        """Return whether a residual is within the tolerances."""
+        return error_m <= self.settings.tolerance_m and error_rad <= self.settings.tolerance_rad

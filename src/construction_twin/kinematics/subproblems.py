@@ -1,0 +1,223 @@
+"""Inverse kinematics of six revolute axes that have a closed form (`decomposition`): every branch, and exactly the nearest.
+
+The branches come from EAIK. This module adds whole turns and ranges, and confirms every solution by KDL's forward kinematics. Two
+cases go further:
+
+- **An arm near a closed form** is solved for its nominal model; Newton steps on the true chain remove what that misses.
+- **At a singular pose** in which joints turn against each other without moving the tip, the closed form is not defined. There the
+  search (`numeric`) answers, which slides along that motion towards the seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NoReturn
+
+import numpy as np
+
+from construction_twin.core.motion_errors import (
+    BranchError,
+    KinematicsError,
+    NotFoundError,
+    OrientationError,
+    PositionRangeError,
+    UnreachableError,
+    UnreachableOrientationError,
+)
+from construction_twin.kinematics.branches import BranchInverse
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.decomposition import ClosedForm
+from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.solution import (
+    TURN,
+    Configuration,
+    IkSolution,
+    check_pose,
+    distinct,
+    refine,
+    residual,
+)
+from construction_twin.robot.description import JointValues
+
+#: Two axes that are closer to parallel than this turn against each other without moving the tip [rad].
+_SINGULAR = 1e-6
+#: The same where the branches are those of a nominal model [rad].
+_SINGULAR_NEAR = 2e-2
+#: Neighbours of a joint that can become parallel: first axis, the joint between, last axis.
+_TRIPLES = ((0, 1, 2), (3, 4, 5))
+#: Newton steps from the nominal model to the true arm.
+_POLISH = 12
+
+
+class SubproblemInverse(BranchInverse):
+    """Inverse kinematics of six revolute joints with a closed form.
+
+    Parameters
+    ----------
+    chain : Chain
+    form : ClosedForm
+        Of all six axes.
+    search : NumericInverse
+        Of the same chain, for singular poses.
+    """
+
+    def __init__(self, chain: Chain, form: ClosedForm, search: NumericInverse):
+        super().__init__(chain, search.settings)
+        self.form = form
+        self._search = search
+        self._solver = form.solver()
+        self._target = np.eye(4)
+        self._elements, self._ones = self._target.reshape(16), np.ones(16)
+        self._alignments = [each for triple in _TRIPLES if (each := _alignment(form.directions, triple)) is not None]
+        near = _SINGULAR if form.exact else _SINGULAR_NEAR
+        self._aligned = 1.0 - 0.5 * near * near
+
+    def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
+        """See `InverseKinematics.nearest`."""
+        self.chain.robot.check_range(seed)
+        _refuse(configuration)
+        start = [float(value) for value in seed]
+        best, complete = self._nearest_branch(self.branches(pose), pose, start)
+        if complete:
+            if best is None:
+                self._explain(pose, start)
+            return best
+        return min(self._of_search(pose, start, best), key=lambda solution: solution.distance)
+
+    def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
+        """See `InverseKinematics.all`."""
+        self.chain.robot.check_range(seed)
+        _refuse(configuration)
+        start = [float(value) for value in seed]
+        rows = self.branches(pose)
+        polished = (
+            rows if self.form.exact else [each for row in rows if (each := self._polished(row, pose)) is not None]
+        )
+        found = [solution for row in polished for solution in self.turned(np.array(row), pose, start, None)]
+        if self.is_singular(rows) or len(polished) < len(rows):
+            try:
+                found += self._search.all(pose, start)
+            except NotFoundError:
+                pass  # then the closed form's are all there are
+        if not found:
+            self._explain(pose, start)
+        return distinct(sorted(found, key=lambda solution: solution.distance))
+
+    def configuration(self, q: JointValues) -> None:
+        """Return None: these arms have no named configurations."""
+        return None
+
+    def branches(self, pose: Pose) -> list[list[float]]:
+        """Return the model's branches of a target [rad], ranges not considered; where there is none, the nearest miss.
+
+        Raises
+        ------
+        KinematicsError
+            If the pose is not finite.
+        """
+        self._target[:3, :3] = pose.rotation
+        self._target[:3, 3] = pose.position
+        if not math.isfinite(self._elements.dot(self._ones)):
+            check_pose(pose)
+        return self._solver.calculate_IK(self._target).Q.tolist()
+
+    def is_singular(self, rows: Sequence[Sequence[float]]) -> bool:
+        """Return whether a branch has two axes in line, so that it stands for a whole family of joint values."""
+        limit = self._aligned
+        for joint, constant, cosine, sine in self._alignments:
+            for row in rows:
+                angle = row[joint]
+                if abs(constant + cosine * math.cos(angle) + sine * math.sin(angle)) > limit:
+                    return True
+        return False
+
+    def _nearest_branch(
+        self, rows: Sequence[Sequence[float]], pose: Pose, seed: list[float]
+    ) -> tuple[IkSolution | None, bool]:
+        """Return the nearest confirmed branch, and whether that is all there is to know about the pose."""
+        if not self.form.exact:
+            return self._nearest_polished(rows, pose, seed)
+        if self.is_singular(rows):
+            return None, False
+        candidates = [turned for row in rows if (turned := self.nearest_turn(row, seed)) is not None]
+        candidates.sort()
+        for _, q in candidates:
+            solution = self.confirmed(q, pose, seed, None)
+            if solution is not None:
+                return solution, True
+        return None, True
+
+    def _nearest_polished(
+        self, rows: Sequence[Sequence[float]], pose: Pose, seed: list[float]
+    ) -> tuple[IkSolution | None, bool]:
+        best, complete = None, not self.is_singular(rows)
+        for row in rows:
+            polished = self._polished(row, pose)
+            turned = None if polished is None else self.nearest_turn(polished, seed)
+            complete = complete and polished is not None
+            if turned is not None and (best is None or turned[0] < best.distance**2):
+                best = self.confirmed(turned[1], pose, seed, None) or best
+        return best, complete
+
+    def _polished(self, row: Sequence[float], pose: Pose) -> list[float] | None:
+        """Return a branch of the nominal model moved onto the pose by the true chain, ranges ignored; None: it fails."""
+        q = refine(self.chain, np.array(row), pose, _POLISH, within=False)
+        return q.tolist() if self.is_solved(*residual(self.chain, q, pose)) else None
+
+    def _of_search(self, pose: Pose, seed: list[float], best: IkSolution | None) -> list[IkSolution]:
+        """Return the nearest solution of the search, and `best` if there is one; a typed error without any."""
+        try:
+            return [self._search.nearest(pose, seed), *([] if best is None else [best])]
+        except KinematicsError:
+            if best is None:
+                raise
+            return [best]
+
+    def _explain(self, pose: Pose, seed: list[float]) -> NoReturn:
+        """Raise the error that says why there is no solution."""
+        check_pose(pose)
+        rows = [refine(self.chain, np.array(row), pose, _POLISH, within=False) for row in self.branches(pose)]
+        reached = np.array([q for q in rows if self.is_solved(*residual(self.chain, q, pose))])
+        missing = self._search.missing_position(pose, np.array(seed))
+        placed = missing <= self.settings.tolerance_m
+        if len(reached):
+            self._raise_range_error(reached, placed)
+        if not self.form.exact:
+            self._search.nearest(pose, seed)
+        if not placed:
+            distance = float(np.linalg.norm(pose.position - self.chain.shoulder))
+            bound = distance - self.chain.reach
+            raise UnreachableError(bound if bound > 0.0 else missing, distance < 0.5 * self.chain.reach)
+        raise UnreachableOrientationError
+
+    def _raise_range_error(self, rows: np.ndarray, placed: bool) -> NoReturn:
+        """Raise the error that names the joint out of range, of the branch that is out of range by the least."""
+        robot = self.chain.robot
+        lower, upper = np.array(robot.lower), np.array(robot.upper)
+        middle = 0.5 * (lower + upper)
+        q = rows - TURN * np.rint((rows - middle) / TURN)
+        excess = np.maximum(lower - q, q - upper)
+        row = int(excess.max(axis=1).argmin())
+        joint = int(excess[row].argmax())
+        kind = OrientationError if placed else PositionRangeError
+        raise kind(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])
+
+
+def _refuse(configuration: Configuration | None) -> None:
+    if configuration is not None and configuration != Configuration():
+        raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
+
+
+def _alignment(directions: np.ndarray, triple: tuple[int, int, int]) -> tuple[int, float, float, float] | None:
+    """Return how the cosine between two axes depends on the joint between them; None: they are never in line.
+
+    The cosine is ``constant + cosine cos(q) + sine sin(q)``; returned are the joint and these three numbers.
+    """
+    first, turning, last = directions[list(triple)]
+    constant = float((first @ turning) * (turning @ last))
+    cosine, sine = float(first @ last) - constant, float(first @ np.cross(turning, last))
+    size = math.hypot(cosine, sine)
+    if size < 1e-3 or abs(constant) + size < 1.0 - 0.5 * _SINGULAR_NEAR**2:
+        return None
+    return triple[1], constant, cosine, sine
