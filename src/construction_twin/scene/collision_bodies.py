@@ -103,7 +103,7 @@ class RobotBodies:
         base = frames[self.model.getFrameId(robot.base_link)]
         self.root_T_base = base.placement
         self.bodies = tuple(
-            Body(frames[shape.parentFrame].name, frames[shape.parentFrame].name, shape.parentJoint, shape.placement, shape.geometry)
+            Body(name := frames[shape.parentFrame].name, name, shape.parentJoint, shape.placement, _link_shape(shape.geometry))
             for shape in shapes.geometryObjects
         )  # fmt: skip
 
@@ -232,6 +232,18 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
     return mesh
 
 
+def _link_shape(geometry: coal.CollisionGeometry) -> coal.CollisionGeometry:
+    """Return a closed convex mesh as a solid body, whose distances cost a hundredth of a surface's; any other shape as it is."""
+    if not isinstance(geometry, coal.BVHModelBase) or not is_convex(*mesh_triangles(geometry)):
+        return geometry
+    try:
+        geometry.buildConvexHull(True, "Qt")
+    except RuntimeError:
+        # a plate that is closed, but has no volume, can be checked as a surface only
+        return geometry
+    return geometry.convex
+
+
 def mesh_triangles(mesh: coal.BVHModelBase) -> tuple[np.ndarray, np.ndarray]:
     """Return a mesh's vertices, shape (v, 3) [m], and triangles, shape (t, 3): equal vertices are one."""
     vertices, merged = np.unique(np.round(mesh.vertices(), 9), axis=0, return_inverse=True)
@@ -285,6 +297,8 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
         numbers = (geometry.radius,)
     elif isinstance(geometry, coal.BVHModelBase):
         numbers = geometry.vertices().ravel()
+    elif isinstance(geometry, coal.ConvexBase):
+        numbers = geometry.points().ravel()
     else:
         raise ConfigurationError(
             "robot_description collision shape", type(geometry).__name__, "a box, cylinder, sphere or mesh"
@@ -292,10 +306,17 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
 
 
-def forget_past_answers(data: pinocchio.GeometryData) -> None:
-    """Switch off the warm start of the distance search, so that a result depends on the pose alone, not on earlier ones."""
+def make_reliable(data: pinocchio.GeometryData) -> None:
+    """Have every answer depend on the pose alone, and no contact missed.
+
+    The warm start of the distance search is switched off, because it makes an answer depend on earlier ones. Contact points are
+    asked for, although nobody reads them: without them Coal's GJK calls a few of ten thousand deep contacts of convex bodies free
+    (Coal 3.0.3: 3 of 20,000 poses of two hulls of 125 and 156 vertices, 88 mm inside each other; with them none).
+    """
     with warnings.catch_warnings():
         # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
         warnings.simplefilter("ignore", DeprecationWarning)
         for request in (*data.collisionRequests, *data.distanceRequests):
             request.enable_cached_gjk_guess = False
+    for request in data.collisionRequests:
+        request.enable_contact = True

@@ -23,7 +23,7 @@ from construction_twin.core.network import port_is_free
 from construction_twin.core.validation import configuration_error
 from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import RobotModel, load_robot
-from construction_twin.robot.urdf import expand_xacro, read_text
+from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
@@ -55,7 +55,8 @@ Given = Mapping[str, str]
 def _read_robot(given: Given) -> RobotModel:
     """Return the robot as launch/robot.launch and launch/bringup.launch describe it."""
     description = _mapping(given["robot_config"], "the robot's keys")
-    return load_robot(expand_xacro(given["robot_xacro"]), description | {"name": given["robot"]})
+    urdf = expand_xacro(given["robot_xacro"], xacro_arguments(given.get("robot_xacro_args", "")))
+    return load_robot(urdf, description | {"name": given["robot"]})
 
 
 def _check_self_collision(given: Given, robot: RobotModel) -> None:
@@ -74,8 +75,7 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
 
 
 def _check_scene(given: Given, _robot: RobotModel) -> None:
-    if given["scene"]:
-        read_scene(given["scene"])
+    read_scene(given["scene"])
 
 
 def _check_cell(given: Given, robot: RobotModel) -> None:
