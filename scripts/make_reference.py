@@ -62,7 +62,7 @@ _EXPLAINED = {
     (
         "static_frames",
         "chain_only",
-    ): "those whose joint states hold the joints of the chain alone; the frames of the others come from here",
+    ): "of them, where joint states hold the chain alone; frames of other joints come from here",
     ("startup", "broker"): "address of the broker, HOST:PORT",
     ("startup", "rsi"): "address on which the gateway listens, HOST:PORT",
     ("mock_rsi", "ethernet_xml"): "text of the Ethernet XML: SENTYPE, blocks, channels, HOLDON, ONLYSEND, port",
