@@ -59,7 +59,10 @@ _EXPLAINED = {
     ("mqtt_bridge", "protocol"): "MQTT version: 5 or 3.1.1",
     ("static_frames", "parent"): "frame in which the robot stands",
     ("static_frames", "prefixes"): "tf prefixes of the robot's copies: twin, physical, preview",
-    ("static_frames", "chain_only"): "those whose joint states hold the joints of the chain alone; the frames of the others come from here",
+    (
+        "static_frames",
+        "chain_only",
+    ): "of them, where joint states hold the chain alone; frames of other joints come from here",
     ("startup", "broker"): "address of the broker, HOST:PORT",
     ("startup", "rsi"): "address on which the gateway listens, HOST:PORT",
     ("mock_rsi", "ethernet_xml"): "text of the Ethernet XML: SENTYPE, blocks, channels, HOLDON, ONLYSEND, port",
