@@ -42,9 +42,10 @@ h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bot
 table { border-collapse: collapse; display: block; overflow-x: auto; }
 th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #8883; font-variant-numeric: tabular-nums; }
 th:first-child, td:first-child, .text th, .text td { text-align: left; }
-caption { text-align: left; padding: .6rem 0 .2rem; font-weight: 600; }
+caption { display: block; text-align: left; padding: .6rem 0 .2rem; font-weight: 600; max-width: calc(100vw - 2rem); }
 img { max-width: 100%; height: auto; background: white; }
-.text td, .values td { overflow-wrap: anywhere; } .values td { text-align: left; vertical-align: top; }
+td { white-space: nowrap; } .text td:last-child, .values td { white-space: normal; overflow-wrap: anywhere; }
+.values td { text-align: left; vertical-align: top; }
 .fault td { background: #d9541e33; } .note { opacity: .75; } .warning { border-left: 4px solid #d9541e; padding-left: .7rem; }
 @media (max-width: 40rem) {
   body { margin: .8rem auto; padding: 0 .6rem; } h1 { font-size: 1.25rem; } th, td { padding: .2rem .35rem; font-size: .8rem; }
@@ -90,7 +91,7 @@ def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) 
 
 def _facts(summary: Mapping) -> str:
     rows = [(fact.name, fact.value, fact.paper) for fact in facts(summary)]
-    table = _table(("", "this recording", "the paper"), rows, "", "text")
+    table = _table(("", "here", "paper"), rows, "", "text")
     return f'{table}\n<p class="warning">{escape(SIMULATION)}</p>' if summary.get("mock") else table
 
 

@@ -99,7 +99,7 @@ def test_page_holds_tables_timing_and_what_happened(full):
 def test_the_header_is_a_table_beside_the_paper_s_figures(full):
     summary, reader = full
     header = reader.rows
-    assert header[0] == ["this recording", "the paper"]
+    assert header[0] == ["here", "paper"]
     assert ["samples", str(summary["samples"]), "18802"] in header
     assert ["duration", f"{summary['duration_s']:.3f} s"] in [row[:2] for row in header]
     assert ["commands lost", "3"] in [row[:2] for row in header]
