@@ -26,7 +26,7 @@ class Cell:
     """A PLC, its clock, and a sender that sends a string per cycle."""
 
     def __init__(self, axes=SLOW, start=(0.0, 0.0), delay=3):
-        self.plc = BarePlc(axes, start, delay=delay)
+        self.axes, self.plc = axes, BarePlc(axes, start, delay=delay)
         self.now = 100.0
         self.poses = [self.plc.position]
         self.words = [self.plc.word]
@@ -44,7 +44,7 @@ class Cell:
 
     def move(self, speed: float, cycles: int) -> float:
         """Move the first axis, starting from rest and speeding up within its limit; return where the last string was."""
-        most, step, at = self.plc._axes[0].acceleration * CYCLE**2, 0.0, self.plc.position[0]
+        most, step, at = self.axes[0].acceleration * CYCLE**2, 0.0, self.plc.position[0]
         for _ in range(cycles):
             step = min(step + most, speed * CYCLE)
             at = round(at + step, 3)
@@ -181,9 +181,7 @@ def test_bursts_within_the_delay_are_absorbed():
 
 def test_its_limits_home_and_string_are_the_arm_s():
     robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
-    for axis, low, high, speed, acceleration in zip(
-        AXES, robot.lower, robot.upper, robot.velocity, robot.acceleration
-    ):
+    for axis, low, high, speed, acceleration in zip(AXES, robot.lower, robot.upper, robot.velocity, robot.acceleration):
         expected = tuple(map(math.degrees, (low, high, speed, acceleration)))
         assert (axis.lower, axis.upper, axis.speed, axis.acceleration) == pytest.approx(expected)
     assert len(AXES) == len(robot.lower) and HOME == pytest.approx(tuple(map(math.degrees, robot.home)))
@@ -193,6 +191,8 @@ def test_its_limits_home_and_string_are_the_arm_s():
 
 def test_it_needs_paho_and_nothing_else():
     tree = ast.parse((ROOT / "examples/plc/bare_plc.py").read_text())
-    imported = {alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    imported = {
+        alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names
+    }
     imported |= {(node.module or "").split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert imported - set(sys.stdlib_module_names) == {"paho"}
