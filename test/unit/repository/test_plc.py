@@ -181,9 +181,7 @@ def test_bursts_within_the_delay_are_absorbed():
 
 def test_its_limits_home_and_string_are_the_arm_s():
     robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
-    for axis, low, high, speed, acceleration in zip(
-        AXES, robot.lower, robot.upper, robot.velocity, robot.acceleration
-    ):
+    for axis, low, high, speed, acceleration in zip(AXES, robot.lower, robot.upper, robot.velocity, robot.acceleration):
         expected = tuple(map(math.degrees, (low, high, speed, acceleration)))
         assert (axis.lower, axis.upper, axis.speed, axis.acceleration) == pytest.approx(expected)
     assert len(AXES) == len(robot.lower) and HOME == pytest.approx(tuple(map(math.degrees, robot.home)))
@@ -193,6 +191,8 @@ def test_its_limits_home_and_string_are_the_arm_s():
 
 def test_it_needs_paho_and_nothing_else():
     tree = ast.parse((ROOT / "examples/plc/bare_plc.py").read_text())
-    imported = {alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    imported = {
+        alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names
+    }
     imported |= {(node.module or "").split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert imported - set(sys.stdlib_module_names) == {"paho"}
