@@ -300,7 +300,9 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--delay", type=int, default=DELAY, metavar="CYCLES", help="strings that wait [%(default)s]")
     parser.add_argument("--user", default="", help="MQTT user")
     parser.add_argument("--password-file", default="", help="its first line is the user's password")
-    parser.add_argument("--ca-file", default="", help="who signed the broker's certificate; with it the connection is TLS")
+    parser.add_argument(
+        "--ca-file", default="", help="who signed the broker's certificate; with it the connection is TLS"
+    )
     options, _ros = parser.parse_known_args(words)
     return options
 

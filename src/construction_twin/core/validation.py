@@ -71,6 +71,9 @@ class WrongValue:
     value: object
     expected: str
 
+    def __str__(self) -> str:
+        return f"{self.key}: found {'nothing' if self.value is None else repr(self.value)}, expected {self.expected}"
+
 
 def wrong_value(error: Invalid, schema: Schema) -> WrongValue:
     """Return what is wrong, in words.

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_clock import ControllerClock
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals
-from construction_twin.gateway.rsi_session import IPOC_NS, ControllerSession, distance_off
+from construction_twin.gateway.rsi_session import ControllerSession, distance_off
 from construction_twin.gateway.speed_limit import SpeedLimit
 from construction_twin.gateway.states import CAUSES, NOTES, Action, Event, Guard, Machine, Mode, Occasion, State
 from construction_twin.gateway.status import StateReport, Status
@@ -31,8 +31,8 @@ from construction_twin.rsi.gateway_codec import RobotTelegram
 from construction_twin.rsi.status_channels import ControllerStatus
 
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. After a single missed telegram the
-#: motion goes on at its speed, because starting from rest would be a larger step [ns].
-STANDSTILL = 2 * CYCLE_NS
+#: motion goes on at its speed, because starting from rest would be a larger step [cycles].
+STANDSTILL = 2
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
@@ -86,7 +86,7 @@ class Gateway:
         #: position [rad], which is origin plus correction. None costs nothing.
         self.trace: Callable[[int, int, State, int, tuple[float, ...]], None] | None = None
         #: Is told of every telegram that is read, by what reads them.
-        self.clock = ControllerClock(CYCLE_NS // IPOC_NS)
+        self.clock = ControllerClock(config.cycle)
         self._measures = measures
         self._began = ""
         # why telegrams could not be read, as told last, and when [ns]
@@ -101,6 +101,7 @@ class Gateway:
         self._stopping = StopReport(config.limits.linear)
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
+        self._standstill = STANDSTILL * config.cycle_ns
         self._answered_stamp = 0
         self._ending = False
         #: What the controller says of itself, where its Ethernet XML has the optional channels.
@@ -175,7 +176,7 @@ class Gateway:
         elapsed = controller.hear(telegram, source, now, sent, moving)
         if elapsed is None:
             self._begin_session(telegram)
-            elapsed = CYCLE_NS
+            elapsed = self.config.cycle_ns
         state = machine.state
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
@@ -195,7 +196,7 @@ class Gateway:
             follower = self._note_drift(follower, telegram.setpoint)
         self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
-        if elapsed > STANDSTILL:
+        if elapsed > self._standstill:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
             follower.rest()
         position = self._move(follower, elapsed)

@@ -94,7 +94,7 @@ class GatewayService:
         self._topics = topics
         encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
         self._encoder = encoder
-        self._last_resort = LastResort(config.limits, encoder)
+        self._last_resort = LastResort(config.limits, encoder, config.cycle)
         self._decoder = RobotDecoder(config.axes, config.units)
         # the datagram read last, and its source
         self._datagram: tuple[bytes, tuple] | None = None

@@ -281,7 +281,7 @@ def _read_description(yaml_path: str | Path) -> dict:
     try:
         description = yaml.safe_load(read_text(yaml_path))
     except yaml.YAMLError as error:
-        raise ConfigurationError(str(yaml_path), str(error), "a YAML file") from error
+        raise ConfigurationError(str(yaml_path), " ".join(str(error).split()), "a YAML file") from error
     if not isinstance(description, dict):
         raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
     return description

@@ -27,6 +27,7 @@ class Cell:
 
     def __init__(self, axes=SLOW, start=(0.0, 0.0), delay=3):
         self.plc = BarePlc(axes, start, delay=delay)
+        self.axes = axes
         self.now = 100.0
         self.poses = [self.plc.position]
         self.words = [self.plc.word]
@@ -44,17 +45,17 @@ class Cell:
 
     def move(self, speed: float, cycles: int) -> float:
         """Move the first axis, starting from rest and speeding up within its limit; return where the last string was."""
-        most, step, at = self.plc._axes[0].acceleration * CYCLE**2, 0.0, self.plc.position[0]
+        most, step, at = self.axes[0].acceleration * CYCLE**2, 0.0, self.plc.position[0]
         for _ in range(cycles):
             step = min(step + most, speed * CYCLE)
             at = round(at + step, 3)
             self.cycles(1, string(at, 0.0))
         return at
 
-    def assert_brakes_in_limits(self, axes=SLOW):
+    def assert_brakes_in_limits(self):
         """Every change of speed while it brakes is within the axes' acceleration, and a digit's rounding."""
         for first, second, third in zip(self.poses, self.poses[1:], self.poses[2:]):
-            for a, b, c, axis in zip(first, second, third, axes):
+            for a, b, c, axis in zip(first, second, third, self.axes):
                 assert abs(c - 2 * b + a) <= axis.acceleration * CYCLE**2 + 0.0021
                 assert axis.lower <= c <= axis.upper
 
