@@ -59,6 +59,10 @@ _EXPLAINED = {
     ("mqtt_bridge", "protocol"): "MQTT version: 5 or 3.1.1",
     ("static_frames", "parent"): "frame in which the robot stands",
     ("static_frames", "prefixes"): "tf prefixes of the robot's copies: twin, physical, preview",
+    (
+        "static_frames",
+        "chain_only",
+    ): "of them, where joint states hold the chain alone; frames of other joints come from here",
     ("startup", "broker"): "address of the broker, HOST:PORT",
     ("startup", "rsi"): "address on which the gateway listens, HOST:PORT",
     ("mock_rsi", "ethernet_xml"): "text of the Ethernet XML: SENTYPE, blocks, channels, HOLDON, ONLYSEND, port",
@@ -75,6 +79,7 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
+    ("ik_report", "nodes/ik_report", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),
@@ -321,8 +326,7 @@ def state_rows(module: str) -> list[tuple[str, ...]]:
 
     States with the same row share one; "any" stands for all of them.
     """
-    code = importlib.import_module(module)
-    return _shared_rows(code.table_cells() if hasattr(code, "table_cells") else cells(code.TABLE))
+    return _shared_rows(cells(importlib.import_module(module).TABLE))
 
 
 def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:

@@ -31,6 +31,7 @@ from construction_twin.kinematics.decomposition import ClosedForm
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.solution import (
     TURN,
+    ArmKind,
     Configuration,
     IkSolution,
     check_pose,
@@ -72,6 +73,11 @@ class SubproblemInverse(BranchInverse):
         self._alignments = [each for triple in _TRIPLES if (each := _alignment(form.directions, triple)) is not None]
         near = _SINGULAR if form.exact else _SINGULAR_NEAR
         self._aligned = 1.0 - 0.5 * near * near
+
+    @property
+    def kind(self) -> ArmKind:
+        """See `InverseKinematics.kind`."""
+        return ArmKind("closed form", self.form.why)
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""

@@ -43,6 +43,7 @@ class MockSettings(pydantic.BaseModel):
     gateway_host: str
     gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
     ethernet_xml: str = ""
+    cycle: Literal[4, 12] = 4
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
     stop_required: bool = False
@@ -97,6 +98,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         acceleration=robot.acceleration,
         layout=layout,
         units=_units(settings, robot),
+        cycle=settings.cycle,
         precision=settings.precision,
         timeout=settings.timeout,
         stop_required=settings.stop_required,
@@ -132,10 +134,11 @@ def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
 
 def build_servo(settings: MockSettings) -> Servo:
     """Build the servo model that `settings.servo` names."""
+    period = settings.cycle / 1000
     if settings.servo == "ideal":
-        return IdealServo(settings.servo_delay_cycles)
+        return IdealServo(settings.servo_delay_cycles, period)
     resolution = radians([settings.encoder_resolution_deg])[0]
-    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution)
+    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution, period)
 
 
 def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
@@ -166,7 +169,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Return the options of the command line; only those that were given, or have a default."""
     parser = argparse.ArgumentParser(
         prog="mock_rsi",
-        description="Mock KUKA KR C4 with RSI: a UDP client with its own 4 ms clock. Needs no ROS.",
+        description="Mock KUKA KR C4 with RSI: a UDP client with its own clock. Needs no ROS.",
         argument_default=argparse.SUPPRESS,
     )
     option = parser.add_argument
@@ -188,6 +191,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         metavar="DEG,...",
         help="start pose of the axes [deg], prismatic ones [mm], as the robot's joints are ordered [home]",
     )
+    option("--cycle", type=int, help="length of a cycle [ms], 4 or 12 [4]")
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
     option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")
     option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")

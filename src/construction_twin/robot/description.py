@@ -28,6 +28,14 @@ from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf,
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
 JointValues = Sequence[float] | np.ndarray
 
+#: What the robot YAML's `estimates` may name, with the keys of a joint that it is about.
+ESTIMATES = {
+    "accelerations": "acceleration_deg_s2 (or _mm_s2)",
+    "axes": "rsi, sign and offset_deg (or _mm)",
+    "home": "home_deg (or _mm)",
+    "jerks": "jerk_deg_s3 (or _mm_s3)",
+}
+
 _Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 
@@ -80,6 +88,8 @@ class RobotModel:
         True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
     other_joints : tuple of OtherJoint
         The movable joints outside of the chain, and where they stand.
+    estimates : tuple of str
+        Which of the robot YAML's values are estimates, some of `ESTIMATES`: a real arm must not move by them.
     """
 
     name: str
@@ -96,6 +106,7 @@ class RobotModel:
     axes: tuple[AxisMapping, ...]
     linear: tuple[bool, ...]
     other_joints: tuple[OtherJoint, ...] = ()
+    estimates: tuple[str, ...] = ()
 
     def check_range(self, q: JointValues) -> None:
         """Check that every joint lies within its range, limits included.
@@ -174,6 +185,7 @@ class _RobotDescription(pydantic.BaseModel):
     joints: dict[str, dict[str, Any]]
     #: [rad], [m]; the one place of the file in SI: which unit a joint has, the URDF says
     other_joints: dict[str, _Finite] = {}
+    estimates: tuple[Literal["accelerations", "axes", "home", "jerks"], ...] = ()
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
@@ -219,6 +231,7 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
         axes=tuple(AxisMapping(joint.rsi, joint.sign, si.offset) for joint, si in zip(described, settings)),
         linear=tuple(joint.joint_type == "prismatic" for joint in joints),
         other_joints=find_other_joints(model, [joint.name for joint in joints], parsed.other_joints),
+        estimates=parsed.estimates,
     )
     _check_home(robot)
     return robot

@@ -67,6 +67,24 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
 
 
 @pytest.mark.parametrize(
+    "arguments, nodes",
+    [
+        ("", {"rsi_gateway", "mock_rsi"}),
+        ("gateway_kind:=plc", {"plc"}),
+        ("gateway_kind:=plc arm:=real anonymous_broker_is_meant:=true", set()),
+    ],
+)
+def test_what_takes_the_commands_is_started_and_nothing_else_of_it(arguments, nodes):
+    command = ["roslaunch", "--nodes", "construction_twin", "bringup.launch", *arguments.split()]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    started = {line.rsplit("/", 1)[-1] for line in run.stdout.splitlines()}
+    assert "mqtt_bridge" in started and started & {"rsi_gateway", "mock_rsi", "plc"} == nodes, run.stderr
+    assert ("gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone" in run.stderr) == (
+        "real" in arguments
+    )
+
+
+@pytest.mark.parametrize(
     "argument, sentence",
     [
         ("arm:=foo", "preflight: arm:=foo: expected mock, real or none"),

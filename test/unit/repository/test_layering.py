@@ -39,7 +39,7 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 #: What the library may import besides the standard library and itself. PyKDL and rospkg are ROS's, but need no ROS to run.
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
-    "coal", "pinocchio", "py_opw_kinematics", "manifold3d",
+    "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d",
     "rospkg", "shtab",
 }  # fmt: skip
 GENERATED = {"msg", "srv", "action"}

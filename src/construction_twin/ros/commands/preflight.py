@@ -34,7 +34,7 @@ from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.views.preflight import is_true, problem
+from construction_twin.views.preflight import has_gateway_here, is_bare, is_true, notes, problem
 from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
 
 #: Nodes of one robot, in its namespace: a second one of a name would end the first.
@@ -42,6 +42,7 @@ ROBOT_NODES = (
     "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mock_rsi", "planner", "scene", "neighbour",
     "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "joint_state_publisher",
     "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
+    "plc",
 )  # fmt: skip
 #: What parses launch files without the master that ROS_MASTER_URI names.
 _WITHOUT_MASTER = ("rostest", "roslaunch-check")
@@ -65,7 +66,7 @@ def _check_self_collision(given: Given, robot: RobotModel) -> None:
 
 def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     """Check it as gateway and bridge do: axes, channels, and a format that can carry the robot's ranges."""
-    if given.get("arm") == "none":
+    if given.get("arm") == "none" or is_bare(given):
         return
     path = given["ethernet_xml"]
     load_ethernet_xml(path)
@@ -215,7 +216,7 @@ def port_problem(given: Given) -> str:
             f"broker_port:={port}: TCP port {port} on 127.0.0.1 is taken, probably by another MQTT broker; use it with "
             f"broker:=false, or give a free one, e.g. broker_port:={int(port) + 10}"
         )
-    if given.get("arm") == "none" or not is_true(given, "gateway") or "ethernet_xml" not in given:
+    if given.get("arm") == "none" or not has_gateway_here(given) or "ethernet_xml" not in given:
         return ""
     port = given.get("rsi_port", "0")
     number = int(port) or load_ethernet_xml(given["ethernet_xml"]).layout.port
@@ -299,6 +300,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if for_roslaunch:
             print("refused")
         return 0 if for_roslaunch else 1
+    for note in notes(given):
+        print(f"preflight: {note}", file=sys.stderr, flush=True)
     print("true" if for_roslaunch else "ok")
     return 0
 

@@ -93,6 +93,10 @@ class Command:
         print(self._verdict(self._under_review(self._listener()), False))
         return Exit.DONE
 
+    def _arm(self) -> Exit:
+        print(self._client.arm(self._options.responsible))
+        return Exit.DONE
+
     def _status(self) -> Exit:
         listener = self._listener()
         listener.wait(lambda: listener.newest("sync") and listener.newest("execution"), self._options.timeout)

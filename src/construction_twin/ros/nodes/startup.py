@@ -31,6 +31,7 @@ class Settings(pydantic.BaseModel):
     broker: str
     rsi: str
     gateway: bool
+    gateway_kind: Literal["rsi", "plc"] = "rsi"
 
 
 class StartupNode:
@@ -67,7 +68,7 @@ class StartupNode:
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
         # a node that fell silent is not there
         words = {
-            name: Word(facts.text, facts.reason)
+            name: Word(facts.text, facts.reason, getattr(facts, "gateway_state", ""))
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
