@@ -16,6 +16,7 @@ CHOICES = {
     "arm": ("mock", "real", "none"),
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
+    "rsi_cycle": ("4", "12"),
 }
 SWITCHES = (
     "auto_approve",
