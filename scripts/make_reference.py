@@ -24,6 +24,8 @@ from xml.etree import ElementTree
 import pydantic
 import yaml
 
+from construction_twin.core.state_table import cells
+
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "reference"
 _PART = re.compile(r"(<!-- generated: ([a-z ]+) -->\n).*?(<!-- end of \2 -->\n)", re.DOTALL)
@@ -44,7 +46,7 @@ NODES = {
     "static_frames": ("construction_twin.ros.nodes.static_frames", ""),
     "startup": ("construction_twin.ros.nodes.startup", ""),
     "separation": ("separation_node", "separation"),
-    "experiment": ("construction_twin.ros.commands.experiment", "experiment"),
+    "experiment": ("construction_twin.ros.commands.experiment_settings", "experiment"),
     "scenario": ("construction_twin.ros.commands.scenario", ""),
 }
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
@@ -57,6 +59,10 @@ _EXPLAINED = {
     ("mqtt_bridge", "protocol"): "MQTT version: 5 or 3.1.1",
     ("static_frames", "parent"): "frame in which the robot stands",
     ("static_frames", "prefixes"): "tf prefixes of the robot's copies: twin, physical, preview",
+    (
+        "static_frames",
+        "chain_only",
+    ): "of them, where joint states hold the chain alone; frames of other joints come from here",
     ("startup", "broker"): "address of the broker, HOST:PORT",
     ("startup", "rsi"): "address on which the gateway listens, HOST:PORT",
     ("mock_rsi", "ethernet_xml"): "text of the Ethernet XML: SENTYPE, blocks, channels, HOLDON, ONLYSEND, port",
@@ -73,6 +79,7 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
+    ("ik_report", "nodes/ik_report", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),
@@ -317,14 +324,9 @@ def _exit_codes() -> str:
 def state_rows(module: str) -> list[tuple[str, ...]]:
     """Return a state machine's table in words, as its module has it: state, event, guard, action, next state.
 
-    States with the same row share one; "any" stands for all of them. The monitor's table has neither guards nor actions.
+    States with the same row share one; "any" stands for all of them.
     """
-    code = importlib.import_module(module)
-    if hasattr(code, "table_cells"):
-        rows = [tuple(row) for row in code.table_cells()]
-        return rows if any(row[0] == "any" or ", " in row[0] for row in rows) else _shared_rows(rows)
-    table = [(s.name, f"`{e.value}`", t.name) for s, row in code.TABLE.items() for e, t in row.items()]
-    return _shared_rows(table)
+    return _shared_rows(cells(importlib.import_module(module).TABLE))
 
 
 def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -338,8 +340,6 @@ def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 def _state_table(module: str) -> str:
     rows = state_rows(module)
     columns = ["state", "event", "guard", "action", "next state"]
-    if len(rows[0]) == 3:
-        columns = ["state", "event", "next state"]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     return "\n".join([*lines, *(f"| {' | '.join(map(_cell, row))} |".replace("|  |", "| |") for row in rows), ""])
 

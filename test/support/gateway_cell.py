@@ -42,9 +42,9 @@ def slow(cycle, rate=2.0):
 class Cell:
     """A controller that carries out each reply at once, and a sender, on one simulated clock."""
 
-    def __init__(self, start=START, **changes):
+    def __init__(self, start=START, measures=False, **changes):
         self.config = dataclasses.replace(CONFIG, **changes)
-        self.gateway = Gateway(self.config, RUN)
+        self.gateway = Gateway(self.config, RUN, measures=measures)
         self.codec = JointStringCodec(2, self.config.decimals)
         self.now = 50 * NANOSECONDS
         self.ipoc = 1_000_000
@@ -60,6 +60,7 @@ class Cell:
 
     def telegram(self, **changes):
         telegram = RobotTelegram(self.ipoc, self.measured, self.setpoint, self.delay)
+        self.gateway.clock.note(self.ipoc, self.now)
         reply = self.gateway.on_telegram(dataclasses.replace(telegram, **changes), self.source, self.now)
         if reply is not None:
             self.measured = tuple(start + value for start, value in zip(self.setpoint, reply))

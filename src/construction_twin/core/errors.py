@@ -21,14 +21,14 @@ class ConfigurationError(ConstructionTwinError):
     where : str
         Resolved parameter name or file path.
     value : object
-        What was found there.
+        What was found there; None: nothing.
     expected : str
         What would have been accepted.
     """
 
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
-        super().__init__(f"{where}: found {value!r}, expected {expected}")
+        super().__init__(f"{where}: found {'nothing' if value is None else repr(value)}, expected {expected}")
 
 
 class EthernetXmlError(ConfigurationError):

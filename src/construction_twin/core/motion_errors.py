@@ -151,7 +151,7 @@ class SceneError(ConstructionTwinError):
 
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
-        super().__init__(f"{where}: found {value!r}, expected {expected}")
+        super().__init__(f"{where}: found {'nothing' if value is None else repr(value)}, expected {expected}")
 
 
 class PlanningError(ConstructionTwinError):

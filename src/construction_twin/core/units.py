@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-#: Length of a controller cycle [s] (`#IPO_FAST`, docs/rsi.md, section 1).
+#: Length of a cycle of setpoints, and of a controller cycle with `#IPO_FAST` [s] (docs/rsi.md, section 1).
 CYCLE = 0.004
 #: The same in nanoseconds: stamps are integers so that a grid of them stays exact.
 CYCLE_NS = 4_000_000
@@ -53,11 +53,11 @@ def last_digit(decimals: int, linear: bool = False) -> float:
     return 10.0**-decimals / 1e3 if linear else math.radians(10.0**-decimals)
 
 
-def format_allowance(decimals: int, linear: bool = False) -> float:
+def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) -> float:
     """Return what rounding to `decimals` can add to an acceleration measured per cycle.
 
     Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (docs/architecture.md, law 3):
-    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint.
+    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint. A ninth of it in a cycle of 12 ms.
 
     Parameters
     ----------
@@ -65,10 +65,12 @@ def format_allowance(decimals: int, linear: bool = False) -> float:
         Decimals on the wire.
     linear : bool, optional
         True: of mm, for a prismatic joint; False: of deg.
+    cycle : float, optional
+        Time between the rounded values [s].
 
     Returns
     -------
     allowance : float
         [rad/s^2], or [m/s^2] for a prismatic joint.
     """
-    return 2 * last_digit(decimals, linear) / CYCLE**2
+    return 2 * last_digit(decimals, linear) / cycle**2

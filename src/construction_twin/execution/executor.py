@@ -17,13 +17,13 @@ from construction_twin.execution.speed_limit import PlayRate
 from construction_twin.execution.states import (
     ACTIVE,
     OUTCOMES,
+    ROWS,
     SURVIVED,
     Action,
     ExecutorEvent,
     ExecutorState,
     Guard,
     Row,
-    rows_for,
 )
 from construction_twin.execution.stopping import distance_along
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
@@ -280,7 +280,7 @@ class Executor:
         ExecutionError
             When nothing is playing.
         """
-        if not rows_for(self.state, ExecutorEvent.PAUSE):
+        if not ROWS[self.state, ExecutorEvent.PAUSE]:
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
         before = self.state
         if before is ExecutorState.PLAYING:
@@ -302,7 +302,7 @@ class Executor:
         ExecutionError
             When nothing is paused, or twin and arm are not in sync and armed.
         """
-        if not rows_for(self.state, ExecutorEvent.RESUME):
+        if not ROWS[self.state, ExecutorEvent.RESUME]:
             raise ExecutionError(f"nothing to resume: the executor is {self.state.name} ({self.reason})")
         if self._sync is not SyncState.IN_SYNC:
             raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
@@ -370,7 +370,7 @@ class Executor:
 
     def _on(self, event: ExecutorEvent, reason: str = "") -> None:
         """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
-        for row in rows_for(self.state, event):
+        for row in ROWS[self.state, event]:
             if self._is_true(row.guard):
                 self._follow(row, reason)
                 return
@@ -406,7 +406,7 @@ class Executor:
             self._events.append(Ending(self._run.plan, self.outcome, sentence))
         # a restart is told although the state stays
         if row.target is not row.state or action is Action.FORGET_TWIN:
-            self._enter(row.target, sentence)
+            self._enter(row.target or row.state, sentence)
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""

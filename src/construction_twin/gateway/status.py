@@ -29,6 +29,7 @@ class Status:
     correction: list[float]
     controller: dict
     last_ipoc_jump_ms: int
+    cycle: dict
     run: str
     hash: str
     decimals: int

@@ -26,6 +26,7 @@ from construction_twin.kinematics.opw import OpwModel
 from construction_twin.kinematics.singular_wrist import SingularWrist
 from construction_twin.kinematics.solution import (
     TURN,
+    ArmKind,
     Configuration,
     IkSettings,
     IkSolution,
@@ -108,6 +109,13 @@ class ClosedFormInverse(BranchInverse):
         self._target = np.eye(4)
         self._elements, self._ones = self._target.reshape(16), np.ones(16)
         self._singular_wrist = SingularWrist(chain, model)
+
+    @property
+    def kind(self) -> ArmKind:
+        """See `InverseKinematics.kind`."""
+        return ArmKind(
+            "OPW", "axes 2 and 3 are parallel, axes 4, 5 and 6 meet in a point, and neighbours are perpendicular"
+        )
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""

@@ -23,6 +23,7 @@ from construction_twin.core.motion_errors import (
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.solution import (
     TURN,
+    ArmKind,
     Configuration,
     IkSettings,
     IkSolution,
@@ -62,10 +63,20 @@ class NumericInverse(InverseKinematics):
         Source of the starting points.
     clock : callable
         Returns the present time [s], e.g. ``time.monotonic``: for the budget.
+    why : str
+        Why nothing better solves the arm: part of a sentence.
     """
 
-    def __init__(self, chain: Chain, settings: IkSettings, rng: np.random.Generator, clock: Callable[[], float]):
+    def __init__(
+        self,
+        chain: Chain,
+        settings: IkSettings,
+        rng: np.random.Generator,
+        clock: Callable[[], float],
+        why: str = "it was chosen",
+    ):
         super().__init__(chain, settings)
+        self._why = why
         self._rng = rng
         self._clock = clock
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
@@ -74,6 +85,11 @@ class NumericInverse(InverseKinematics):
         self._solver = PyKDL.ChainIkSolverPos_LMA(chain.kdl, _SOLVER_EPS, settings.iterations, _SOLVER_STEP)
         self._start = PyKDL.JntArray(len(self._lower))
         self._end = PyKDL.JntArray(len(self._lower))
+
+    @property
+    def kind(self) -> ArmKind:
+        """See `InverseKinematics.kind`."""
+        return ArmKind("search", self._why)
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`: of the solutions found, until `patience` in a row bring nothing nearer.

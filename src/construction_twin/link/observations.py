@@ -20,6 +20,9 @@ REST = NANOSECONDS // 5
 REFUSED_RECENTLY = NANOSECONDS
 #: A retained status is believed this long without a newer one; the gateway repeats its status every second [ns].
 STATUS_TIMEOUT = 3 * NANOSECONDS
+#: States of a gateway without a controller that it answers, and of one whose arm can be followed but not commanded.
+NO_SESSION = ("no_controller", "joined_running")
+ONLY_POSES = ("read_only", "measuring", "other_cycle")
 
 
 class LinkObservations:
@@ -164,7 +167,7 @@ class LinkObservations:
                 LinkEvent.MISMATCHED,
                 "gateway names no run in its status: it is older than the bridge; install the same version on both sides",
             )
-        if self.gateway in ("no_controller", "joined_running") or (self.reads_only and not mirrors):
+        if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
             return LinkEvent.CONTROLLER_LOST, f"gateway has no RSI session to command: {self.gateway_reason}"
         return None
 

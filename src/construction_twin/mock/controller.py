@@ -9,11 +9,12 @@ closes it: the valid reply k, or the HOLDON rule when there is none, becomes the
 cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the AIPos of packet k + 3 equals start + AK of
 reply k. Before the first valid reply the setpoint is the start pose.
 
-It models: IPOC, +4 ms per packet from a large start value; replies, valid only with the IPOC of the open cycle; `Delay`;
-`Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE` corrections,
-clamped by AXISCORR and supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration; the STOP object
-in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol, constant unless a program of the controller's own moves them; an
-E-stop with its ramp; T1. It does not model braking for any other reason: when RSI stops, the arm stands still at once.
+It models: IPOC, one cycle (4 or 12 ms) per packet from a large start value; replies, valid only with the IPOC of the open cycle;
+`Delay`; `Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE`
+corrections, clamped by AXISCORR and supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration;
+the STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol, constant unless a program of the
+controller's own moves them; an E-stop with its ramp; T1. It does not model braking for any other reason: when RSI stops, the
+arm stands still at once.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from collections.abc import Callable, Sequence
 
 from construction_twin.core.errors import FaultError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
-from construction_twin.core.units import CYCLE
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.encoders import Encoders
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
@@ -34,10 +34,8 @@ from construction_twin.rsi.layout import STOP
 from construction_twin.rsi.status_channels import ControllerStatus, status_channels
 from construction_twin.rsi.telegram import axis_units
 
-#: Milliseconds the controller's clock advances from packet to packet at `#IPO_FAST`.
-IPOC_STEP = 4
-#: The servo is given this long to arrive at the end of a program [cycles].
-_SETTLING_CYCLES = 250
+#: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
+_SETTLING, _RECOVERY = 1.0, 1.0
 #: On the optional channels, see `status_channels`.
 _T1, _AUT, _ACTIVE = 1, 3, 3
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
@@ -133,8 +131,9 @@ class MockController:
         self._start_tool: tuple[float, ...] = ()
         self.config = config
         self.servo = servo
-        self.encoders = Encoders(len(config.axes))
-        self.refusals = ReplyRefusals()
+        self._period = config.period
+        self.encoders = Encoders(len(config.axes), config.period)
+        self.refusals = ReplyRefusals(round(_RECOVERY / config.period))
         self.reported: tuple[float, ...] = config.start_pose
         self._forward_kinematics = forward_kinematics
         layout = config.rsi_layout
@@ -152,8 +151,8 @@ class MockController:
         self._stop_declared, self._stop_holdon = layout.stop, holdon.get(STOP, False)
         linear = [unit.linear for unit in axis_units(config.axes, config.units)]
         self._people_units = [(1e3, "mm") if slides else (math.degrees(1.0), "deg") for slides in linear]
-        self._max_step = _per_cycle(config.velocity, config.velocity_factor * CYCLE)
-        self._max_step_change = _per_cycle(config.acceleration, config.acceleration_factor * CYCLE * CYCLE)
+        self._max_step = _per_cycle(config.velocity, config.velocity_factor * config.period)
+        self._max_step_change = _per_cycle(config.acceleration, config.acceleration_factor * config.period**2)
         self.counters = dict.fromkeys(self.COUNTERS, 0)
         self.session = 0
         self.ipoc = 0
@@ -213,7 +212,7 @@ class MockController:
         """
         if self.running and self._open:
             self._close_cycle()
-            self.ipoc += IPOC_STEP * self.running
+            self.ipoc += self.config.cycle * self.running
         elif not self.running:
             self._move_without_session()
         measured = self.measured
@@ -250,9 +249,9 @@ class MockController:
         except TelegramError as error:
             return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
         if telegram.ipoc != self.ipoc or not self._open:
-            behind = self.ipoc - telegram.ipoc
-            if behind > 0 and behind % IPOC_STEP == 0 and telegram.ipoc >= self._first_ipoc:
-                late = f"the reply to IPOC {telegram.ipoc} came {behind // IPOC_STEP} cycles late"
+            behind, beside = divmod(self.ipoc - telegram.ipoc, self.config.cycle)
+            if behind > 0 and not beside and telegram.ipoc >= self._first_ipoc:
+                late = f"the reply to IPOC {telegram.ipoc} came {behind} cycle{'s' if behind > 1 else ''} late"
                 return self._refuse("late_replies", "late", late)
             expected = f"the reply carries IPOC {telegram.ipoc}; expected that of the packet, unchanged: {self.ipoc}"
             return self._refuse("mismatched", "ipoc", expected)
@@ -272,7 +271,8 @@ class MockController:
         self.pressed = self.needs_person = True
         self.program = None
         if self.running:
-            self.ramp = EmergencyBrake(self.setpoint, self._last_step, self.config.acceleration, self.measured)
+            begin = self.setpoint, self._last_step
+            self.ramp = EmergencyBrake(*begin, self.config.acceleration, self.measured, self._period)
             self._stop("emergency stop")
 
     def release_emergency_stop(self) -> None:
@@ -327,7 +327,8 @@ class MockController:
             self.ramp = None
             self.start_pose, self.applied = self.setpoint, self._zero
         target = tuple([q - correction for q, correction in zip(goal, self.applied)])
-        self.program = Program(self.start_pose, target, self.config.velocity, self.config.acceleration, duration)
+        limits = self.config.velocity, self.config.acceleration
+        self.program = Program(self.start_pose, target, *limits, duration, self._period)
 
     def _make_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
         return ToolSpeedLimit(
@@ -337,6 +338,7 @@ class MockController:
             self.config.acceleration,
             lambda q: self._forward_kinematics(q)[0],
             self._tool_speed,
+            self._period,
         )
 
     def _begin_own_motion(self, pose: tuple[float, ...]) -> None:
@@ -366,7 +368,7 @@ class MockController:
             self.setpoint = self.ramp.advance()
         elif self.program is not None:
             self.setpoint = self.start_pose = self._programmed_pose(self.program)
-            self._settling = _SETTLING_CYCLES
+            self._settling = round(_SETTLING / self._period)
         elif self._settling:
             self._settling -= 1
         else:
@@ -467,12 +469,12 @@ class MockController:
             step = setpoint[index] - self.setpoint[index]
             if abs(step) > self._max_step[index]:
                 limit = config.velocity[index]
-                asked, most, own = self._on_wire(index, abs(step) / CYCLE, config.velocity_factor * limit, limit)
+                asked, most, own = self._on_wire(index, abs(step) / self._period, config.velocity_factor * limit, limit)
                 return f"command velocity {axis}: {asked}/s, limit {most}/s ({config.velocity_factor:g} times {own}/s)"
             change = abs(step - self._last_step[index])
             if change > self._max_step_change[index]:
                 limit, factor = config.acceleration[index], config.acceleration_factor
-                asked, most, own = self._on_wire(index, change / CYCLE**2, factor * limit, limit)
+                asked, most, own = self._on_wire(index, change / self._period**2, factor * limit, limit)
                 return f"command acceleration {axis}: {asked}/s², limit {most}/s² ({factor:g} times {own}/s²)"
         return ""
 

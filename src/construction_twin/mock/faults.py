@@ -1,6 +1,6 @@
 """Faults of the mock controller: their names, their arguments, and their effects.
 
-Pure: time is a count of 4 ms cycles, randomness has a seed. Angles are those of the controller's axes; SI.
+Pure: time is a count of cycles, randomness has a seed. Angles are those of the controller's axes; SI.
 Standard library only. While no fault is active, `FaultBoard.tick` is one comparison per cycle.
 """
 
@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 from construction_twin.core.errors import FaultError
 from construction_twin.core.motion_errors import JointRangeError
-from construction_twin.core.units import CYCLE
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.line import Line
 from construction_twin.mock.own_motion import T1_SPEED
@@ -178,7 +177,7 @@ class FaultBoard:
         self.changes += 1
         if not kind.lasting:
             return f"{fault.name} is carried out"
-        cycles = math.ceil(fault.duration / CYCLE - 1e-9) if fault.duration else math.inf
+        cycles = math.ceil(fault.duration / self.controller.config.period - 1e-9) if fault.duration else math.inf
         self._active[fault.name, fault.subject] = fault, self._cycle + cycles
         return f"{fault} is on" + (f" for {fault.duration:g} s" if fault.duration else "")
 

@@ -19,6 +19,7 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.units import from_wire, radians, to_wire
+from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.network import MockRsi
@@ -42,6 +43,7 @@ class MockSettings(pydantic.BaseModel):
     gateway_host: str
     gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
     ethernet_xml: str = ""
+    cycle: Literal[4, 12] = 4
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
     stop_required: bool = False
@@ -96,6 +98,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         acceleration=robot.acceleration,
         layout=layout,
         units=_units(settings, robot),
+        cycle=settings.cycle,
         precision=settings.precision,
         timeout=settings.timeout,
         stop_required=settings.stop_required,
@@ -131,10 +134,11 @@ def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
 
 def build_servo(settings: MockSettings) -> Servo:
     """Build the servo model that `settings.servo` names."""
+    period = settings.cycle / 1000
     if settings.servo == "ideal":
-        return IdealServo(settings.servo_delay_cycles)
+        return IdealServo(settings.servo_delay_cycles, period)
     resolution = radians([settings.encoder_resolution_deg])[0]
-    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution)
+    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution, period)
 
 
 def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
@@ -165,7 +169,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Return the options of the command line; only those that were given, or have a default."""
     parser = argparse.ArgumentParser(
         prog="mock_rsi",
-        description="Mock KUKA KR C4 with RSI: a UDP client with its own 4 ms clock. Needs no ROS.",
+        description="Mock KUKA KR C4 with RSI: a UDP client with its own clock. Needs no ROS.",
         argument_default=argparse.SUPPRESS,
     )
     option = parser.add_argument
@@ -187,6 +191,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         metavar="DEG,...",
         help="start pose of the axes [deg], prismatic ones [mm], as the robot's joints are ordered [home]",
     )
+    option("--cycle", type=int, help="length of a cycle [ms], 4 or 12 [4]")
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
     option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")
     option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
@@ -209,8 +214,7 @@ def checked_settings(options: dict) -> MockSettings:
     try:
         return MockSettings(gateway_host=host, gateway_port=port, **options)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError("/".join(map(str, first["loc"])), first["input"], first["msg"]) from error
+        raise configuration_error(error, MockSettings) from error
 
 
 def main(argv: list[str] | None = None) -> int:

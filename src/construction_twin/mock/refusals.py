@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-#: So many replies must count in a row until refused ones are over and told of anew: 1 s at 4 ms.
-_RECOVERED = 250
-
 
 class ReplyRefusals:
     """The refused replies of a controller.
+
+    Parameters
+    ----------
+    recovery : int
+        So many replies must count in a row until refused ones are over, and told of anew.
 
     Attributes
     ----------
@@ -21,7 +23,8 @@ class ReplyRefusals:
         Sentences for the log; whoever writes them empties the list.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, recovery: int) -> None:
+        self._recovery = recovery
         self.last = self.present = self.since_valid = ""
         self.news: list[str] = []
         self._told: set[str] = set()
@@ -48,6 +51,6 @@ class ReplyRefusals:
             return
         self.since_valid = ""
         self._valid += 1
-        if self._valid >= _RECOVERED:
+        if self._valid >= self._recovery:
             self.news.append(f"replies count again; {self._refused} were refused, the last one because {self.last}")
             self.begin_session()

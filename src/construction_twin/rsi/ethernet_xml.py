@@ -33,6 +33,8 @@ INTERNAL = {
 TYPES = ("BOOL", "STRING", "LONG", "DOUBLE")
 
 _TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(?:\.[A-Za-z0-9_]{1,31})?").fullmatch
+#: A digital output of the controller, as the file of ros-industrial's driver declares eight of them (docs/rsi.md, section 3).
+_OUTPUT = re.compile(r"Out\.[0-9]{2}").fullmatch
 _GENERATOR_1 = re.compile(r"DEF_Tech\.[CT]1").fullmatch
 
 
@@ -114,13 +116,15 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
         _check_internal(element, where)
     for element in receive:
         _check_channel(element, where)
+    filled = [element for element in receive if not (element.type == "BOOL" and _OUTPUT(element.tag))]
     layout = RsiLayout(
         sentype=sentype,
         port=_port(config, where),
         onlysend=onlysend == "TRUE",
         send=tuple(element.tag.removeprefix("DEF_") for element in send),
-        receive=tuple(element.tag for element in receive),
-        holdon=tuple(element.holdon == "1" for element in receive),
+        receive=tuple(element.tag for element in filled),
+        holdon=tuple(element.holdon == "1" for element in filled),
+        not_filled=tuple(element.tag for element in receive if element not in filled),
     )
     return EthernetXml(where, _address(config, where), layout, text)
 
@@ -149,7 +153,8 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
             continue
         if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
             expected = (
-                "axis corrections (e.g. AK.A1) and Stop only: no other channel is filled; remove it from the file"
+                "axis corrections (e.g. AK.A1), Stop and outputs of type BOOL (Out.01) only: no other channel is filled; "
+                "remove it from the file"
             )
             raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
         if axis in elements:

@@ -48,7 +48,7 @@ class Excess:
 
 
 #: States in which the gateway adds nothing to what the controller's own program does.
-_LED = (State.READY, State.ARMED)
+_LED = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 
 
 def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals: int) -> list[Excess]:

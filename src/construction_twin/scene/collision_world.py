@@ -16,7 +16,7 @@ import pinocchio
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
-from construction_twin.scene.collision_bodies import Body, RobotBodies, forget_past_answers
+from construction_twin.scene.collision_bodies import Body, RobotBodies, make_reliable
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -147,7 +147,7 @@ class CollisionWorld:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
-        forget_past_answers(self._geometry_data)
+        make_reliable(self._geometry_data)
         for request, (_, _, margin) in zip(self._geometry_data.collisionRequests, pairs):
             request.security_margin = margin
         order = robot_bodies.order

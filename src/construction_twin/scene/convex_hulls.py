@@ -6,7 +6,6 @@ Nothing is replaced here: the proposal is a URDF of its own beside the meshes th
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,8 @@ from xml.etree import ElementTree
 
 import coal
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 from scipy.stats import qmc
 
@@ -21,7 +22,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.mesh_file import binary_stl
 
-#: Points by which the volume of a mesh that is not closed is estimated, and their seed: a power of 2, as Sobol's sequence asks.
+#: Points by which a volume is estimated where it cannot be calculated, and their seed: a power of 2, as Sobol's sequence asks.
 _POINTS, _SEED = 2048, 0
 
 
@@ -39,7 +40,7 @@ class Hull:
     volume : float
         Of the mesh [m^3].
     estimated : bool
-        Whether the mesh is not closed, so that its volume is an estimate.
+        Whether the mesh is not one closed surface, so that its volume is an estimate.
     vertices : array, shape (v, 3)
         Of the hull, in the frame of the collision element [m].
     faces : array of int, shape (t, 3)
@@ -119,7 +120,9 @@ def _outwards(hull: ConvexHull) -> np.ndarray:
 
 
 def closed_volume(vertices: np.ndarray, triangles: np.ndarray) -> float | None:
-    """Return the volume of a closed mesh whose triangles all look outwards [m^3]; None for any other mesh.
+    """Return the volume of a mesh that is one closed surface whose triangles look outwards [m^3]; None for any other mesh.
+
+    Several closed surfaces in one mesh may overlap: their volumes cannot be added.
 
     Parameters
     ----------
@@ -128,8 +131,13 @@ def closed_volume(vertices: np.ndarray, triangles: np.ndarray) -> float | None:
     triangles : array of int, shape (t, 3)
     """
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    forth, uses = np.unique(edges, axis=0, return_counts=True)
-    if (uses != 1).any() or not np.array_equal(forth, np.unique(edges[:, ::-1], axis=0)):
+    forth, rows, uses = np.unique(edges, axis=0, return_index=True, return_counts=True)
+    back, columns = np.unique(edges[:, ::-1], axis=0, return_index=True)
+    if (uses != 1).any() or not np.array_equal(forth, back):
+        return None
+    # which triangles have an edge in common; three edges each
+    shared = coo_array((np.ones(len(rows)), (rows // 3, columns // 3)), shape=(len(triangles), len(triangles)))
+    if connected_components(shared, directed=False)[0] > 1:
         return None
     first, second, third = (vertices[triangles[:, corner]] for corner in range(3))
     volume = float(np.einsum("ij,ij->", first, np.cross(second, third))) / 6.0
@@ -137,7 +145,7 @@ def closed_volume(vertices: np.ndarray, triangles: np.ndarray) -> float | None:
 
 
 def estimated_volume(vertices: np.ndarray, triangles: np.ndarray, hull: ConvexHull) -> float:
-    """Return what a mesh with holes encloses [m^3]: its share of points in its hull around which it winds more than half.
+    """Return what a mesh of any kind encloses [m^3]: its share of points in its hull around which it winds more than half.
 
     The solid angle under which a point sees the whole mesh is 4 pi inside of a closed surface and 0 outside; a hole changes it
     little, and bodies that overlap each other count once. The solid angle of a triangle: tan(angle / 2) is its vertices' triple
@@ -193,10 +201,8 @@ def urdf_with_hulls(urdf: str, hulls: Sequence[Hull], folder: Path) -> str:
         assert mesh is not None
         # the hull is in metres: a scale was applied
         mesh.attrib = {"filename": f"file://{folder / hull_file(hull)}"}
-    copied = copy.deepcopy(root)
-    ElementTree.indent(copied)
-    note = "<!-- A proposal: convex hulls in place of the collision meshes. Written by `rosrun construction_twin self_collision`. -->"
-    return f'<?xml version="1.0"?>\n{note}\n{ElementTree.tostring(copied, encoding="unicode")}\n'
+    note = "<!-- A proposal by `rosrun construction_twin self_collision`: convex hulls in place of the collision meshes. -->"
+    return f'<?xml version="1.0"?>\n{note}\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
 def write_proposal(urdf: str, hulls: Sequence[Hull], folder: Path) -> Path:
@@ -227,7 +233,7 @@ def hull_lines(hulls: Sequence[Hull]) -> list[str]:
             f"{_litres(hull.hull_volume):>9}  {about}{_litres(hull.added)} ({share})"
         )
     if any(hull.estimated for hull in hulls):
-        lines.append("~ the mesh is not closed: its volume is an estimate")
+        lines.append("~ the mesh is not one closed surface: its volume is an estimate")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Triangles from STL and OBJ files, read strictly: what Coal builds from them is safe only when every number is checked; and STL files.
+"""Triangles from STL and OBJ files, read strictly: what Coal builds from them is safe only when every number is checked.
 
 Vertices in the file's own unit; a scale makes them metres.
 """

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio
 
 from construction_twin.robot.description import RobotModel
-from construction_twin.scene.collision_bodies import RobotBodies, forget_past_answers
+from construction_twin.scene.collision_bodies import RobotBodies, make_reliable
 
 #: Poses of one piece of work: few enough that a pair whose answer is known is soon left out, many enough that handing them out
 #: costs nothing.
@@ -96,8 +96,8 @@ class PairSampler:
                     self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
         self._data = self._model.createData()
         self._contact, self._close = self._geometry.createData(), self._geometry.createData()
-        forget_past_answers(self._contact)
-        forget_past_answers(self._close)
+        make_reliable(self._contact)
+        make_reliable(self._close)
         for request in self._close.collisionRequests:
             request.security_margin = near
         lower, upper = np.array(robot.lower), np.array(robot.upper)

@@ -21,6 +21,9 @@ _WITH_VALUE = (
 #: Options with which roslaunch only prints what is in the files.
 _PRINTS = {"--files", "--args", "--nodes", "--find-node", "--dump-params", "--ros-args"}
 
+#: Arguments that can be given as ``none``: no file.
+NONE = {"scene", "scene_1", "scene_2"}
+
 
 @dataclass(frozen=True)
 class RoslaunchCall:
@@ -129,7 +132,9 @@ def argument_problem(given: Mapping[str, str], known: Mapping[str, str], file: s
             meant = f"did you mean {near[0]}:={value}? " if near else ""
             return f"{name}:={value}: {file} has no such argument; {meant}`roslaunch --ros-args` lists them"
         if not value and known[name]:
-            return f"{name}:='': roslaunch drops an empty value, and the default would count; give a value, or leave it out"
+            nothing = f"{name}:=none for nothing, " if name in NONE else ""
+            dropped = "roslaunch drops an empty value, and the default would count"
+            return f"{name}:='': {dropped}; give {nothing}a value, or leave it out"
     return ""
 
 

@@ -51,10 +51,13 @@ class Word:
     Attributes
     ----------
     state, reason : str
+    gateway : str
+        State of the gateway, in the bridge's report.
     """
 
     state: str
     reason: str
+    gateway: str = ""
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,6 @@ def _link(seen: Seen, deployment: Deployment) -> Missing | None:
     """Broker, gateway, configuration, controller, first feedback."""
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
-    real = deployment.arm == "real"
     if not state:
         return Missing("the bridge", "no report", "mqtt_bridge does not run; its reason stands in its log")
     if state == "DISCONNECTED":
@@ -198,13 +200,26 @@ def _link(seen: Seen, deployment: Deployment) -> Missing | None:
     if state == "MISMATCH":
         return Missing("the gateway's configuration", reason, "export it again, copy it, restart the gateway")
     if state == "NO_CONTROLLER":
-        program = f"start the RSI program; the controller sends to {deployment.rsi_address}"
-        return Missing("the controller (RSI)", reason, program if real else "look why mock_rsi does not send")
+        return Missing("the controller (RSI)", reason, _action_for_controller(word.gateway, deployment))
     if not seen.feedback:
         return Missing(
             "the first pose of the arm", reason, "look at `/diagnostics` of mqtt_bridge: what does it refuse?"
         )
     return None
+
+
+def _action_for_controller(gateway: str, deployment: Deployment) -> str:
+    real = deployment.arm == "real"
+    if gateway == "measuring":
+        return "nothing to do, it goes on by itself within seconds"
+    if gateway == "other_cycle":
+        return (
+            "correct RSI_ON in the program, and start it again" if real else "give gateway and mock_rsi one rsi_cycle"
+        )
+    if gateway == "joined_running":
+        return "start the RSI program again once RSI has timed out" if real else "it starts again by itself"
+    program = f"start the RSI program, or cure what is refused; the controller sends to {deployment.rsi_address}"
+    return program if real else "look why mock_rsi does not send, or what it sends"
 
 
 def _twin(seen: Seen, deployment: Deployment) -> Missing | None:

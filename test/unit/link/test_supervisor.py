@@ -27,7 +27,7 @@ class TestFirstStart:
         bench.run(0.1)
         assert bench.state is LinkState.GATEWAY_OFFLINE and "rsi_gateway" in bench.supervisor.reason
 
-    @pytest.mark.parametrize("state", ["no_controller", "joined_running", "read_only"])
+    @pytest.mark.parametrize("state", ["no_controller", "joined_running", "read_only", "measuring", "other_cycle"])
     def test_waits_for_a_controller_and_says_what_the_gateway_says(self, bench, state):
         bench.set_gateway(state, "no telegram yet")
         bench.run(0.1)

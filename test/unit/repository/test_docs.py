@@ -25,8 +25,9 @@ from evaluation_samples import run
 from gateway_cell import following
 
 from construction_twin.broker.access import PLC, ROLES
+from construction_twin.core.state_table import cells
 from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.execution.states import ExecutorEvent, ExecutorState, table_cells
+from construction_twin.execution.states import TABLE, ExecutorEvent, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
 from construction_twin.link.remote_review import PlanView, review_answer
@@ -237,7 +238,7 @@ def test_gateway_states_and_events_are_explained():
 def test_rows_that_states_share_keep_the_order_in_which_guards_are_asked():
     shared = make_reference.state_rows("construction_twin.execution.states")
     asked = [(state, row[1], row[2:]) for row in shared for state in row[0].split(", ")]
-    rows = table_cells()
+    rows = cells(TABLE)
     for state, event in {(row[0], row[1]) for row in rows}:
         expected = [tuple(row[2:]) for row in rows if (row[0], row[1]) == (state, event)]
         assert [rest for of, on, rest in asked if (of, on) == (state, event)] == expected
@@ -473,7 +474,7 @@ def as_template(quote: str) -> str:
 
 def test_every_package_earns_its_place():
     text = (ROOT / "docs/dependencies.md").read_text()
-    for name in ("requirements.txt", "debian-packages.txt"):
+    for name in ("requirements.txt", "requirements-no-deps.txt", "debian-packages.txt"):
         lines = (ROOT / "setup" / name).read_text().splitlines()
         packages = [line.split("==")[0].strip() for line in lines if line.strip() and not line.startswith("#")]
         assert [package for package in packages if f"`{package}`" not in text] == []

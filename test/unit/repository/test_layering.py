@@ -16,7 +16,7 @@ from separation_node import Settings as SeparationSettings
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import home_positions, read_robot_files
-from construction_twin.ros.commands.experiment import ExperimentSettings
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
@@ -39,7 +39,7 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 #: What the library may import besides the standard library and itself. PyKDL and rospkg are ROS's, but need no ROS to run.
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
-    "coal", "pinocchio", "py_opw_kinematics", "manifold3d",
+    "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d",
     "rospkg", "shtab",
 }  # fmt: skip
 GENERATED = {"msg", "srv", "action"}

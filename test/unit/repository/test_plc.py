@@ -28,8 +28,7 @@ class Cell:
     """A PLC, its clock, and a sender that sends a string per cycle."""
 
     def __init__(self, axes=SLOW, start=(0.0, 0.0), delay=3):
-        self.plc = BarePlc(axes, start, delay=delay)
-        self.axes = axes
+        self.axes, self.plc = axes, BarePlc(axes, start, delay=delay)
         self.now = 100.0
         self.poses = [self.plc.position]
         self.words = [self.plc.word]

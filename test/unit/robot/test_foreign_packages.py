@@ -21,7 +21,7 @@ from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.scene.self_collision import main as self_collision
+from construction_twin.scene.self_collision_command import main as self_collision
 
 
 @pytest.fixture
@@ -187,9 +187,11 @@ def test_the_launch_file_loads_the_arm_with_its_arguments(xacro, tmp_path):
 
 @pytest.mark.parametrize("file", ["bringup", "experiment"])
 def test_bringup_passes_the_arguments_on(xacro, tmp_path, file):
+    description, pairs = str(robot_yaml(tmp_path, "left_")), str(tmp_path / "pairs.yaml")
+    self_collision([str(xacro), description, pairs, "--samples", "20", "--robot-xacro-args", "prefix=left_"])
     run = subprocess.run(
         ["roslaunch", "--dump-params", "construction_twin", f"{file}.launch", f"robot_xacro:={xacro}",
-         f"robot_config:={robot_yaml(tmp_path, 'left_')}", "robot_xacro_args:=prefix=left_", "robot:=kr210"],
+         f"robot_config:={description}", f"self_collision:={pairs}", "robot_xacro_args:=prefix='left_'", "robot:=kr210"],
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr

@@ -71,6 +71,7 @@ def test_what_a_file_hands_on_is_known_and_what_it_sets_itself_is_not():
 
 def test_an_empty_value_that_roslaunch_drops_is_told_where_the_default_is_another():
     assert problem("bringup.launch", broker_host="").startswith("broker_host:='': roslaunch drops an empty value, and ")
+    assert problem("bringup.launch", scene="").endswith("; give scene:=none for nothing, a value, or leave it out")
     assert problem("bringup.launch", bridge_account="") == ""
 
 

@@ -56,6 +56,23 @@ def test_advice_fits_what_was_started_here():
     assert "mock_rsi" in first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), HERE).action
 
 
+@pytest.mark.parametrize(
+    "gateway, real, mock",
+    [
+        ("no_controller", "start the RSI program, or cure what is refused", "or what it sends"),
+        ("measuring", "by itself within seconds", "by itself within seconds"),
+        ("other_cycle", "correct RSI_ON", "one rsi_cycle"),
+        ("joined_running", "once RSI has timed out", "by itself"),
+    ],
+)
+def test_without_a_session_the_advice_fits_what_the_gateway_says(gateway, real, mock):
+    why = "the controller's cycle is 12 ms"
+    seen = replace(GOOD, link=Word("NO_CONTROLLER", why, gateway))
+    for deployment, advice in ((CELL, real), (HERE, mock)):
+        missing = first_missing(seen, deployment)
+        assert advice in missing.action and missing.reason == why
+
+
 def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_when_it_is_gone():
     startup, stopped = StartUp(CELL), replace(GOOD, controller="the controller's program is stopped (STOP)")
     assert startup.update(GOOD, 1.0)[0].startswith("ready")

@@ -12,19 +12,25 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import pydantic
 import rosgraph
 import rospkg
 import yaml
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free
+from construction_twin.core.validation import configuration_error
 from construction_twin.mqtt.account import load_account
-from construction_twin.robot.description import RobotModel, load_robot
-from construction_twin.robot.urdf import expand_xacro, read_text
+from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
+from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
-from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_last
+from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
+from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -50,7 +56,19 @@ Given = Mapping[str, str]
 def _read_robot(given: Given) -> RobotModel:
     """Return the robot as launch/robot.launch and launch/bringup.launch describe it."""
     description = _mapping(given["robot_config"], "the robot's keys")
-    return load_robot(expand_xacro(given["robot_xacro"]), description | {"name": given["robot"]})
+    urdf = expand_xacro(given["robot_xacro"], xacro_arguments(given.get("robot_xacro_args", "")))
+    return load_robot(urdf, description | {"name": given["robot"]})
+
+
+def _check_estimates(given: Given, robot: RobotModel) -> None:
+    """Refuse to move a real arm by values that nobody has looked up."""
+    if given.get("arm") == "real" and robot.estimates:
+        keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
+        raise ConfigurationError(
+            "estimates",
+            list(robot.estimates),
+            f"none with arm:=real: put in the right values of {keys}, then take the words out",
+        )
 
 
 def _check_self_collision(given: Given, robot: RobotModel) -> None:
@@ -69,8 +87,7 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
 
 
 def _check_scene(given: Given, _robot: RobotModel) -> None:
-    if given["scene"]:
-        read_scene(given["scene"])
+    read_scene(given["scene"])
 
 
 def _check_cell(given: Given, robot: RobotModel) -> None:
@@ -93,14 +110,44 @@ def _check_account(name: str) -> Callable[[Given, RobotModel], None]:
     return check
 
 
+def _check_task(given: Given, robot: RobotModel) -> None:
+    """Check the task of experiment.launch as its node does: what it leaves out is config/experiment.yaml's."""
+    shipped = _mapping(str(_package() / "config" / "experiment.yaml"), "a task")
+    task = shipped | _mapping(given["task"], "a task") | {"results_dir": "/"}
+    try:
+        settings = ExperimentSettings.model_validate(task)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, ExperimentSettings, given["task"]) from error
+    check_goals(settings, robot)
+
+
+def _check_scenario(given: Given, _robot: RobotModel) -> None:
+    read_scenario(Path(given["scenario"]))
+
+
+def _check_folder_of(name: str) -> Callable[[Given, RobotModel], None]:
+    """Return the check of a file that is written: its folder is relative to ROS_HOME."""
+    return lambda given, _: check_writable((ros_home() / given[name]).parent)
+
+
+def _check_results(given: Given, _robot: RobotModel) -> None:
+    check_writable(Path(given["results_dir"]).expanduser())
+
+
 #: What is checked of a file's contents, by the argument that names it, in this order; each raises a ConstructionTwinError.
 CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
+    ("robot_config", _check_estimates),
     ("self_collision", _check_self_collision),
     ("ethernet_xml", _check_ethernet_xml),
     ("scene", _check_scene),
     ("cell", _check_cell),
     ("bridge_account", _check_account("bridge_account")),
     ("gateway_account", _check_account("gateway_account")),
+    ("task", _check_task),
+    ("scenario", _check_scenario),
+    ("results_dir", _check_results),
+    ("review_file", _check_folder_of("review_file")),
+    ("transition_file", _check_folder_of("transition_file")),
 )
 
 
@@ -260,7 +307,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     sentence = refusal(given, call, _master(call))
     if sentence:
-        say_last(f"preflight: {sentence}", pid)
+        print(f"preflight: {sentence}", file=sys.stderr, flush=True)
+        say_below(f"preflight: {sentence}", pid)
         if for_roslaunch:
             print("refused")
         return 0 if for_roslaunch else 1

@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.core.errors import ConstructionTwinError, FaultError
-from construction_twin.core.units import CYCLE, to_wire
+from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
@@ -27,12 +27,12 @@ from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultResponse
 
-#: Cycles between two reports on `~status`, 0.5 s.
-_STATUS_CYCLES = 125
+#: Between two reports on `~status` [s].
+_STATUS_PERIOD = 0.5
 
 
 class MockRsiNode:
-    """ROS around a MockRsi. The 4 ms loop runs in the main thread and hands what is to be published to another one."""
+    """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
     def __init__(self):
         self._settings = read_parameters(MockSettings)
@@ -49,6 +49,7 @@ class MockRsiNode:
         )
         self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0
+        self._status_cycles = round(_STATUS_PERIOD / self._controller.config.period)
         self._reported: tuple[int, bool, int, bool, bool] | None = None
         self._missed = 0
         self._joints = JointPublisher("~joint_states", self._robot.joint_names)
@@ -81,7 +82,7 @@ class MockRsiNode:
         refuses = bool(controller.refusals.present)
         state = controller.session, controller.running, self._mock.faults.changes, missed != self._missed, refuses
         self._missed = missed
-        due = self._cycle % _STATUS_CYCLES == 0 or state != self._reported
+        due = self._cycle % self._status_cycles == 0 or state != self._reported
         self._cycle += 1
         self._reported = state
         # a node that reacts to the packet may be quicker than this thread
@@ -118,7 +119,10 @@ class MockRsiNode:
         ramp = self._controller.ramp
         if ramp is None:
             return None
-        return {"time": ramp.cycles * CYCLE, "distance_deg": to_wire(ramp.distance, self._robot.linear)}
+        return {
+            "time": ramp.cycles * self._controller.config.period,
+            "distance_deg": to_wire(ramp.distance, self._robot.linear),
+        }
 
     # -- in other threads
 
