@@ -41,7 +41,9 @@ def arguments(launch: Path) -> dict[str, str]:
     (include,) = root.findall("include")
     assert include.attrib == {"file": "$(find construction_twin)/launch/bringup.launch", "pass_all_args": "true"}
     assert all(arg.get("doc") for arg in root.findall("arg"))
-    return {arg.get("name", ""): resolve_args(arg.get("default"), {"filename": str(launch)}) for arg in root.findall("arg")}
+    return {
+        arg.get("name", ""): resolve_args(arg.get("default"), {"filename": str(launch)}) for arg in root.findall("arg")
+    }
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
