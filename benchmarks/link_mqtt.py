@@ -23,7 +23,7 @@ def _varint(value: int) -> bytes:
             return bytes(digits)
 
 
-def _read_varint(data: bytes | bytearray, at: int) -> tuple[int, int] | None:
+def read_varint(data: bytes | bytearray, at: int) -> tuple[int, int] | None:
     """Return value and position after it, None while its bytes are not there yet."""
     value = shift = 0
     while at < len(data):
@@ -45,7 +45,7 @@ def publish_packet(topic: str, payload: bytes, pairs: list[tuple[str, str]] = ()
 def read_publish(body: bytes) -> tuple[str, bytes, list[tuple[str, str]]]:
     """Return topic, payload and user properties of a PUBLISH of QoS 0; other properties are not expected here."""
     end = 2 + struct.unpack_from("!H", body)[0]
-    length, at = _read_varint(body, end)
+    length, at = read_varint(body, end)
     pairs, stop = [], at + length
     while at < stop:
         if body[at] != 0x26:
@@ -111,7 +111,7 @@ class MqttEnd:
         if not data:
             raise ConnectionError("the broker has closed the connection")
         self._data += data
-        while len(self._data) > 1 and (header := _read_varint(self._data, 1)):
+        while len(self._data) > 1 and (header := read_varint(self._data, 1)):
             length, at = header
             if len(self._data) < at + length:
                 return

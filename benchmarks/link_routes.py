@@ -132,7 +132,7 @@ class Bench:
         pairs = [(ros, peer.arrivals)] if peer_counts else []
         pairs += [(ros if route == "round_trip" else peer, ros.arrivals)] if ros_counts else []
         messages = expected * (2 if route == "round_trip" else 1)
-        return _outcome(pairs, cpu / messages * 1000)
+        return outcome(pairs, cpu / messages * 1000)
 
     def sustains(self, route: str, rate: float, seconds: float) -> bool:
         """Return whether this rate [Hz] passes without loss and without a backlog, sent at no less than 99 % of it."""
@@ -162,7 +162,7 @@ def settle(arrived, expected: int, quiet: float = 1.0) -> None:
         time.sleep(0.02)
 
 
-def _outcome(pairs: list, cpu: float) -> Outcome:
+def outcome(pairs: list, cpu: float) -> Outcome:
     latencies, sent, lost = [], 0, 0
     for sender, arrivals in pairs:
         stamps = set(sender.sent)

@@ -33,12 +33,17 @@ class MachineProbe(ExitStack):
         SCHED_FIFO priority of the 250 Hz path; the probe's is 20 above it. 0: none, and the probe also sees what that path does.
     period : int, optional
         Time asleep between two wake-ups [ns]: a shorter pause may pass unseen, and every wake-up costs processor time.
+
+    Attributes
+    ----------
+    watches : list of Popen
+        One per core.
     """
 
     def __init__(self, realtime: int, period: int = PERIOD):
         super().__init__()
         priority = realtime + 20 if realtime else 0
-        self._watches = [self._start(core, priority, period) for core in sorted(os.sched_getaffinity(0))]
+        self.watches = [self._start(core, priority, period) for core in sorted(os.sched_getaffinity(0))]
 
     def _start(self, core: int, priority: int, period: int) -> subprocess.Popen:
         command = [sys.executable, __file__, str(core), str(priority), str(period)]
@@ -53,7 +58,7 @@ class MachineProbe(ExitStack):
         whether every watch has its priority; without it a pause may also be due to another program.
         """
         seen = []
-        for watch in self._watches:
+        for watch in self.watches:
             watch.stdin.write("\n")
             seen.append(json.loads(watch.stdout.readline()))
         return {

@@ -98,17 +98,17 @@ def _mqtt_row(gateway: GatewayProcess, arm: Arm, mqtt: Mqtt, count: int, seed: i
         with Cycling(arm):
             return flood_mqtt(mqtt, count, seed, progress)
 
-    return _row("MQTT, running gateway", gateway, arm, flood, count, seed)
+    return flooded("MQTT, running gateway", gateway, arm, flood, count, seed)
 
 
 def _rsi_row(gateway: GatewayProcess, arm: Arm, mqtt: Mqtt, count: int, seed: int) -> Row:
     def flood(count: int, seed: int, progress: Callable[[int], None] = lambda done: None) -> Counter:
         return flood_rsi(arm, mqtt, count, seed, progress)
 
-    return _row("RSI, running gateway", gateway, arm, flood, count, seed)
+    return flooded("RSI, running gateway", gateway, arm, flood, count, seed)
 
 
-def _row(name: str, gateway: GatewayProcess, arm: Arm, flood: Callable[..., Counter], count: int, seed: int) -> Row:
+def flooded(name: str, gateway: GatewayProcess, arm: Arm, flood: Callable[..., Counter], count: int, seed: int) -> Row:
     """Run a tenth to warm up, then all; judge motion, life and memory."""
     flood(count // 10, seed + 1)
     before, began = gateway.resident(), time.monotonic()

@@ -15,7 +15,7 @@ import os
 import re
 import runpy
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 from unittest import mock
@@ -23,6 +23,9 @@ from xml.etree import ElementTree
 
 import pydantic
 import yaml
+
+from construction_twin.core.state_table import cells
+from construction_twin.link.states import BARE_TABLE
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "reference"
@@ -44,7 +47,7 @@ NODES = {
     "static_frames": ("construction_twin.ros.nodes.static_frames", ""),
     "startup": ("construction_twin.ros.nodes.startup", ""),
     "separation": ("separation_node", "separation"),
-    "experiment": ("construction_twin.ros.commands.experiment", "experiment"),
+    "experiment": ("construction_twin.ros.commands.experiment_settings", "experiment"),
     "scenario": ("construction_twin.ros.commands.scenario", ""),
 }
 #: What neither a configuration file nor a launch argument explains; `*` stands for every node.
@@ -57,6 +60,10 @@ _EXPLAINED = {
     ("mqtt_bridge", "protocol"): "MQTT version: 5 or 3.1.1",
     ("static_frames", "parent"): "frame in which the robot stands",
     ("static_frames", "prefixes"): "tf prefixes of the robot's copies: twin, physical, preview",
+    (
+        "static_frames",
+        "chain_only",
+    ): "of them, where joint states hold the chain alone; frames of other joints come from here",
     ("startup", "broker"): "address of the broker, HOST:PORT",
     ("startup", "rsi"): "address on which the gateway listens, HOST:PORT",
     ("mock_rsi", "ethernet_xml"): "text of the Ethernet XML: SENTYPE, blocks, channels, HOLDON, ONLYSEND, port",
@@ -69,11 +76,13 @@ _EXPLAINED = {
 COMMANDS: list[tuple[str, str, list[str]]] = [
     ("twin", "nodes/twin", []),
     *((f"twin {name}", "nodes/twin", [name]) for name in ("plan", "home", "preview", "approve", "reject")),
-    *((f"twin {name}", "nodes/twin", [name]) for name in ("status", "watch")),
+    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "watch")),
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
     ("ik_report", "nodes/ik_report", []),
+    ("new_arm", "nodes/new_arm", []),
+    ("self_collision", "nodes/self_collision", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),
@@ -318,14 +327,9 @@ def _exit_codes() -> str:
 def state_rows(module: str) -> list[tuple[str, ...]]:
     """Return a state machine's table in words, as its module has it: state, event, guard, action, next state.
 
-    States with the same row share one; "any" stands for all of them. The monitor's table has neither guards nor actions.
+    States with the same row share one; "any" stands for all of them.
     """
-    code = importlib.import_module(module)
-    if hasattr(code, "table_cells"):
-        rows = [tuple(row) for row in code.table_cells()]
-        return rows if any(row[0] == "any" or ", " in row[0] for row in rows) else _shared_rows(rows)
-    table = [(s.name, f"`{e.value}`", t.name) for s, row in code.TABLE.items() for e, t in row.items()]
-    return _shared_rows(table)
+    return _shared_rows(cells(importlib.import_module(module).TABLE))
 
 
 def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -337,10 +341,11 @@ def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 
 
 def _state_table(module: str) -> str:
-    rows = state_rows(module)
+    return _rows_table(state_rows(module))
+
+
+def _rows_table(rows: Sequence[tuple[str, ...]]) -> str:
     columns = ["state", "event", "guard", "action", "next state"]
-    if len(rows[0]) == 3:
-        columns = ["state", "event", "next state"]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     return "\n".join([*lines, *(f"| {' | '.join(map(_cell, row))} |".replace("|  |", "| |") for row in rows), ""])
 
@@ -354,6 +359,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "messages": _message_page,
     "gateway states": lambda: _state_table("construction_twin.gateway.states"),
     "link states": lambda: _state_table("construction_twin.link.states"),
+    "bare link states": lambda: _rows_table(_shared_rows(cells(BARE_TABLE))),
     "executor states": lambda: _state_table("construction_twin.execution.states"),
     "monitor states": lambda: _state_table("construction_twin.monitor.states"),
 }

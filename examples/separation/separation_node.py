@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
+from collections.abc import Callable
 
 import pydantic
 import rospy
@@ -16,7 +18,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, 
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters
 from construction_twin.ros.transport.joint_stream import from_time
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber
 
 
@@ -31,21 +33,36 @@ class Settings(pydantic.BaseModel):
 
 
 class SeparationNode:
-    """ROS around a SeparationLimit."""
+    """ROS around a SeparationLimit; `start` gives it parameters and topics.
 
-    def __init__(self):
-        settings = read_parameters(Settings)
-        self._separation = SeparationLimit(SpeedTable(settings.table), settings.deadline)
+    Parameters
+    ----------
+    separation : SeparationLimit
+    speed_limit : Publisher
+    diagnostics : callable
+        Takes `report`; returns the node's NodeDiagnostics.
+    """
+
+    def __init__(
+        self,
+        separation: SeparationLimit,
+        speed_limit: Sink,
+        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+    ):
+        self._separation = separation
         self._lock = threading.Lock()
         self._measured = rospy.Time()
         self._said = ("", 0.0)
-        self._diagnostics = NodeDiagnostics(rospy.get_namespace().strip("/"), self._report)
-        self._publisher = Publisher("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True)
-        refuse = self._diagnostics.refuse
-        Subscriber("separation_distance", Range, self._on_range, refuse, queue_size=1, tcp_nodelay=True)
-        self._timer = rospy.Timer(rospy.Duration(1.0 / settings.rate), self._on_timer)
+        self._publisher = speed_limit
+        self._diagnostics = diagnostics(self.report)
 
-    def _on_range(self, message: Range) -> None:
+    @property
+    def refuse(self) -> Callable[[str, str], None]:
+        """Counts a refused input; takes reason and sentence."""
+        return self._diagnostics.refuse
+
+    def on_range(self, message: Range) -> None:
+        """Take a separation distance."""
         stamp = message.header.stamp
         try:
             with self._lock:
@@ -56,7 +73,8 @@ class SeparationNode:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 
-    def _on_timer(self, _event) -> None:
+    def update(self) -> None:
+        """Publish the limit as of now; to be called at `rate`."""
         with self._lock:
             limit, reason = self._separation.update(time.monotonic_ns())
             message = SpeedLimit(limit=limit, reason=reason)
@@ -64,12 +82,26 @@ class SeparationNode:
         self._publisher.publish(message)
         self._said = (reason, limit)
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         reason, limit = self._said
         level = OK if limit >= 1.0 else WARN
         return Report(level, f"speed limit {limit:g}: {reason}", {"speed limit": f"{limit:.3f}"})
 
 
+def start() -> SeparationNode:
+    """Return the node with its parameters and topics."""
+    settings = read_parameters(Settings)
+    node = SeparationNode(
+        SeparationLimit(SpeedTable(settings.table), settings.deadline),
+        Publisher("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True),
+        functools.partial(NodeDiagnostics, rospy.get_namespace().strip("/")),
+    )
+    Subscriber("separation_distance", Range, node.on_range, node.refuse, queue_size=1, tcp_nodelay=True)
+    rospy.Timer(rospy.Duration(1.0 / settings.rate), lambda _: node.update())
+    return node
+
+
 def main() -> None:
     """Run the node."""
-    run_node("separation", SeparationNode)
+    run_node("separation", start)

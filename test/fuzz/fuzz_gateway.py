@@ -369,7 +369,9 @@ class Cycling:
         self._pool = ThreadPoolExecutor(1)
 
     def _run(self) -> None:
-        while not self._ended.wait(CYCLE / 2):
+        due = time.monotonic()
+        while not self._ended.wait(max(0.0, due - time.monotonic())):
+            due += CYCLE
             # on a busy machine the gateway may have to wait for a processor; nothing here is about speed
             demand(self._arm.cycle(15.0), "a packet was not answered within 15 s")
 

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import rospy
 import rostest
+import tf2_ros
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
@@ -30,6 +31,8 @@ class AnotherArmTest(RobotTest):
         for service in ("plan_to_pose", "plan_cartesian"):
             rospy.wait_for_service(service, 60.0)
         cls.chain = Chain(cls.client.robot)
+        cls.tf = tf2_ros.Buffer()
+        cls.tf_listener = tf2_ros.TransformListener(cls.tf)
 
     def setUp(self):
         self.begin(60.0)
@@ -37,9 +40,21 @@ class AnotherArmTest(RobotTest):
 
     def test_the_joints_are_those_of_its_urdf_and_begin_at_its_home(self):
         shown = rospy.wait_for_message("joint_states", JointState, 20.0)
-        self.assertEqual(set(shown.name), {"pan", "lift", "elbow", "wrist_1", "wrist_2", "wrist_3"})
+        chain = {"pan", "lift", "elbow", "wrist_1", "wrist_2", "wrist_3"}
+        self.assertEqual(set(shown.name), chain | {"slide_left", "slide_right", "hinge"})
         zeros = rospy.get_param("joint_state_publisher/zeros")
         np.testing.assert_allclose([zeros[name] for name in self.client.robot.joint_names], self.client.si(HOME))
+
+    def test_the_fingers_stand_where_the_yaml_says_in_all_three_trees(self):
+        tool = self.chain.forward(self.client.si(HOME))
+        wanted = {"finger_left": (0.03, 0.0, 0.06), "finger_right": (-0.03, 0.0, 0.06), "camera": (0.0, 0.03, 0.03)}
+        for tree in ("twin", "physical", "preview"):
+            for link, place in wanted.items():
+                with self.subTest(tree=tree, link=link):
+                    frame = f"ur_like/{tree}/{link}"
+                    found = self.tf.lookup_transform("world", frame, rospy.Time(0), rospy.Duration(20.0)).transform
+                    position = (found.translation.x, found.translation.y, found.translation.z)
+                    np.testing.assert_allclose(position, tool.position + tool.rotation @ place, atol=1e-4)
 
     def test_to_joints(self):
         missed = self.client.mock_counter("missed")

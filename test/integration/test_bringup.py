@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
 """After bringup: every topic at its rate, tf, diagnostics, twin and arm in the same pose."""
 
+import subprocess
 import sys
 
 import numpy as np
+import rosgraph
 import rospy
 import rostest
 import tf2_ros
@@ -12,6 +14,7 @@ from sensor_msgs.msg import JointState
 from twin_client import HOME, RobotTest, Stream, TwinClient, case, wait
 
 from construction_twin.core.units import NANOSECONDS, radians
+from construction_twin.ros.shared.master import running
 
 STREAMS = (
     "next/joint_states",
@@ -113,6 +116,22 @@ class BringupTest(RobotTest):
         self.assertEqual(int(counters().get("commands_lost", 0)), 0)
         self.assertEqual(self.client.link.commands_refused, 0)
         self.assertEqual(self.client.link.states_refused, 0)
+
+    def test_a_second_start_of_the_same_robot_is_refused_and_takes_nothing_over(self):
+        nodes = [f"/kr120/{name}" for name in NODES]
+        uri = rosgraph.get_master_uri()
+        wait(lambda: [node.name for node in running(nodes, uri) if node.pid] == nodes, f"{nodes} to answer", 30.0)
+        before, session = running(nodes, uri), self.client.link.session
+        second = ["roslaunch", "construction_twin", "bringup.launch", "broker:=false", "gateway:=false"]
+        run = subprocess.run(second, capture_output=True, text=True, timeout=60.0)
+        self.assertEqual(run.returncode, 1)
+        said = run.stderr.splitlines()[-1]
+        self.assertTrue(
+            said.startswith(f"preflight: robot:=kr120: it runs already on {uri}: /kr120/executor on "), said
+        )
+        self.assertNotIn("Traceback", run.stderr)
+        self.assertEqual(running(nodes, uri), before)
+        self.assertEqual(self.client.link.session, session)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import rosgraph
 import rospy
 import rostest
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from played_bag import excerpt, play, subscribers
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient
 
 from construction_twin.core.units import radians
@@ -25,19 +25,28 @@ from construction_twin.gateway.command_stream import REMEMBERED
 from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics
+from construction_twin.ros.transport.subscriber import PUBLISHERS
 from construction_twin.rsi.gateway_codec import RobotEncoder
 
 FAR = JointStringCodec(6).encode(radians(RIGHT))
 #: A joint string of the right length, to spoil one byte or field of.
 GOOD = JointStringCodec(6).encode(radians(HOME))
 NOW = "1795000000000000000"
-#: What a bag holds that could open the gate, keep it open or start a motion, and who hears it.
-PLAYED = {
-    "pca_monitor": ("twin/joint_states", "physical/feedback", "next/joint_states", "plan", "execution", "link"),
-    "executor": ("sync", "scene"),
-    "virtual_robot": ("command/joint_states", "physical/joint_states"),
-    "mqtt_bridge": (),
-    "planner": (),
+#: The nodes whose work a strange message could disturb; others only show what they hear.
+ACTING = {"pca_monitor", "executor", "virtual_robot", "mqtt_bridge", "planner", "scene"}
+#: Who of them hears what could open the gate, keep it open or start a motion; `conflict` is a matter of two robots.
+HEARD_BY = {
+    "twin/joint_states": {"pca_monitor", "executor", "planner", "scene"},
+    "physical/feedback": {"pca_monitor"},
+    "physical/joint_states": {"virtual_robot"},
+    "next/joint_states": {"pca_monitor"},
+    "command/joint_states": {"virtual_robot", "mqtt_bridge"},
+    "plan": {"pca_monitor", "executor"},
+    "execution": {"pca_monitor"},
+    "review": set(),
+    "sync": {"executor"},
+    "link": {"pca_monitor", "executor", "virtual_robot"},
+    "scene": {"executor", "planner"},
 }
 #: Cycles over which an arm that must not move is watched.
 WATCH = 250
@@ -118,18 +127,15 @@ class GarbageTest(RobotTest):
         self.assert_undisturbed()
 
     def test_played_bag_is_refused(self):
+        self.assertEqual(set(HEARD_BY), set(PUBLISHERS) - {"conflict"})
         with tempfile.TemporaryDirectory() as folder:
             bag = Path(folder) / "motion.bag"
             self.record_motion(bag)
             self.client.go_to(HOME)
-            before = {node: self.refused(node) for node in PLAYED}
             violations = self.client.diagnostics("pca_monitor")["violations"]
             with Stream("mock_rsi/joint_states") as arm:
-                subprocess.run(["rosbag", "play", "--quiet", bag], check=True, timeout=60)
-                for node in PLAYED:
-                    self.client.wait(lambda: self.refused(node) > before[node], f"{node} to count what the bag holds")
-                    sentence = self.client.diagnostics(node)["last refused publisher"]
-                    self.assertRegex(sentence, r"message from \S*/play_\d+; only /kr120/\w+ may publish /kr120/")
+                for topic in HEARD_BY:
+                    self.assert_refused(bag, topic)
                 positions = arm.positions()
                 np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
         self.assertEqual(self.client.diagnostics("pca_monitor")["violations"], violations)
@@ -137,26 +143,35 @@ class GarbageTest(RobotTest):
         self.client.wait_until_ready()
         self.client.go_to(LEFT)
 
+    def assert_refused(self, bag: Path, topic: str) -> None:
+        """Play one stream of a bag; every node that hears it counts it, and names the one who may publish it."""
+        name = rospy.resolve_name(topic)
+        heard_by = {node.removeprefix("/kr120/") for node in subscribers(name)} & ACTING
+        self.assertEqual(heard_by, HEARD_BY[topic])
+        before = {node: self.refused(node) for node in heard_by}
+        play(excerpt(bag, name))
+        expected = rf"message from \S*/play_\d+; only /kr120/{PUBLISHERS[topic]} may publish {name}$"
+        for node in heard_by:
+            self.client.wait(lambda: self.refused(node) > before[node], f"{node} to count what a bag holds of {topic}")
+            self.assertRegex(self.client.diagnostics(node)["last refused publisher"], expected, node)
+
     def refused(self, node: str) -> int:
         """The messages of another publisher that a node has counted."""
         return int(self.client.diagnostics(node).get("refused publisher", 0))
 
     def record_motion(self, bag: Path) -> None:
         """Record a motion to another pose."""
-        topics = [rospy.resolve_name(topic) for topics in PLAYED.values() for topic in topics]
+        topics = [rospy.resolve_name(topic) for topic in HEARD_BY]
         recorder = subprocess.Popen(["rosbag", "record", "--quiet", "-O", bag, *topics])
         try:
-            self.client.wait(lambda: self.is_heard_by_recorder(topics[0]), "the recorder to listen")
+            for topic in topics:
+                self.client.wait(
+                    lambda: any("/record_" in node for node in subscribers(topic)), f"the recorder to hear {topic}"
+                )
             self.client.go_to(LEFT)
         finally:
             recorder.send_signal(signal.SIGINT)
             recorder.wait(10)
-
-    @staticmethod
-    def is_heard_by_recorder(topic: str) -> bool:
-        """Whether rosbag's recorder has subscribed to a topic."""
-        listeners = dict(rosgraph.Master("/test").getSystemState()[1])
-        return any("/record_" in node for node in listeners.get(topic, ()))
 
     # -- what is sent
 

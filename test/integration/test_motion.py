@@ -169,6 +169,18 @@ class MotionTest(RobotTest):
             self.assertIn("scene", self.client.execution.reason)
         self.client.wait_until_ready()
 
+    def test_an_object_in_the_pedestal_is_told(self):
+        crate = SceneObject(name="crate", shape="box", size=(0.3, 0.3, 0.1), pose=pose_at(0.0, 0.0, 0.05))
+        answer = rospy.ServiceProxy("add_object", AddObject)(object=crate)
+        self.assertTrue(answer.success, answer.message)
+        sentence = "object 'crate' and link 'link_0' overlap by "
+        self.assertIn(sentence, answer.message)
+
+        def shown() -> bool:
+            return sentence in self.client.diagnostics("scene").get("lasting contact 1", "")
+
+        self.client.wait(shown, "the contact on /diagnostics")
+
     def test_a_carried_tool_is_planned_with_and_put_down_where_it_is(self):
         self.add_box("tool", (0.0, 0.0, 3.0), (0.1, 0.1, 0.4))
         attach = rospy.ServiceProxy("attach_object", AttachObject)

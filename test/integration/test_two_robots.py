@@ -13,8 +13,11 @@ import rospy
 import rostest
 import tf2_ros
 import yaml
-from construction_twin.msg import Conflict, Execution, Link, Plan, Sync
+from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
+from diagnostic_msgs.msg import DiagnosticArray
+from played_bag import play, subscribers, write
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from twin_client import BOUND, DISTURBED, case, wait
@@ -176,6 +179,8 @@ class TwoRobotsTest(unittest.TestCase):
             print("left out what needs arms: TWO_ROBOTS_ARM=mock rostest construction_twin two_robots.test", flush=True)
         rospy.init_node("test_two_robots")
         cls.one, cls.two = Arm(ONE), Arm(TWO)
+        cls.diagnostics: dict[str, dict[str, str]] = {}
+        rospy.Subscriber("/diagnostics", DiagnosticArray, cls.on_diagnostics)
 
     def setUp(self):
         for arm in (self.one, self.two):
@@ -309,6 +314,48 @@ class TwoRobotsTest(unittest.TestCase):
         self.assertIn("may not start", answer.message)
         self.one.finish(first)
         self.one.go(HOME)
+
+    def test_5_what_a_bag_holds_of_either_arm_is_refused_where_it_could_let_a_plan_start(self):
+        # messages of the parts before this one
+        played = [(self.two, "conflict", "neighbour", [*self.two.verdicts.values()][-1:], {"executor"})]
+        for stream, publisher, kind in (
+            ("plan", "planner", Plan),
+            ("execution", "executor", Execution),
+            ("review", "executor", Review),
+            ("scene", "scene", Scene),
+            ("twin/joint_states", "virtual_robot", JointState),
+        ):
+            for arm in (self.one, self.two):
+                message = rospy.wait_for_message(f"/{arm.name}/{stream}", kind, 10.0)
+                played.append((arm, stream, publisher, [message], {"neighbour"}))
+        with tempfile.TemporaryDirectory() as folder:
+            for arm, stream, publisher, messages, hear in played:
+                topic = f"/{arm.name}/{stream}"
+                nodes = [f"/{TWO}/{node}" for node in hear]
+                self.assertLessEqual(set(nodes), subscribers(topic))
+                before = {node: self.refused(node) for node in nodes}
+                play(write(Path(folder), topic, messages))
+                for node in nodes:
+                    what = f"{node} to count what a bag holds of {topic}"
+                    wait(lambda node=node: self.refused(node) > before[node], what)
+                    sentence = self.diagnostics[node]["last refused publisher"]
+                    expected = rf"message from \S*/play_\d+; only /{arm.name}/{publisher} may publish {topic}$"
+                    self.assertRegex(sentence, expected, node)
+        # and the watch goes on
+        self.two.go(AWAY[TWO])
+        self.two.go(HOME)
+
+    def refused(self, node: str) -> int:
+        """The messages of another publisher that a node has counted."""
+        wait(lambda: node in self.diagnostics, f"diagnostics of {node}")
+        return int(self.diagnostics[node].get("refused publisher", 0))
+
+    @classmethod
+    def on_diagnostics(cls, message: DiagnosticArray) -> None:
+        """Keep what each node says of itself."""
+        for status in message.status:
+            name = "/" + status.name.split(":")[0].strip("/")
+            cls.diagnostics[name] = {pair.key: pair.value for pair in status.values}
 
 
 if __name__ == "__main__":

@@ -23,7 +23,13 @@ class Clocks:
     def __init__(self, monkeypatch, module):
         self.wall, self.steady = 1_764_000_000 * NANOSECONDS, 1000 * NANOSECONDS
         monkeypatch.setattr(module, "now_ns", lambda: self.wall)
-        steady = SimpleNamespace(monotonic_ns=lambda: self.steady, monotonic=lambda: self.steady / NANOSECONDS)
+        #: What happens while a service waits.
+        self.while_waiting = lambda: None
+        steady = SimpleNamespace(
+            monotonic_ns=lambda: self.steady,
+            monotonic=lambda: self.steady / NANOSECONDS,
+            sleep=lambda seconds: self.while_waiting() or self.run(seconds),
+        )
         monkeypatch.setattr(module, "time", steady)
 
     def run(self, seconds: float) -> None:
@@ -87,16 +93,23 @@ class BridgeBench:
         As the bridge's.
     properties : bool, optional
         Whether the link carries MQTT 5 properties.
+    kind : str, optional
+        ``rsi`` or ``plc``: what takes the commands.
     options
         The bridge's.
     """
 
-    def __init__(self, clocks, diagnostics=Refusals, properties=True, **options):
+    def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **options):
         self.clocks = clocks
         self.client = Client()
         self.physical, self.links = Published(), Published()
         settings = Settings(
-            host="127.0.0.1", port=1, protocol="5" if properties else "3.1.1", reset_timeout=1.0, max_state_age=0.1
+            host="127.0.0.1",
+            port=1,
+            protocol="5" if properties else "3.1.1",
+            gateway_kind=kind,
+            reset_timeout=1.0,
+            max_state_age=0.1,
         )
         config = dataclasses.replace(CONFIG, properties=properties)
         codec = JointStringCodec(len(config.axes), config.decimals)
@@ -133,6 +146,17 @@ class BridgeBench:
         self.bridge.on_state(self._codec.encode(START), pairs, False)
         self.bridge.on_command(self.clocks.wall, START)
         self.bridge.poll()
+
+    def run_bare(self, steps: int = 1, commands: bool = True) -> None:
+        """Let 20 ms pass, `steps` times, with a bare PLC that is ready at rest where it is commanded; then poll."""
+        for _ in range(steps):
+            self.clocks.run(0.02)
+            if self.bridge.link is LinkState.GATEWAY_OFFLINE:
+                self.bridge.on_status(b"ready")
+            self.bridge.on_state(self._codec.encode(START), [], False)
+            if commands:
+                self.bridge.on_command(self.clocks.wall, START)
+            self.bridge.poll()
 
     def arm(self) -> None:
         """Lead the link to ARMED."""

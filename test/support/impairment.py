@@ -41,6 +41,10 @@ class _Line:
         """Return when what is sent now arrives."""
         return self._since + self.profile.released(now - self._since + self.profile.travel(self._chance))
 
+    def released(self, now: float) -> float:
+        """Return when what is under way now goes on."""
+        return self._since + self.profile.released(now - self._since)
+
     def stalled_since(self, now: float) -> float | None:
         """Return when the stall began that holds up what comes now; None for none."""
         begun = self.profile.stalled_since(now - self._since)
@@ -95,6 +99,11 @@ class TcpProxy:
         if not profile.for_tcp:
             raise ValueError(f"{profile}: TCP neither loses nor repeats nor reorders")
         self._line.begin(profile)
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether nothing gets through now."""
+        return self._line.is_cut
 
     def until_stall(self) -> float:
         """Return how long it is until the next stall begins [s]; infinite without any."""
@@ -187,8 +196,7 @@ class TcpProxy:
             await writer.drain()
 
     def _held_until(self, now: float) -> float:
-        profile, since = self._line.profile, self._line._since
-        return since + profile.released(now - since)
+        return self._line.released(now)
 
 
 class UdpProxy:

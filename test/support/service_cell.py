@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import json
 import math
 import socket
 import threading
+import time
 from contextlib import contextmanager
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from processes import wait_until
 
-from construction_twin.core.units import CYCLE_NS
+from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.service import GatewayService
 from construction_twin.mqtt.client import Broker
@@ -79,8 +81,11 @@ class Controller(threading.Thread):
             self.measured = tuple(start + value for start, value in zip(START, correction))
 
     def run(self):
-        while not self._ended.wait(0.003):
+        # on a grid of 4 ms: a telegram that is late does not delay the ones behind it
+        due = time.monotonic()
+        while not self._ended.wait(max(0.0, due - time.monotonic())):
             self.cycle()
+            due += CYCLE
 
     def close(self):
         self._ended.set()
@@ -103,7 +108,11 @@ def serving(port, topics, config=CONFIG, sock=None, **options):
     """A GatewayService in a thread; yields it and its UDP address."""
     sock = sock or bind("127.0.0.1", 0)
     protocol, run = options.pop("protocol", "5"), options.pop("run", RUN)
-    service = GatewayService(config, sock, Broker(port=port, protocol=protocol), topics, run, **options)
+    # the controllers here send when a test tells them to, which is no clock
+    measures = options.pop("measures", False)
+    service = GatewayService(
+        config, sock, Broker(port=port, protocol=protocol), topics, run, measures=measures, **options
+    )
     thread = threading.Thread(target=service.run)
     address = sock.getsockname()
     thread.start()
@@ -113,6 +122,31 @@ def serving(port, topics, config=CONFIG, sock=None, **options):
         service.stop()
         thread.join(10.0)
         assert not thread.is_alive()
+
+
+class FreeController(Controller):
+    """Sends telegrams with any step of IPOC [ms], at any distance [s], and does not wait for replies."""
+
+    def __init__(self, address, step, every):
+        super().__init__(address)
+        self._step, self._every = step, every
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+
+    def run(self):
+        due = time.monotonic()
+        while not self._ended.wait(max(0.0, due - time.monotonic())):
+            self.ipoc += self._step
+            self.send()
+            due += self._every
+
+    def corrections(self):
+        """Return every correction that was sent to it so far, each once."""
+        self.socket.setblocking(False)
+        found = set()
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                found.add(parse_sensor(self.socket.recv(65535), "ImFree", AXES).correction)
+        return found
 
 
 class Client:

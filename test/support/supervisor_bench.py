@@ -8,6 +8,7 @@ import math
 import pytest
 
 from construction_twin.core.units import NANOSECONDS, last_digit
+from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 
@@ -63,7 +64,7 @@ class Bench:
         control = self.supervisor.poll(self.now)
         if control is not None:
             self.sent.append(control)
-            self._carry_out(control)
+            self.carry_out(control)
         return control
 
     def run(self, seconds: float) -> Bench:
@@ -71,7 +72,7 @@ class Bench:
             self.poll()
         return self
 
-    def _carry_out(self, control) -> None:
+    def carry_out(self, control) -> None:
         """What the real gateway does with these verbs when nothing moves."""
         if control.verb == "arm":
             self.set_gateway("armed", "armed", session=control.session)
@@ -89,6 +90,53 @@ class Bench:
     @property
     def verbs(self) -> list[str]:
         return [control.verb for control in self.sent]
+
+
+class BareBench:
+    """The same around a bare PLC: it says a word, or none, and its pose; its strings may be refused."""
+
+    def __init__(self):
+        ids = map(str, itertools.count(1))
+        digits = (last_digit(DECIMALS),) * len(POSE)
+        self.supervisor = BareSupervisor(HASH, DECIMALS, (TOLERANCE,) * len(POSE), digits, lambda: next(ids))
+        self.now = 100 * NANOSECONDS
+        self.word: str | None = "ready"
+        self.refusal = ""
+        self.pose: tuple[float, ...] | None = POSE
+        self.command: tuple[float, ...] | None = POSE
+        self.sent = []
+        self.forwarded = False
+        self.supervisor.on_connection(True)
+        self._said: str | None = None
+
+    @property
+    def state(self) -> LinkState:
+        return self.supervisor.state
+
+    def say(self, word: str) -> None:
+        """Let the PLC say a word now."""
+        self.supervisor.on_status({"state": word, "kind": "plc"}, self.now)
+
+    def poll(self) -> None:
+        self.now += POLL
+        if self.word is not None and self.word != self._said:
+            # retained, and said once: not repeated as a gateway's status is
+            self.say(self.word)
+            self._said = self.word
+        if self.refusal:
+            self.supervisor.inputs.on_pose_refused(self.refusal, self.now)
+        elif self.pose is not None:
+            self.supervisor.on_pose(self.pose, self.now)
+        if self.command is not None:
+            self.forwarded = self.supervisor.on_command(self.command, self.now)
+        control = self.supervisor.poll(self.now)
+        if control is not None:
+            self.sent.append(control)
+
+    def run(self, seconds: float) -> BareBench:
+        for _ in range(round(seconds * 50)):
+            self.poll()
+        return self
 
 
 @pytest.fixture

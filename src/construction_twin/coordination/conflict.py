@@ -19,7 +19,7 @@ from construction_twin.scene.neighbour import Neighbour, Obstacle
 
 #: Copies of our arm that are compared at once. Batches of obstacles advance by whole blocks, so that batches that arrived one
 #: after the other soon reach the same copy and are then compared together.
-_BLOCK = 128
+BLOCK = 128
 #: Preparing a copy of our arm for comparison costs as much as comparing it with this many obstacles.
 _OVERHEAD = 500
 
@@ -177,7 +177,7 @@ class OwnPath:
         """Compare a batch with the copies of our arm up to one of them, by whole blocks; return the cost in pairs."""
         swept, compared = self._sweep.copies, 1
         while not batch.contact and batch.checked < end:
-            stop = min(batch.checked - batch.checked % _BLOCK + _BLOCK, len(swept))
+            stop = min(batch.checked - batch.checked % BLOCK + BLOCK, len(swept))
             ahead = [place for place in range(batch.checked, stop) if swept[place].last >= row]
             compared += len(ahead) * (len(batch.obstacles) + _OVERHEAD)
             found = first_contact(copies([swept[place].obstacle for place in ahead]), batch.shapes, padding)

@@ -46,14 +46,18 @@ class Follower:
         Decimals on the wire, for the allowance.
     q : tuple, shape (n,)
         Start position, at rest [rad].
+    cycle : float, optional
+        Time between two calls [s].
     """
 
-    def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...]):
+    def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...], cycle: float = CYCLE):
+        self.cycle = cycle
         self._lower, self._upper = limits.lower, limits.upper
-        self._speed = tuple(v * CYCLE for v in limits.velocity)
-        self._budget = tuple(a * CYCLE * CYCLE for a in limits.acceleration)
+        self._speed = tuple(v * cycle for v in limits.velocity)
+        self._budget = tuple(a * cycle * cycle for a in limits.acceleration)
         self._wide_budget = tuple(
-            (a + allowance) * CYCLE * CYCLE for a, allowance in zip(limits.acceleration, limits.allowances(decimals))
+            (a + allowance) * cycle * cycle
+            for a, allowance in zip(limits.acceleration, limits.allowances(decimals, cycle))
         )
         self._rounding = limits.last_digits(decimals)
         self._chasing_speed = self._speed

@@ -53,9 +53,9 @@ class MotionLimits:
         """Return what the last decimal on the wire is worth, per joint [rad], [m]."""
         return tuple(last_digit(decimals, slides) for slides in self.linear)
 
-    def allowances(self, decimals: int) -> tuple[float, ...]:
-        """Return the format's allowance per joint [rad/s^2], [m/s^2]."""
-        return tuple(format_allowance(decimals, slides) for slides in self.linear)
+    def allowances(self, decimals: int, cycle: float = CYCLE) -> tuple[float, ...]:
+        """Return the format's allowance per joint [rad/s^2], [m/s^2], for values one `cycle` [s] apart."""
+        return tuple(format_allowance(decimals, slides, cycle) for slides in self.linear)
 
     def refused(self, reason: str, index: int, value: float, limit: float, per: str = "") -> MotionRefused:
         """Return the refusal of joint `index`, in its unit; `per` is appended to it, e.g. ``/s``."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-#: Length of a controller cycle [s] (`#IPO_FAST`, docs/rsi.md, section 1).
+#: Length of a cycle of setpoints, and of a controller cycle with `#IPO_FAST` [s] (docs/rsi.md, section 1).
 CYCLE = 0.004
 #: The same in nanoseconds: stamps are integers so that a grid of them stays exact.
 CYCLE_NS = 4_000_000
@@ -35,6 +35,26 @@ def from_wire(values: Sequence[float], linear: Sequence[bool]) -> tuple[float, .
     return tuple(value / 1e3 if slides else math.radians(value) for value, slides in zip(values, linear, strict=True))
 
 
+def for_people(value: float, unit: str) -> str:
+    """Return a quantity as a person enters it: angles in deg, lengths in mm.
+
+    Parameters
+    ----------
+    value : float
+    unit : str
+        Its unit: rad or m, alone or over a time (``rad/s^2``); another one is left as it is.
+    """
+    base, slash, per = unit.partition("/")
+    if base == "rad":
+        value, base = math.degrees(value), "deg"
+    elif base == "m":
+        value, base = value * 1e3, "mm"
+    # six digits, of a position as many decimals as the wire may have: what is out of range by the last one shows it
+    text = f"{value:.6f}" if not slash and abs(value) < 1e6 else f"{value:.6g}"
+    text = text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
+    return f"{text} {base}{slash}{per}".strip()
+
+
 def last_digit(decimals: int, linear: bool = False) -> float:
     """Return what one unit of the last decimal of a joint string's field is worth.
 
@@ -53,11 +73,11 @@ def last_digit(decimals: int, linear: bool = False) -> float:
     return 10.0**-decimals / 1e3 if linear else math.radians(10.0**-decimals)
 
 
-def format_allowance(decimals: int, linear: bool = False) -> float:
+def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) -> float:
     """Return what rounding to `decimals` can add to an acceleration measured per cycle.
 
     Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (docs/architecture.md, law 3):
-    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint.
+    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint. A ninth of it in a cycle of 12 ms.
 
     Parameters
     ----------
@@ -65,10 +85,12 @@ def format_allowance(decimals: int, linear: bool = False) -> float:
         Decimals on the wire.
     linear : bool, optional
         True: of mm, for a prismatic joint; False: of deg.
+    cycle : float, optional
+        Time between the rounded values [s].
 
     Returns
     -------
     allowance : float
         [rad/s^2], or [m/s^2] for a prismatic joint.
     """
-    return 2 * last_digit(decimals, linear) / CYCLE**2
+    return 2 * last_digit(decimals, linear) / cycle**2

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.limits import outside_tolerance
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.units import NANOSECONDS, for_people
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.playback import Braking, Playback
 from construction_twin.execution.speed_limit import PlayRate
 from construction_twin.execution.states import (
     ACTIVE,
     OUTCOMES,
+    ROWS,
     SURVIVED,
     Action,
     ExecutorEvent,
     ExecutorState,
     Guard,
     Row,
-    rows_for,
 )
 from construction_twin.execution.stopping import distance_along
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
@@ -58,7 +58,7 @@ def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> 
     off = outside_tolerance(start, pose, START_TOLERANCE)
     if off is not None:
         joint, unit = robot.joint_names[off], "m" if robot.linear[off] else "rad"
-        distance = f"{start[off] - pose[off]:.6f} {unit}"
+        distance = for_people(start[off] - pose[off], unit)
         raise ReviewError(f"plan {plan.id} starts {distance} from the present pose at {joint}; plan again")
 
 
@@ -280,7 +280,7 @@ class Executor:
         ExecutionError
             When nothing is playing.
         """
-        if not rows_for(self.state, ExecutorEvent.PAUSE):
+        if not ROWS[self.state, ExecutorEvent.PAUSE]:
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
         before = self.state
         if before is ExecutorState.PLAYING:
@@ -302,7 +302,7 @@ class Executor:
         ExecutionError
             When nothing is paused, or twin and arm are not in sync and armed.
         """
-        if not rows_for(self.state, ExecutorEvent.RESUME):
+        if not ROWS[self.state, ExecutorEvent.RESUME]:
             raise ExecutionError(f"nothing to resume: the executor is {self.state.name} ({self.reason})")
         if self._sync is not SyncState.IN_SYNC:
             raise ExecutionError(f"twin and physical arm are not in sync ({self._sync.name}); resume when they are")
@@ -370,7 +370,7 @@ class Executor:
 
     def _on(self, event: ExecutorEvent, reason: str = "") -> None:
         """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
-        for row in rows_for(self.state, event):
+        for row in ROWS[self.state, event]:
             if self._is_true(row.guard):
                 self._follow(row, reason)
                 return
@@ -406,7 +406,7 @@ class Executor:
             self._events.append(Ending(self._run.plan, self.outcome, sentence))
         # a restart is told although the state stays
         if row.target is not row.state or action is Action.FORGET_TWIN:
-            self._enter(row.target, sentence)
+            self._enter(row.target or row.state, sentence)
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""

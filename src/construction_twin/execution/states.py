@@ -6,9 +6,9 @@ Pure. What causes an event, and how guards and actions are carried out, is in `e
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import Enum
 
+from construction_twin.core import state_table
 from construction_twin.monitor.states import SyncState
 
 
@@ -72,16 +72,7 @@ class Action(Enum):
 OUTCOMES = {Action.FINISH: "finished", Action.STOP: "stopped", Action.LOSE: "held", Action.DROP: "dropped"}
 
 
-@dataclass(frozen=True)
-class Row:
-    """One row of the table: in `state`, when `event` happens and `guard` is true, do `action` and go to `target`."""
-
-    state: ExecutorState
-    event: ExecutorEvent
-    guard: Guard
-    action: Action
-    target: ExecutorState
-
+Row = state_table.Row[ExecutorState, ExecutorEvent, Guard, Action]
 
 #: The setpoints may change from cycle to cycle.
 MOVING = (ExecutorState.PLAYING, ExecutorState.STOPPING, ExecutorState.PAUSING)
@@ -103,7 +94,7 @@ def _rows(
     guard: Guard = Guard.ALWAYS,
 ) -> list[Row]:
     """Return the same row for several states; without a target each stays what it is."""
-    return [Row(state, event, guard, action, target or state) for state in states]
+    return [row for state in states for row in state_table.rows([state], event, guard, action, target or state)]
 
 
 #: Of the rows for one state and event the first whose guard is true counts. What is not in the table changes nothing in that state.
@@ -139,18 +130,4 @@ TABLE: tuple[Row, ...] = (
     *_rows([_S.PLAYING, _S.STOPPING, _S.PAUSING, _S.PAUSED], _E.GOAL, Action.FINISH, _S.IDLE),
 )
 
-_BY_CAUSE: dict[tuple[ExecutorState, ExecutorEvent], tuple[Row, ...]] = {
-    (state, event): tuple(row for row in TABLE if (row.state, row.event) == (state, event))
-    for state in ExecutorState
-    for event in ExecutorEvent
-}
-
-
-def rows_for(state: ExecutorState, event: ExecutorEvent) -> tuple[Row, ...]:
-    """Return the rows of the table for a state and an event, in the order in which their guards are tried."""
-    return _BY_CAUSE[state, event]
-
-
-def table_cells() -> list[tuple[str, str, str, str, str]]:
-    """Return the table in words, for the documentation: state, event, guard, action, next state."""
-    return [(row.state.name, row.event.value, row.guard.value, row.action.value, row.target.name) for row in TABLE]
+ROWS = state_table.by_cause(TABLE)

@@ -118,6 +118,8 @@ def _run(arguments: argparse.Namespace) -> int:
         log.warning("the Ethernet XML tells the controller to send to port %d, not %d", config.layout.port, address[1])
     if told != address[0] and address[0] != "0.0.0.0":
         log.warning("the Ethernet XML tells the controller to send to address %s, not %s", told, address[0])
+    if config.layout.not_filled:
+        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
         log.warning("mode %s%s", service.gateway.mode.value, NOTES[service.gateway.mode])
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())

@@ -18,6 +18,8 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.rsi.ethernet_xml import check_gateway
 from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
+#: Cycles that RSI has [ms] (docs/rsi.md, section 1).
+CYCLES_MS = (4, 12)
 #: Written into the file; another number means another meaning of its keys.
 FORMAT = 2
 
@@ -38,6 +40,8 @@ class GatewayConfig:
         Range [rad]; of `linear` axes [m], and so on.
     velocity, acceleration : tuple of float
         [rad/s], [rad/s^2].
+    cycle : int
+        The controller's cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`).
     decimals : int
         Decimals of a degree, and of a mm for a linear axis, in the joint string.
     properties : bool
@@ -51,7 +55,7 @@ class GatewayConfig:
     playout_delay_min, playout_delay_max : float
         Bounds of that distance, which follows the jitter of the commands [s].
     smoothing_cycles : int
-        Delay of the smoothing of played targets, in cycles of 4 ms; 0 for none.
+        Delay of the smoothing of played targets, in controller cycles; 0 for none.
     silence : float
         The stream may be overdue this long before the gateway brakes and holds [s].
     max_age : float
@@ -86,6 +90,7 @@ class GatewayConfig:
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
+    cycle: int = 4
     decimals: int = 3
     properties: bool = True
     start_tolerance: float = math.radians(0.05)
@@ -121,6 +126,9 @@ class GatewayConfig:
             raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
         if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
             raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
+        if type(self.cycle) is not int or self.cycle not in CYCLES_MS:
+            expected = f"{' or '.join(map(str, CYCLES_MS))} ms: RSI_ON with #IPO_FAST or #IPO"
+            raise ConfigurationError("cycle", self.cycle, expected)
         if type(self.decimals) is not int or not 1 <= self.decimals <= 6:
             raise ConfigurationError("decimals", self.decimals, "1 to 6")
         if not isinstance(self.properties, bool):
@@ -169,6 +177,16 @@ class GatewayConfig:
         if self.layout is None:
             object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
         check_gateway(self.layout, self.axes, "Ethernet XML")
+
+    @property
+    def period(self) -> float:
+        """The controller's cycle [s]."""
+        return self.cycle / 1000
+
+    @property
+    def cycle_ns(self) -> int:
+        """The controller's cycle [ns]."""
+        return self.cycle * 1_000_000
 
     @property
     def units(self) -> tuple[AxisUnit, ...]:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.controller_clock import ControllerClock
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals
@@ -27,10 +28,13 @@ from construction_twin.gateway.stop_report import StopReport
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties, is_session
 from construction_twin.rsi.gateway_codec import RobotTelegram
+from construction_twin.rsi.status_channels import ControllerStatus
 
 #: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. After a single missed telegram the
-#: motion goes on at its speed, because starting from rest would be a larger step [ns].
-STANDSTILL = 2 * CYCLE_NS
+#: motion goes on at its speed, because starting from rest would be a larger step [cycles].
+STANDSTILL = 2
+#: States in which nothing is commanded, and the held pose follows what a program of the controller does.
+HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
 
@@ -61,9 +65,12 @@ class Gateway:
         An id that no other run of the gateway has had; an `arm` must name it.
     commissioning : bool, optional
         True: everything runs and is reported as usual, but every correction that leaves is zero.
+    measures : bool, optional
+        Whether a session can be commanded only after its controller's cycle was measured, from what `clock` is told of arrivals.
+        False: telegrams come on a simulated clock.
     """
 
-    def __init__(self, config: GatewayConfig, run: str, commissioning: bool = False):
+    def __init__(self, config: GatewayConfig, run: str, commissioning: bool = False, measures: bool = False):
         self.config = config
         self.run = run
         self.mode = Mode.of(config, commissioning)
@@ -78,6 +85,13 @@ class Gateway:
         #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), and
         #: position [rad], which is origin plus correction. None costs nothing.
         self.trace: Callable[[int, int, State, int, tuple[float, ...]], None] | None = None
+        #: Is told of every telegram that is read, by what reads them.
+        self.clock = ControllerClock(config.cycle)
+        self._measures = measures
+        self._began = ""
+        # why telegrams could not be read, as told last, and when [ns]
+        self._unread_told = ""
+        self._unread_told_at = -NANOSECONDS
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
         self._player = Player(config, self.counters)
@@ -87,8 +101,11 @@ class Gateway:
         self._stopping = StopReport(config.limits.linear)
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
+        self._standstill = STANDSTILL * config.cycle_ns
         self._answered_stamp = 0
         self._ending = False
+        #: What the controller says of itself, where its Ethernet XML has the optional channels.
+        self._said = ControllerStatus()
         self._machine = Machine(
             {
                 Guard.ANSWERS: lambda occasion: "ONLYSEND" if self.mode is Mode.READ_ONLY else "",
@@ -159,7 +176,7 @@ class Gateway:
         elapsed = controller.hear(telegram, source, now, sent, moving)
         if elapsed is None:
             self._begin_session(telegram)
-            elapsed = CYCLE_NS
+            elapsed = self.config.cycle_ns
         state = machine.state
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
@@ -179,7 +196,7 @@ class Gateway:
             follower = self._note_drift(follower, telegram.setpoint)
         self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
-        if elapsed > STANDSTILL:
+        if elapsed > self._standstill:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
             follower.rest()
         position = self._move(follower, elapsed)
@@ -187,6 +204,12 @@ class Gateway:
             self.trace(telegram.ipoc, self.counters["rsi_sessions"], machine.state, player.stamp, position)
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
         return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
+
+    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
+        """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
+        self._said = status
+        if unreadable:
+            self.counters["status_channels_unreadable"] += unreadable
 
     def observe(self, telegram: RobotTelegram, correction: tuple[float, ...]) -> None:
         """Take note of a telegram that the last resort answered with `correction` [rad]: the arm's pose is still reported."""
@@ -198,10 +221,36 @@ class Gateway:
             self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, 0, position)
 
     def poll(self, now: int) -> None:
-        """Notice silence, of the controller or of a speed limit's source; call this at least every 0.1 s."""
+        """Notice silence, of the controller or of a speed limit's source, and what its clock shows; call it at least every 0.1 s.
+
+        While a controller sends, call it in the pause behind an answer.
+        """
         self._poll_speed_limit(now)
         if self._controller.is_silent(now):
-            self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s"))
+            said = self._said.sentence
+            last = f"; the last one said: {said}" if said else ""
+            self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
+        if self._machine.state is State.MEASURING or self._machine.state is State.OTHER_CYCLE:
+            self._judge_clock()
+        elif self._machine.state is State.NO_CONTROLLER and self.refusals.unread:
+            self._tell_unread(now)
+
+    def _tell_unread(self, now: int) -> None:
+        """Say that something sends of which nothing can be read: once a second, and as a change when it is for another reason."""
+        if now < self._unread_told_at + NANOSECONDS:
+            return
+        reason, why = self.refusals.last_unread
+        self._machine.add(f"datagrams refused: {self.refusals.unread}, the last one for {reason}: {why}")
+        if reason != self._unread_told:
+            self._machine.changed = True
+        self._unread_told, self._unread_told_at = reason, now
+
+    def _judge_clock(self) -> None:
+        wrong = self.clock.judge()
+        if wrong:
+            self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
+        elif wrong is not None:
+            self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
@@ -216,17 +265,25 @@ class Gateway:
     def _begin_session(self, telegram: RobotTelegram) -> None:
         controller = self._controller
         controller.begin(telegram)
-        why = f"RSI session began at IPOC {telegram.ipoc}: {controller.began}{NOTES[self.mode]}"
-        self._machine.on(Event.SESSION_BEGAN, Occasion(why))
+        self._began = f"RSI session began at IPOC {telegram.ipoc}: {controller.began}{NOTES[self.mode]}"
+        self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
+        if self._machine.state is State.MEASURING:
+            if self._measures:
+                self._machine.add("measuring the controller's cycle")
+            else:
+                self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
     def _on_session_began(self, event: Event, occasion: Occasion) -> None:
         self._player.remove()
         self._disarm()
         self._ending = False
         self.correction = ()
+        self.clock.restart()
+        self._unread_told = ""
 
     def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
         self._controller.end()
+        self._said = ControllerStatus()
         self._player.remove()
         self._disarm()
 
@@ -239,7 +296,7 @@ class Gateway:
 
     def _note_drift(self, follower: Follower, setpoint: tuple[float, ...]) -> Follower:
         state = self._machine.state
-        if state is State.READY or state is State.ARMED:
+        if state in HELD:
             # a program of the controller moves the arm: no session commands it now, so the held pose follows the measured one
             return self._player.place(self._controller.move_origin(setpoint, follower.position))
         if state is State.FOLLOWING:
@@ -448,6 +505,7 @@ class Gateway:
     def _on_armed(self, event: Event, occasion: Occasion) -> None:
         self._owners.begin(occasion.session)
         self._stream.begin(occasion.session)
+        self.refusals.forgive()
 
     def _refusal_of_second_session(self, occasion: Occasion) -> str:
         return "" if occasion.session == self.session else f"armed for session {self.session}; stop and reset first"
@@ -479,7 +537,7 @@ class Gateway:
     @property
     def ends(self) -> bool:
         """True when replies must carry Stop 1: the end was asked for, and the arm is at rest."""
-        return self._ending and self.state is State.HOLDING
+        return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def _reset(self, control: Control) -> Answer:
         refusal = self._machine.on(Event.RESET, Occasion(f"reset{NOTES[self.mode]}", control.session))
@@ -512,10 +570,6 @@ class Gateway:
 
     # -- status
 
-    def add_reason(self, note: str) -> None:
-        """Add to the reason of the present state; a change, too."""
-        self._machine.add_reason(note)
-
     def take_change(self) -> bool:
         """Return whether the state changed since the last call."""
         changed, self._machine.changed = self._machine.changed, False
@@ -531,7 +585,9 @@ class Gateway:
             fault=self.fault,
             mode=self.mode.value,
             correction=list(self.correction),
+            controller=self._said.report(),
             last_ipoc_jump_ms=self._controller.jump_ms,
+            cycle=self.clock.report(),
             run=self.run,
             hash=config.hash,
             decimals=config.decimals,

@@ -9,8 +9,8 @@ from construction_twin.core.errors import TelegramError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.rsi_session import IPOC_NS
-from construction_twin.gateway.states import State
 from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram
+from construction_twin.rsi.status_channels import StatusReader, status_channels
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 DRAIN_LIMIT = 64
@@ -60,8 +60,9 @@ class TelegramInbox:
         self._receive = receive
         self._clock = clock
         self._controller = controller
-        self._told = ""
         self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
+        channels = status_channels(gateway.config.layout.send)
+        self._status = StatusReader(channels) if channels else None
         self._timeout = round(gateway.config.timeout * NANOSECONDS)
 
     def newest(self) -> Arrival | None:
@@ -84,6 +85,9 @@ class TelegramInbox:
             telegram = self._read(data, source)
             if telegram is None:
                 continue
+            self._gateway.clock.note(telegram.ipoc, arrived)
+            if self._status is not None:
+                self._gateway.note_status(*self._status.read(data))
             if newest is not None:
                 behind = (newest.telegram.ipoc - telegram.ipoc) * IPOC_NS
                 if source == newest.source and 0 <= behind <= self._timeout:
@@ -96,8 +100,8 @@ class TelegramInbox:
     def _read(self, data: bytes, source: tuple) -> RobotTelegram | None:
         refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
-            refusals.telegram("address", f"a datagram from {source[0]}; only those from {self._controller} are read")
-            self._tell_of(source[0])
+            why = f"datagrams from {source[0]} are not read, because --controller is {self._controller}"
+            refusals.telegram("address", why)
             return None
         if not self._gateway.accepts(source, self._clock()):
             refusals.telegram(
@@ -105,14 +109,9 @@ class TelegramInbox:
             )
             return None
         try:
-            return self._decoder.parse(data)
+            telegram = self._decoder.parse(data)
         except TelegramError as error:
             refusals.telegram(error.reason, error)
             return None
-
-    def _tell_of(self, stranger: str) -> None:
-        """Say, while there is no controller, that another address sends: once, however many addresses follow."""
-        gateway = self._gateway
-        if gateway.state is State.NO_CONTROLLER and gateway.reason != self._told:
-            gateway.add_reason(f"datagrams from {stranger} are not read, because --controller is {self._controller}")
-            self._told = gateway.reason
+        refusals.unread = 0
+        return telegram

@@ -10,16 +10,14 @@ import math
 import re
 
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 
-_CYCLE_MS = CYCLE_NS // 1_000_000
-#: After a step of IPOC beyond this the arm has come to a stand under HOLDON [ms].
-STANDSTILL_MS = 2 * _CYCLE_MS
+#: After a step of IPOC beyond this the arm has come to a stand under HOLDON [cycles].
+STANDSTILL = 2
 #: After a longer gap it is unknown whether the controller still has the correction: a program may have started RSI anew, and the
-#: correction would be a jump. It is answered no more, and times out; the arm stands already [ms].
-LONGEST_GAP_MS = 10 * _CYCLE_MS
+#: correction would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, three of 12.
+LONGEST_GAP_MS = 40
 _IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,19})\s*</IPOC>").search
 
 
@@ -31,6 +29,8 @@ class LastResort:
     limits : MotionLimits
     encoder : SensorEncoder or None
         Whose replies are copied; None: the controller expects no answers, and gets none.
+    cycle_ms : int, optional
+        The controller's cycle [ms].
 
     Attributes
     ----------
@@ -42,8 +42,9 @@ class LastResort:
         Answered last.
     """
 
-    def __init__(self, limits: MotionLimits, encoder: SensorEncoder | None):
-        self._budget = tuple(a * CYCLE * CYCLE for a in limits.acceleration)
+    def __init__(self, limits: MotionLimits, encoder: SensorEncoder | None, cycle_ms: int = 4):
+        self._standstill = STANDSTILL * cycle_ms
+        self._budget = tuple(a * cycle_ms * cycle_ms * 1e-6 for a in limits.acceleration)
         self._order = encoder.order if encoder else ()
         self._texts = {stop: encoder.template(stop) for stop in (None, True)} if encoder else {}
         self._source: object = None
@@ -62,7 +63,7 @@ class LastResort:
 
     def take_over(self) -> None:
         """Begin to answer: with the step between the last two corrections, if they followed one another."""
-        if 0 < self.ipoc - self._before_ipoc <= STANDSTILL_MS and len(self._before) == len(self.correction):
+        if 0 < self.ipoc - self._before_ipoc <= self._standstill and len(self._before) == len(self.correction):
             self._step = tuple([new - old for new, old in zip(self.correction, self._before)])
         else:
             self._step = (0.0,) * len(self.correction)
@@ -91,7 +92,7 @@ class LastResort:
         if elapsed > LONGEST_GAP_MS and any(self.correction):
             self._over = True
             return None
-        if elapsed > STANDSTILL_MS:
+        if elapsed > self._standstill:
             self._step = (0.0,) * len(self._step)
         self._step = tuple([math.copysign(max(0.0, abs(v) - most), v) for v, most in zip(self._step, self._budget)])
         self.correction = tuple([value + step for value, step in zip(self.correction, self._step)])

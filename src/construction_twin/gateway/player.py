@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from construction_twin.core.follower import Follower
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.playout import Playout, PlayoutBounds
 from construction_twin.gateway.smoothing import Smoother
@@ -36,11 +36,12 @@ class Player:
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
         self._config = config
         self._counters = counters
-        self._playout = Playout(PlayoutBounds.of(config), Governor(config.limits, config.decimals))
-        self._smoother = Smoother(config.smoothing_cycles) if config.smoothing_cycles else None
+        governor = Governor(config.limits, config.decimals, config.cycle_ns)
+        self._playout = Playout(PlayoutBounds.of(config), governor, config.cycle_ns)
+        self._smoother = Smoother(config.smoothing_cycles, config.cycle_ns) if config.smoothing_cycles else None
         self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: _Stall | None = None
-        self._smoothing_ms = config.smoothing_cycles * CYCLE_NS / 1e6
+        self._smoothing_ms = config.smoothing_cycles * config.cycle_ns / 1e6
         #: Fraction of the velocity limits at which the arm may move.
         self.fraction = 1.0
         #: Stands at the position last sent; None without an origin.
@@ -69,7 +70,8 @@ class Player:
 
     def place(self, position: tuple[float, ...]) -> Follower:
         """Stand at `position` [rad], at rest; return the follower there."""
-        self.follower = Follower(self._config.limits, self._config.decimals, position)
+        config = self._config
+        self.follower = Follower(config.limits, config.decimals, position, config.period)
         self.follower.limit(self.fraction)
         return self.follower
 

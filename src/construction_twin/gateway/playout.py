@@ -2,7 +2,8 @@
 
 Playout time runs on the command sender's clock and advances with IPOC, never with packet arrival (docs/architecture.md, law 1).
 It stays a delay behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole
-cycles: a cycle of a stream on the 4 ms grid is then played exactly on a command's stamp, except while the delay is being changed.
+cycles of 4 ms: a stream on that grid is then played exactly on its stamps, except while the delay is being changed. So it is by a
+controller whose cycle is 12 ms, which plays every third of them.
 Clock drift shows as a delay that grows or shrinks, and is corrected in the same way. Standard library only; stamps in ns, angles in
 rad.
 """
@@ -18,8 +19,8 @@ from construction_twin.gateway.arrivals import Arrivals
 from construction_twin.gateway.slew import CALM, CATCH_UP, URGENT, Slew
 from construction_twin.gateway.speed_governor import Governor
 
-#: Part of the delay that is not for jitter: a command waits up to a cycle for its telegram, and the cubic needs the command after
-#: the one it leads to.
+#: Part of the delay that is not for jitter: the newest command is up to 4 ms old when a telegram finds it, and the cubic needs the
+#: command after the one it leads to.
 MARGIN = 3 * CYCLE_NS
 #: The delay may be this much longer than wanted before it is shortened, so that it does not follow every change of the jitter.
 SLACK_CYCLES = 2
@@ -62,16 +63,20 @@ class Playout:
     bounds : PlayoutBounds
     governor : Governor, optional
         Slows playout time while a speed limit asks for it; None: nothing can.
+    cycle_ns : int, optional
+        The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the
+        margin, and the delay's grid.
     """
 
-    def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None):
+    def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None, cycle_ns: int = CYCLE_NS):
         self.bounds = bounds
         self._governor = governor
         self._governed = False
         # stamp and pose; plain tuples, and no records: they are made and unpacked in every cycle of 4 ms
         self._commands: deque[tuple[int, Pose]] = deque()
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
-        self._slew = Slew()
+        self._slew = Slew(cycle_ns)
+        self._calm, self._urgent, self._catch_up = [pace.of_cycle(cycle_ns) for pace in (CALM, URGENT, CATCH_UP)]
         self.clear()
 
     def clear(self) -> None:
@@ -79,7 +84,7 @@ class Playout:
         self._arrivals.remember()
         self._arrivals.restart()
         self._slew.clear()
-        self._pace = CALM
+        self._pace = self._calm
         self._commands.clear()
         self._before: tuple[int, Pose] | None = None
         self._newest = 0
@@ -148,7 +153,7 @@ class Playout:
         q : tuple, shape (n,)
             [rad]
         waited : int, optional
-            Time from the last telegram to this arrival [ns]; only the drift's estimate uses it.
+            Time from the last telegram to this arrival [ns]; the stream's beginning and the drift's estimate use it.
 
         Returns
         -------
@@ -157,7 +162,8 @@ class Playout:
         """
         commands = self._commands
         if not commands:
-            self._now = stamp - self.delay
+            # the next telegram adds all of its cycle, of which so much was over; in whole steps of the grid
+            self._now = stamp - self.delay - waited // CYCLE_NS * CYCLE_NS
             self._newest = stamp
         self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
         if self._put_off and self._resting > 3 and len(commands) > 3:
@@ -240,14 +246,14 @@ class Playout:
     def _choose_delay(self) -> None:
         """Set out for another delay behind the quickest commands when this one is too short, or much too long."""
         arrivals, slew = self._arrivals, self._slew
-        # a command waits up to a cycle for the telegram at which it is first seen
+        # the newest command is up to 4 ms old when a telegram finds it
         at_end = arrivals.high + CYCLE_NS + self._clock - self._now - slew.remaining
         wanted = self.bounds.delay(arrivals.jitter)
         cycles = round((at_end - wanted) / CYCLE_NS)
         if cycles < 0 or cycles >= (1 if self._rests else SLACK_CYCLES):
             if not slew.moving or cycles <= -SLACK_CYCLES:
                 # a move that has begun is not slowed down to another pace: it would overshoot
-                self._pace = URGENT if cycles <= -SLACK_CYCLES else CALM
+                self._pace = self._urgent if cycles <= -SLACK_CYCLES else self._calm
             slew.remaining += cycles * CYCLE_NS
             at_end -= cycles * CYCLE_NS
         self.delay = at_end
@@ -274,7 +280,7 @@ class Playout:
                 self._now = before + advance
                 self._slew.remaining += wanted - advance
                 self._put_off += wanted - advance
-                self._pace = CATCH_UP
+                self._pace = self._catch_up
         self._governed = governor.active
 
     def _target(self, stamp: int) -> Pose:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 
 from construction_twin.core.limits import outside_tolerance
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.rsi.gateway_codec import RobotTelegram
 
@@ -53,6 +53,7 @@ class ControllerSession:
         self._config = config
         self._counters = counters
         self._timeout = round(config.timeout * NANOSECONDS)
+        self._cycle = config.cycle_ns
         #: True from the first telegram to the end of the last session.
         self.alive = False
         #: What corrections are relative to [rad]; () while it is not known.
@@ -113,7 +114,7 @@ class ControllerSession:
         elapsed = self._elapsed(telegram.ipoc, source)
         if elapsed is None:
             self._empty_telegrams = 0
-        elif elapsed != CYCLE_NS:
+        elif elapsed != self._cycle:
             sign = self._sign_of_restart(telegram, correction, moving)
             if sign:
                 self.began = f"{sign}, {self.jump_ms} ms on: RSI was switched on anew"
@@ -206,7 +207,7 @@ class ControllerSession:
             self._counters["sessions_by_source"] += 1
             return None
         elapsed = (ipoc - self.ipoc) * IPOC_NS
-        if elapsed != CYCLE_NS:
+        if elapsed != self._cycle:
             self.jump_ms = ipoc - self.ipoc
             if not 0 < elapsed <= self._timeout:
                 self.began = f"IPOC jumped by {self.jump_ms} ms"

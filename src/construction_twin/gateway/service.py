@@ -70,6 +70,8 @@ class GatewayService:
         Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
     commissioning : bool, optional
         Send every correction as zero.
+    measures : bool, optional
+        See `Gateway`: False for a controller that is no match for real time.
     """
 
     def __init__(
@@ -81,8 +83,9 @@ class GatewayService:
         run: str,
         controller: str | None = None,
         commissioning: bool = False,
+        measures: bool = True,
     ):
-        self.gateway = Gateway(config, run, commissioning)
+        self.gateway = Gateway(config, run, commissioning, measures)
         self.reply_time = Histogram.of_microseconds()
         #: What failed, in one sentence; "" while nothing has.
         self.failure = ""
@@ -91,7 +94,7 @@ class GatewayService:
         self._topics = topics
         encoder = None if config.layout.onlysend else SensorEncoder.of(config.layout, config.axes, config.units)
         self._encoder = encoder
-        self._last_resort = LastResort(config.limits, encoder)
+        self._last_resort = LastResort(config.limits, encoder, config.cycle)
         self._decoder = RobotDecoder(config.axes, config.units)
         # the datagram read last, and its source
         self._datagram: tuple[bytes, tuple] | None = None
@@ -275,11 +278,12 @@ class GatewayService:
         gateway = self.gateway
         before, self._said = self._said, (gateway.state, gateway.reason, gateway.speed.source == "silence")
         if self._said[:2] != before[:2]:
-            # a foreign sender is logged under its own key; otherwise the rate limit would suppress the line after
+            # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
-            stranger = before[0] is gateway.state is State.NO_CONTROLLER
-            level, kind = (logging.WARNING, "not the controller") if stranger else (logging.INFO, gateway.state.value)
-            self._log(level, kind, gateway.reason)
+            unread = before[0] is gateway.state is State.NO_CONTROLLER
+            wrong = unread or gateway.state is State.OTHER_CYCLE
+            kind = "no telegram can be read" if unread else gateway.state.value
+            self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
         if self._said[2] and not before[2]:
             fraction = gateway.speed.given
             self._log(

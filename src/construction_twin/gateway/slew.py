@@ -35,6 +35,11 @@ class Pace:
         """Return the pace of the largest rates and of their largest change, `slope` [1/s]."""
         return cls(round(back * CYCLE_NS), round(ahead * CYCLE_NS), round(slope * CYCLE_NS * CYCLE_NS / 1_000_000_000))
 
+    def of_cycle(self, cycle_ns: int) -> Pace:
+        """Return the same rates per cycle of another length [ns]; this one's are per cycle of 4 ms."""
+        times = cycle_ns / CYCLE_NS
+        return Pace(round(self.back * times), round(self.ahead * times), round(self.change * times * times))
+
 
 #: For clock drift, and to shrink a delay: 0.5 %, changing by 0.005 per second. At 2 rad/s that adds 0.01 rad/s^2; it takes 1.8 s
 #: to move a cycle.
@@ -49,9 +54,16 @@ CATCH_UP = Pace.of(0.05, 0.01, 0.1)
 
 
 class Slew:
-    """Carries a shift out, cycle by cycle, beginning and ending at rate zero."""
+    """Carries a shift out, cycle by cycle, beginning and ending at rate zero.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    cycle_ns : int, optional
+        Length of a cycle [ns]; paces are per such cycle.
+    """
+
+    def __init__(self, cycle_ns: int = CYCLE_NS) -> None:
+        self._cycle = cycle_ns
         self.clear()
 
     def clear(self) -> None:
@@ -69,7 +81,7 @@ class Slew:
     @property
     def rate(self) -> float:
         """Present deviation of playout time's rate from 1."""
-        return self.shift / CYCLE_NS
+        return self.shift / self._cycle
 
     def step(self, pace: Pace) -> int:
         """Return the shift of this cycle [ns], at most `pace` allows; the sum of all is exactly what was asked for."""

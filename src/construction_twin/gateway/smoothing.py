@@ -41,10 +41,12 @@ class Smoother:
     ----------
     cycles : int
         M, the delay in cycles; at least 2.
+    cycle_ns : int, optional
+        Length of a cycle [ns].
     """
 
-    def __init__(self, cycles: int):
-        self.delay = cycles * CYCLE_NS
+    def __init__(self, cycles: int, cycle_ns: int = CYCLE_NS):
+        self.delay = cycles * cycle_ns
         self._weights = henderson_weights(cycles)
         self._targets: deque[tuple[float, ...]] = deque(maxlen=2 * cycles + 1)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from construction_twin.core.interpolation import Pose
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 
 #: Fraction of the acceleration limits for slowing time down; what the motion itself needs of it counts.
 BRAKING_FRACTION = 0.95
@@ -35,14 +35,18 @@ class Governor:
     limits : MotionLimits
     decimals : int
         Decimals on the wire.
+    cycle_ns : int, optional
+        The controller's cycle [ns].
     """
 
-    def __init__(self, limits: MotionLimits, decimals: int):
+    def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
+        self._cycle_ns = cycle_ns
+        self._cycle = cycle = cycle_ns / NANOSECONDS
         self._velocity = limits.velocity
         self._acceleration = limits.acceleration
         self._digit = limits.last_digits(decimals)
-        allowances = limits.allowances(decimals)
-        self._largest_change = tuple((a + extra) * CYCLE * CYCLE for a, extra in zip(limits.acceleration, allowances))
+        allowances = limits.allowances(decimals, cycle)
+        self._largest_change = tuple((a + extra) * cycle * cycle for a, extra in zip(limits.acceleration, allowances))
         self._steps: tuple[float, ...] = ()
         self.fraction = 1.0
         self.restart()
@@ -58,7 +62,7 @@ class Governor:
     def limit(self, fraction: float) -> None:
         """Allow every joint this fraction of its velocity limit from now on, 0 to 1."""
         self.fraction = fraction
-        self._steps = tuple([fraction * v * CYCLE for v in self._velocity])
+        self._steps = tuple([fraction * v * self._cycle for v in self._velocity])
         if fraction < 1.0 and not self.active:
             self.restart()
 
@@ -83,7 +87,7 @@ class Governor:
         goal, fall, rise = self._bounds(commands, free, last, elapsed / NANOSECONDS)
         rate = min(max(goal, last - fall, 0.0), last + rise, free)
         step = round(rate * elapsed)
-        if elapsed != CYCLE_NS:
+        if elapsed != self._cycle_ns:
             # what comes after missed telegrams cannot be compared with what was before them
             self._targets.clear()
         step = self._fit(step, last, fall, elapsed, target)
@@ -123,7 +127,7 @@ class Governor:
         targets = self._targets
         if not targets or self.fraction >= 1.0:
             return step
-        cycles = elapsed / CYCLE_NS
+        cycles = elapsed / self._cycle_ns
         excess = 1.0
         for new, old, allowed, digit in zip(target(step), targets[-1], self._steps, self._digit):
             allowed = (allowed + min(digit, ROUNDING_FRACTION * allowed)) * cycles

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+from construction_twin.core import state_table
 from construction_twin.gateway.config import GatewayConfig
 
 
@@ -48,12 +49,16 @@ class State(Enum):
     BRAKING = "braking"  # the arm is being brought to rest
     HOLDING = "holding"  # at rest after a fault or a stop; waits for `reset`
     FAILED = "failed"  # the program itself has failed; the last resort brakes and answers, until a person starts the gateway anew
+    MEASURING = "measuring"  # holding; the controller's cycle is not known yet, so nothing may be commanded
+    OTHER_CYCLE = "other_cycle"  # holding; the controller's cycle is not the expected one, so nothing may be commanded
 
 
 class Event(Enum):
     """What can happen to the gateway."""
 
     SESSION_BEGAN = "the first telegram of an RSI session"
+    CYCLE_FITS = "the controller's cycle is the expected one"
+    CYCLE_REFUSED = "the controller has another cycle, or its clock does not run in real time"
     ORIGIN_REFUSED = "telegrams do not tell the origin"
     CONTROLLER_SILENT = "no telegram for the timeout"
     AT_REST = "braking has ended"
@@ -96,27 +101,7 @@ class Action(Enum):
     LAST_RESORT = "fault; the last resort brakes and answers"
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One row of the table.
-
-    Attributes
-    ----------
-    state : State
-    event : Event
-    guard : Guard
-        Rows of the same state and event are tried in order; the first one whose guard holds applies.
-    action : Action
-        Done before the next state is entered.
-    target : State or None
-        Next state; None: state and reason stay.
-    """
-
-    state: State
-    event: Event
-    guard: Guard
-    action: Action
-    target: State | None
+Row = state_table.Row[State, Event, Guard, Action]
 
 
 def _rows(
@@ -126,18 +111,21 @@ def _rows(
     action: Action = Action.NONE,
     guard: Guard = Guard.NONE,
 ) -> list[Row]:
-    return [Row(state, event, guard, action, target) for state in states]
+    return state_table.rows(states, event, guard, action, target)
 
 
 _LIVE = tuple(state for state in State if state is not State.FAILED)
 _MOVABLE = (State.ARMED, State.FOLLOWING, State.BRAKING, State.HOLDING)
-_WITHOUT_ORIGIN = (State.NO_CONTROLLER, State.READ_ONLY, State.JOINED)
+_UNMEASURED = (State.MEASURING, State.OTHER_CYCLE)
+_NOTHING_TO_BRAKE = (State.NO_CONTROLLER, State.READ_ONLY, State.JOINED, *_UNMEASURED)
 
 #: Every change of state. What no row names changes nothing: it is refused, or counted.
 TABLE: tuple[Row, ...] = (
-    *_rows(_LIVE, Event.SESSION_BEGAN, State.READY, Action.BEGIN_SESSION, Guard.ANSWERS),
+    *_rows(_LIVE, Event.SESSION_BEGAN, State.MEASURING, Action.BEGIN_SESSION, Guard.ANSWERS),
     *_rows(_LIVE, Event.SESSION_BEGAN, State.READ_ONLY, Action.BEGIN_SESSION, Guard.READS_ONLY),
-    *_rows((State.READY,), Event.ORIGIN_REFUSED, State.JOINED),
+    *_rows(_UNMEASURED, Event.CYCLE_FITS, State.READY),
+    *_rows((State.MEASURING,), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
+    *_rows((State.MEASURING, State.READY), Event.ORIGIN_REFUSED, State.JOINED),
     *_rows(_LIVE[1:], Event.CONTROLLER_SILENT, State.NO_CONTROLLER, Action.END_SESSION),
     *_rows((State.READY,), Event.ARM, State.ARMED, Action.OWN, Guard.MAY_ARM),
     *_rows((State.ARMED, State.FOLLOWING), Event.ARM, None, Action.NONE, Guard.SAME_SESSION),
@@ -149,7 +137,7 @@ TABLE: tuple[Row, ...] = (
     *_rows((State.READY,), Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT, Guard.HAS_ORIGIN),
     *_rows((State.READY,), Event.STOP, None, Action.FAULT),
     *_rows(_MOVABLE, Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT),
-    *_rows(_WITHOUT_ORIGIN, Event.STOP, None, Action.FAULT),
+    *_rows(_NOTHING_TO_BRAKE, Event.STOP, None, Action.FAULT),
     *_rows((State.BRAKING,), Event.AT_REST, State.HOLDING),
     *_rows((State.FOLLOWING,), Event.RESET, State.READY, Action.RESET, Guard.OWNER_MAY_RESET),
     *_rows(
@@ -159,8 +147,11 @@ TABLE: tuple[Row, ...] = (
         Action.RESET,
         Guard.MAY_RESET,
     ),
+    *_rows(_UNMEASURED, Event.RESET, None, Action.RESET, Guard.MAY_RESET),
     *_rows(_LIVE, Event.FAILURE, State.FAILED, Action.LAST_RESORT),
 )
+
+ROWS = state_table.by_cause(TABLE)
 
 #: What the arm brakes for, as `status` and the counters ``stops_<cause>`` name it.
 CAUSES = {
@@ -170,14 +161,6 @@ CAUSES = {
     Event.DRIFTED: "drift",
     Event.STOP: "stop",
 }
-
-
-def table_cells() -> list[tuple[str, str, str, str, str]]:
-    """Return the table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
-    return [
-        (row.state.value, row.event.value, row.guard.value, row.action.value, row.target.value if row.target else "")
-        for row in TABLE
-    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,13 +210,10 @@ class Machine:
         actions: Mapping[Action, Callable[[Event, Occasion], None]],
     ):
         self.state = State.NO_CONTROLLER
-        self.reason = "no telegram yet"
+        self.reason = self._entered_for = "no telegram yet"
         self.changed = True
         self._guards = {Guard.NONE: lambda occasion: "", **guards}
         self._actions = {Action.NONE: lambda event, occasion: None, **actions}
-        self._table: dict[tuple[State, Event], list[Row]] = {}
-        for row in TABLE:
-            self._table.setdefault((row.state, row.event), []).append(row)
 
     def on(self, event: Event, occasion: Occasion) -> str:
         """Take an event.
@@ -244,15 +224,16 @@ class Machine:
             "" when a row applied; else in one sentence why none did.
         """
         refusal = f"gateway is {self.state.value}: {self.reason}"
-        for row in self._table.get((self.state, event), ()):
+        for row in ROWS[self.state, event]:
             refusal = self._guards[row.guard](occasion)
             if not refusal:
                 self._actions[row.action](event, occasion)
                 if row.target is not None:
-                    self.state, self.reason, self.changed = row.target, occasion.reason, True
+                    self.state, self.changed = row.target, True
+                    self.reason = self._entered_for = occasion.reason
                 return ""
         return refusal
 
-    def add_reason(self, note: str) -> None:
-        """Add to the reason of the present state; a change, too."""
-        self.reason, self.changed = f"{self.reason}; {note}", True
+    def add(self, note: str) -> None:
+        """Add to the reason for which the present state was entered, in place of what was added before."""
+        self.reason = f"{self._entered_for}; {note}"

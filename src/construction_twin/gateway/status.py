@@ -27,7 +27,9 @@ class Status:
     fault: bool
     mode: str
     correction: list[float]
+    controller: dict
     last_ipoc_jump_ms: int
+    cycle: dict
     run: str
     hash: str
     decimals: int

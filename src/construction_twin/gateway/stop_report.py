@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from construction_twin.core.follower import Follower
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import NANOSECONDS
 
 
 class Braking:
@@ -31,7 +31,7 @@ class Braking:
             [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self.start)]
         )
         #: Time until the corrections rest [s].
-        self.time = cycles * CYCLE_NS / NANOSECONDS
+        self.time = cycles * follower.cycle
         #: What it has taken so far [ns].
         self.elapsed = 0
 

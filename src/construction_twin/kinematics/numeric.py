@@ -20,6 +20,7 @@ from construction_twin.core.motion_errors import (
     NotFoundError,
     UnreachableError,
 )
+from construction_twin.core.units import for_people
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.solution import (
     TURN,
@@ -338,8 +339,11 @@ class _Search:
         if self._outside:
             nearest = min(self._outside, key=lambda q: inverse.excess(q).max())
             joint = int(inverse.excess(nearest).argmax())
-            low, high = robot.lower[joint], robot.upper[joint]
-            return f"with {robot.joint_names[joint]} at {nearest[joint]:.6f} it would be, outside its range {low:.6f} to {high:.6f}"
+            unit = "m" if robot.linear[joint] else "rad"
+            at, low, high = (
+                for_people(value, unit) for value in (nearest[joint], robot.lower[joint], robot.upper[joint])
+            )
+            return f"with {robot.joint_names[joint]} at {at} it would be, outside its range {low} to {high}"
         missing = inverse.missing_position(self._pose, self._seed)
         if self._settings.tolerance_m < missing < math.inf:
             return f"the nearest position found was {missing * 1e3:.3f} mm away, in any orientation"

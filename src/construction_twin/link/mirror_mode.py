@@ -44,8 +44,9 @@ class MirrorMode:
         obstacle = self._inputs.obstacle(now, mirrors=True)
         if obstacle is not None:
             raise ReviewError(f"cannot mirror: {obstacle[1]}")
-        if not self._inputs.at_rest(now):
-            raise ReviewError("cannot mirror: the arm's pose is unknown or still changing; wait until it is at rest")
+        unrest = self._inputs.why_not_at_rest(now)
+        if unrest:
+            raise ReviewError(f"cannot mirror: {unrest}")
         if self._inputs.stream_moves(now):
             raise ReviewError(
                 "cannot mirror: the command stream still moves; stop or pause the plan and wait until it is at rest"
@@ -63,10 +64,9 @@ class MirrorMode:
         obstacle = self._inputs.obstacle(now, mirrors=True)
         if obstacle is not None:
             raise ReviewError(f"cannot leave mirror mode: {obstacle[1]}")
-        if not self._inputs.at_rest(now):
-            raise ReviewError(
-                "cannot leave mirror mode: the arm's pose is unknown or still changing; wait until it is at rest"
-            )
+        unrest = self._inputs.why_not_at_rest(now)
+        if unrest:
+            raise ReviewError(f"cannot leave mirror mode: {unrest}")
         self.active = False
 
     @property

@@ -10,13 +10,19 @@ from collections.abc import Sequence
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkEvent
+from construction_twin.mqtt.messages import OFFLINE, PLC
 
 #: A pose or command older than this is not used for a decision [ns].
 FRESH = NANOSECONDS // 4
 #: The arm is at rest when its pose has not moved for this long [ns].
 REST = NANOSECONDS // 5
+#: A refused pose explains a missing one for this long [ns].
+REFUSED_RECENTLY = NANOSECONDS
 #: A retained status is believed this long without a newer one; the gateway repeats its status every second [ns].
 STATUS_TIMEOUT = 3 * NANOSECONDS
+#: States of a gateway without a controller that it answers, and of one whose arm can be followed but not commanded.
+NO_SESSION = ("no_controller", "joined_running")
+ONLY_POSES = ("read_only", "measuring", "other_cycle")
 
 
 class LinkObservations:
@@ -55,6 +61,9 @@ class LinkObservations:
         self._pose_at = 0
         self._rest_pose: tuple[float, ...] = ()
         self._moved_at = 0
+        self._refused_at = 0
+        self._refusal = ""
+        self._refusals = 0
         self._command: tuple[float, ...] | None = None
         self._command_at = 0
         self._command_moved_at = 0
@@ -76,6 +85,12 @@ class LinkObservations:
         if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
             self._rest_pose, self._moved_at = q, now
         self._pose, self._pose_at = q, now
+        self._refusals = 0
+
+    def on_pose_refused(self, sentence: str, now: int) -> None:
+        """Take note that a string of the arm's pose came and was refused, and why."""
+        self._refusal, self._refused_at = sentence, now
+        self._refusals += 1
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
         """Take a command that wants to be sent [rad]."""
@@ -128,6 +143,12 @@ class LinkObservations:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
             return LinkEvent.BROKER_LOST, "not connected to the broker"
+        if self.status.get("kind") == PLC and self.gateway != OFFLINE:
+            return (
+                LinkEvent.MISMATCHED,
+                "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc, and read in docs/broker.md what "
+                "is not checked then",
+            )
         if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
             return LinkEvent.GATEWAY_LOST, "no gateway answers on the broker; start rsi_gateway on the cell PC"
         if self.status.get("decimals") != self._decimals:
@@ -146,7 +167,7 @@ class LinkObservations:
                 LinkEvent.MISMATCHED,
                 "gateway names no run in its status: it is older than the bridge; install the same version on both sides",
             )
-        if self.gateway in ("no_controller", "joined_running") or (self.reads_only and not mirrors):
+        if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
             return LinkEvent.CONTROLLER_LOST, f"gateway has no RSI session to command: {self.gateway_reason}"
         return None
 
@@ -155,6 +176,22 @@ class LinkObservations:
     def at_rest(self, now: int) -> bool:
         """Return whether the arm's pose is known, and has not changed for `REST`."""
         return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
+
+    def why_not_at_rest(self, now: int) -> str:
+        """Return why the arm does not count as at rest, as the rest of a sentence; empty when it does.
+
+        Strings that come and are refused are no pose: then the reason is theirs.
+        """
+        if self.at_rest(now):
+            return ""
+        refused = self.why_no_pose(now)
+        return refused or "the arm's pose is unknown or still changing; wait until it is at rest"
+
+    def why_no_pose(self, now: int) -> str:
+        """Return why the strings that come from the arm are not its pose; empty when they are, or when none come."""
+        if not self._refusals or now - self._refused_at >= REFUSED_RECENTLY:
+            return ""
+        return f"the arm's pose is unknown, because its strings are refused ({self._refusals} of them): {self._refusal}"
 
     def stream_moves(self, now: int) -> bool:
         """Return whether commands come, and one of them differed from the one before it within `REST`."""

@@ -7,7 +7,7 @@ import math
 from construction_twin.core.errors import PayloadError
 
 #: Objects of the status whose values are shown, each under its own name and theirs.
-_GROUPS = ("playout", "speed_limit", "stop", "intruder")
+_GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
 _SINGLE = ("mode", "last_refusal", "last_ipoc_jump_ms")
 _LONGEST = 300
 #: Members that are lists, one value per axis, and how many at most.
@@ -16,7 +16,7 @@ _MOST_AXES = 12
 
 
 def status_values(status: dict) -> dict[str, str]:
-    """Return playout, speed limit, last stop, mode, last intruder, last refusal and last jump of IPOC.
+    """Return what stands beside the counters: controller, cycle, playout, speed limit, stop, mode, intruder, refusal, jump of IPOC.
 
     Parameters
     ----------
@@ -40,6 +40,12 @@ def status_values(status: dict) -> dict[str, str]:
             raise PayloadError("status", f"status message whose {group} is not what the interface says")
         values |= {f"{group}_{name}": _text(f"{group}.{name}", value) for name, value in members.items()}
     return values
+
+
+def controller_sentence(status: dict) -> str:
+    """Return why the arm may not move, as the controller told the gateway (`status_values` has checked it); "" for no reason."""
+    controller = status.get("controller", {})
+    return _text("controller.sentence", controller.get("sentence", ""))
 
 
 def _text(name: str, value: object) -> str:

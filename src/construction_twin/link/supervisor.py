@@ -15,8 +15,8 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.mirror_mode import MirrorMode
 from construction_twin.link.observations import LinkObservations
-from construction_twin.link.states import ROWS, Action, Guard, LinkEvent, LinkState
-from construction_twin.mqtt.messages import Control, arm_value
+from construction_twin.link.states import ROWS, Action, Guard, LinkEvent, LinkState, Rows
+from construction_twin.mqtt.messages import RSI, Control, arm_value
 
 #: Pause before an unanswered control message is sent again [ns].
 RETRY = NANOSECONDS // 2
@@ -50,7 +50,20 @@ class LinkSupervisor:
         "" before the first.
     inputs : LinkObservations
         What is known of gateway, arm and command stream.
+    kind : str
+        What takes the commands, of `messages.GATEWAY_KINDS`.
+    responsible : str
+        Who has armed a bare PLC; empty for a gateway, which checks by itself.
+    not_checked : tuple of str
+        What is not checked with a bare PLC; empty for a gateway.
+    sends_control : bool
+        Whether control messages are understood.
     """
+
+    kind, sends_control = RSI, True
+    not_checked: tuple[str, ...] = ()
+    _observations: type[LinkObservations] = LinkObservations
+    _rows: Rows = ROWS
 
     def __init__(
         self,
@@ -63,10 +76,11 @@ class LinkSupervisor:
     ):
         self._hash = config_hash
         self._new_id = new_id
-        self.inputs = LinkObservations(config_hash, decimals, start_tolerances, last_digits)
+        self.inputs = self._observations(config_hash, decimals, start_tolerances, last_digits)
         self.state = LinkState.DISCONNECTED
         self.reason = "not connected to the broker yet"
         self.session = new_id() if mirrors else ""
+        self.responsible = ""
         self._mirror = MirrorMode(self.inputs, mirrors)
         self._was_armed = False
         # a person asked for a session: it has not begun; it is the present one
@@ -92,6 +106,7 @@ class LinkSupervisor:
             Guard.POSES_DIFFER: self._poses_differ,
             Guard.ARM_REFUSED: lambda now: self._arm_refused,
             Guard.OLD_SESSION_COMMANDS: lambda now: self._mirror.old_session_commands,
+            Guard.NOT_TOGETHER: lambda now: not (self.inputs.within_tolerance(now) and self.inputs.at_rest(now)),
         }
         self._actions: dict[Action, Callable[[str, int], str]] = {
             Action.FORGET_REQUESTS: self._forget_requests,
@@ -179,10 +194,9 @@ class LinkSupervisor:
             )
         if self.state in _NO_ARM or self.inputs.gateway_failed:
             raise ReviewError(f"cannot reset: {self.reason}")
-        if not self.inputs.at_rest(now):
-            raise ReviewError(
-                "cannot reset: the arm's pose is unknown or still changing; stop it and wait until it is at rest"
-            )
+        unrest = self.inputs.why_not_at_rest(now)
+        if unrest:
+            raise ReviewError(f"cannot reset: {unrest}")
         self._reset_wanted = True
 
     def request_arm(self, now: int) -> None:
@@ -198,11 +212,29 @@ class LinkSupervisor:
             raise ReviewError(f"nothing to arm: {self.state.name}, {self.reason}")
         if self.inputs.gateway_failed:
             raise ReviewError(f"cannot arm: {self.reason}")
+        refused = self.inputs.why_no_pose(now)
+        if refused:
+            raise ReviewError(f"cannot arm: {refused}")
         if not (self.inputs.within_tolerance(now) and self.inputs.at_rest(now)):
             raise ReviewError(
                 "twin and arm are not at rest within the start tolerance of each other; call reset instead"
             )
         self._reset_wanted = True
+
+    def take_responsibility(self, name: str, now: int) -> None:
+        """Arm a bare PLC in a person's name; with a gateway nothing needs it.
+
+        Raises
+        ------
+        ReviewError
+            With a gateway always: it is armed by itself once it has been checked.
+        """
+        raise ReviewError(
+            "nothing is left to a person's responsibility: rsi_gateway is checked, and armed by itself; after a fault call reset"
+        )
+
+    def withdraw_responsibility(self, reason: str) -> None:
+        """Give up arming a bare PLC in a person's name; nothing with a gateway."""
 
     def begin_mirror(self, now: int) -> str:
         """Let the arm lead, on a person's request: nothing is commanded until `end_mirror`. Return one sentence.
@@ -260,7 +292,7 @@ class LinkSupervisor:
 
     def holds(self, guard: Guard, now: int) -> bool:
         """Return whether a guard of the table holds at `now` [ns]."""
-        return self._guards[guard](now)
+        return guard is Guard.ALWAYS or self._guards[guard](now)
 
     def take(self, event: LinkEvent, now: int, reason: str = "") -> None:
         """Carry out the first row of the table whose guard holds; without one nothing changes.
@@ -273,11 +305,11 @@ class LinkSupervisor:
         reason : str, optional
             The event's own sentence, for the actions that use it.
         """
-        for row in ROWS[self.state, event]:
-            if row.guard is None or self._guards[row.guard](now):
-                if row.action is not None:
+        for row in self._rows[self.state, event]:
+            if self.holds(row.guard, now):
+                if row.action is not Action.NOTHING:
                     self.reason = self._actions[row.action](reason, now)
-                self.state = row.target
+                self.state = row.target or self.state
                 return
 
     # -- guards

@@ -9,6 +9,8 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.ethernet_xml import check_axes
 from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
+#: The cycles that RSI has on a KR C4 [ms] (docs/rsi.md, section 1).
+CYCLES = (4, 12)
 _BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
 
 
@@ -30,10 +32,15 @@ class MockConfig:
         The Ethernet configuration; a reply that does not fit it does not count. Default: `RsiLayout.plain`.
     units : tuple of AxisUnit, optional
         How each axis is written in the telegrams; default: deg, and no axis linear.
+    cycle : int
+        Length of a controller cycle, and what IPOC advances by in it [ms]: 4 (`#IPO_FAST`) or 12 (`#IPO`, KR C2).
     precision : int
         Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
     timeout : int
         Cycles without a valid reply after which RSI stops.
+    stop_required : bool
+        True: a reply without the `Stop` that the layout declares does not count; False: it counts, as one with Stop 0 (docs/rsi.md,
+        section 3).
     cumulative_delay : bool
         True: `Delay` counts all missed cycles of the session; False: consecutive ones.
     correction_lower, correction_upper : tuple of float, or None
@@ -43,8 +50,8 @@ class MockConfig:
     velocity_factor : float
         RSI stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
     acceleration_factor : float
-        The same for `acceleration`. A single missed reply at speed v is an acceleration of v / 4 ms, hundreds of times the
-        limit; the default allows the step from rest that `velocity_factor` allows. 0 switches it off.
+        The same for `acceleration`. A single missed reply at speed v is an acceleration of v / cycle, at 4 ms hundreds of times
+        the limit; the default allows the step from rest that `velocity_factor` allows. 0 switches it off.
     first_ipoc : int
         IPOC of the first packet [ms].
     restart_gap : int
@@ -59,8 +66,10 @@ class MockConfig:
     acceleration: tuple[float, ...]
     layout: RsiLayout | None = None
     units: tuple[AxisUnit, ...] = ()
+    cycle: int = 4
     precision: int = 6
     timeout: int = 100
+    stop_required: bool = False
     cumulative_delay: bool = False
     correction_lower: tuple[float, ...] | None = None
     correction_upper: tuple[float, ...] | None = None
@@ -79,12 +88,19 @@ class MockConfig:
             values = getattr(self, name)
             if values is not None and (len(values) != count or not all(map(math.isfinite, values))):
                 raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
+        if self.cycle not in CYCLES:
+            raise ConfigurationError("cycle", self.cycle, f"{' or '.join(map(str, CYCLES))} ms")
         for name, allowed in (("timeout", self.timeout >= 1), ("first_ipoc", self.first_ipoc >= 0)):
             if not allowed:
                 raise ConfigurationError(name, getattr(self, name), "a larger number")
         for name, sign in (("correction_lower", -1), ("correction_upper", 1), ("correction_monitor", 1)):
             if any(sign * value < 0.0 for value in getattr(self, name) or ()):
                 raise ConfigurationError(name, getattr(self, name), f"numbers {'<=' if sign < 0 else '>='} 0")
+
+    @property
+    def period(self) -> float:
+        """Length of a cycle [s]."""
+        return self.cycle / 1000
 
     @property
     def rsi_layout(self) -> RsiLayout:

@@ -9,11 +9,12 @@ closes it: the valid reply k, or the HOLDON rule when there is none, becomes the
 cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the AIPos of packet k + 3 equals start + AK of
 reply k. Before the first valid reply the setpoint is the start pose.
 
-It models: IPOC, +4 ms per packet from a large start value; replies, valid only with the IPOC of the open cycle; `Delay`;
-`Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE` corrections,
-clamped by AXISCORR and supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration; the STOP object
-in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol, constant unless a program of the controller's own moves them; an
-E-stop with its ramp; T1. It does not model braking for any other reason: when RSI stops, the arm stands still at once.
+It models: IPOC, one cycle (4 or 12 ms) per packet from a large start value; replies, valid only with the IPOC of the open cycle;
+`Delay`; `Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE`
+corrections, clamped by AXISCORR and supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration;
+the STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol, constant unless a program of the
+controller's own moves them; an E-stop with its ramp; T1. It does not model braking for any other reason: when RSI stops, the
+arm stands still at once.
 """
 
 from __future__ import annotations
@@ -23,18 +24,20 @@ from collections.abc import Callable, Sequence
 
 from construction_twin.core.errors import FaultError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
-from construction_twin.core.units import CYCLE
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.encoders import Encoders
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
+from construction_twin.mock.refusals import ReplyRefusals
 from construction_twin.mock.servo import Servo
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, SensorTelegram
 from construction_twin.rsi.layout import STOP
+from construction_twin.rsi.status_channels import ControllerStatus, status_channels
+from construction_twin.rsi.telegram import axis_units
 
-#: Milliseconds the controller's clock advances from packet to packet at `#IPO_FAST`.
-IPOC_STEP = 4
-#: The servo is given this long to arrive at the end of a program [cycles].
-_SETTLING_CYCLES = 250
+#: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
+_SETTLING, _RECOVERY = 1.0, 1.0
+#: On the optional channels, see `status_channels`.
+_T1, _AUT, _ACTIVE = 1, 3, 3
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
 _RANGE_SLACK = 1e-9
 
@@ -89,13 +92,17 @@ class MockController:
         The last emergency stop's, until the next session.
     program : Program or None
         The program that runs.
+    refusals : ReplyRefusals
+        Why replies did not count.
+    told : ControllerStatus
+        What the optional channels say in place of what is; None for a channel that says what is. It changes nothing else.
     counters : dict of str to int
         Totals since construction, see `COUNTERS`.
     """
 
     #: packets sent; valid replies; missed cycles; replies to an earlier packet of the session; replies to no packet;
-    #: further replies to a packet; unusable replies; replies for another SENTYPE; cycles with a clamped correction; replies
-    #: while stopped; replies ignored on purpose
+    #: further replies to a packet; unusable replies; replies for another SENTYPE; valid replies without the declared Stop; cycles
+    #: with a clamped correction; replies while stopped; replies ignored on purpose
     COUNTERS = (
         "packets",
         "replies",
@@ -105,6 +112,7 @@ class MockController:
         "duplicates",
         "malformed",
         "wrong_sentype",
+        "without_stop",
         "clamped",
         "unexpected",
         "ignored",
@@ -112,6 +120,7 @@ class MockController:
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
         self.pressed = self.needs_person = self.deaf = False
+        self.told = ControllerStatus()
         self.ramp: EmergencyBrake | None = None
         self.program: Program | None = None
         self._tool_limit: ToolSpeedLimit | None = None
@@ -122,21 +131,28 @@ class MockController:
         self._start_tool: tuple[float, ...] = ()
         self.config = config
         self.servo = servo
-        self.encoders = Encoders(len(config.axes))
+        self._period = config.period
+        self.encoders = Encoders(len(config.axes), config.period)
+        self.refusals = ReplyRefusals(round(_RECOVERY / config.period))
         self.reported: tuple[float, ...] = config.start_pose
         self._forward_kinematics = forward_kinematics
         layout = config.rsi_layout
+        self._tells_status = bool(status_channels(layout.send))
         self._encoder = RobotEncoder(config.axes, config.precision, layout.send, config.units)
         self._decoder: SensorDecoder | None = None
         if not layout.onlysend:
-            self._decoder = SensorDecoder(layout.sentype, config.axes, layout.receive, config.units)
+            self._decoder = SensorDecoder(
+                layout.sentype, config.axes, layout.receive, config.units, config.stop_required
+            )
         holdon = dict(zip(layout.receive, layout.holdon))
         axis_of = {channel: channel.partition(".")[2] for channel in holdon}
         #: Per axis, whether a missed reply keeps its correction.
         self._holdon = tuple(any(holdon[c] for c in holdon if axis_of[c] == axis) for axis in config.axes)
-        self._stop_holdon = holdon.get(STOP, False)
-        self._max_step = _per_cycle(config.velocity, config.velocity_factor * CYCLE)
-        self._max_step_change = _per_cycle(config.acceleration, config.acceleration_factor * CYCLE * CYCLE)
+        self._stop_declared, self._stop_holdon = layout.stop, holdon.get(STOP, False)
+        linear = [unit.linear for unit in axis_units(config.axes, config.units)]
+        self._people_units = [(1e3, "mm") if slides else (math.degrees(1.0), "deg") for slides in linear]
+        self._max_step = _per_cycle(config.velocity, config.velocity_factor * config.period)
+        self._max_step_change = _per_cycle(config.acceleration, config.acceleration_factor * config.period**2)
         self.counters = dict.fromkeys(self.COUNTERS, 0)
         self.session = 0
         self.ipoc = 0
@@ -151,6 +167,16 @@ class MockController:
     def true(self) -> tuple[float, ...]:
         """Where the axes really are [rad], shape (n,)."""
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
+
+    @property
+    def status(self) -> ControllerStatus:
+        """What the optional channels say: T1 while the tool's speed is limited, else AUT; a program that runs; full override."""
+        told = self.told
+        return ControllerStatus(
+            told.mode or (_T1 if self._tool_speed else _AUT),
+            told.program or _ACTIVE,
+            100.0 if told.override is None else told.override,
+        )
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new RSI session, ending the present one if there is one.
@@ -186,7 +212,7 @@ class MockController:
         """
         if self.running and self._open:
             self._close_cycle()
-            self.ipoc += IPOC_STEP * self.running
+            self.ipoc += self.config.cycle * self.running
         elif not self.running:
             self._move_without_session()
         measured = self.measured
@@ -197,14 +223,17 @@ class MockController:
         self._reply = None
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
-        return self._encoder.encode(self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay)
+        values = self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay
+        return self._encoder.encode(*values, self.status) if self._tells_status else self._encoder.encode(*values)
 
-    def receive(self, data: bytes) -> bool:
-        """Take one datagram that arrived during the open cycle.
+    def receive(self, data: bytes, in_time: bool = True) -> bool:
+        """Take one datagram that is read during the open cycle.
 
         Parameters
         ----------
         data : bytes
+        in_time : bool, optional
+            False: it arrived when the open cycle should have been over.
 
         Returns
         -------
@@ -218,15 +247,23 @@ class MockController:
         try:
             telegram = self._decoder.parse(data)
         except TelegramError as error:
-            return self._count("wrong_sentype" if error.reason == "sentype" else "malformed")
+            return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
         if telegram.ipoc != self.ipoc or not self._open:
-            behind = self.ipoc - telegram.ipoc
-            earlier = behind > 0 and behind % IPOC_STEP == 0 and telegram.ipoc >= self._first_ipoc
-            return self._count("late_replies" if earlier else "mismatched")
+            behind, beside = divmod(self.ipoc - telegram.ipoc, self.config.cycle)
+            if behind > 0 and not beside and telegram.ipoc >= self._first_ipoc:
+                late = f"the reply to IPOC {telegram.ipoc} came {behind} cycle{'s' if behind > 1 else ''} late"
+                return self._refuse("late_replies", "late", late)
+            expected = f"the reply carries IPOC {telegram.ipoc}; expected that of the packet, unchanged: {self.ipoc}"
+            return self._refuse("mismatched", "ipoc", expected)
+        if not in_time:
+            return self._refuse(
+                "late_replies", "late", f"the reply to IPOC {telegram.ipoc} came after the end of its cycle"
+            )
         if self._reply is not None:
             return self._count("duplicates")
         self._reply = telegram
         self.counters["replies"] += 1
+        self.refusals.accept()
         return True
 
     def press_emergency_stop(self) -> None:
@@ -234,7 +271,8 @@ class MockController:
         self.pressed = self.needs_person = True
         self.program = None
         if self.running:
-            self.ramp = EmergencyBrake(self.setpoint, self._last_step, self.config.acceleration, self.measured)
+            begin = self.setpoint, self._last_step
+            self.ramp = EmergencyBrake(*begin, self.config.acceleration, self.measured, self._period)
             self._stop("emergency stop")
 
     def release_emergency_stop(self) -> None:
@@ -249,6 +287,11 @@ class MockController:
         """Select T1: the tool moves no faster than `speed` [m/s]."""
         self._tool_speed = speed
         self._tool_limit = self._make_tool_limit(self.setpoint, self._last_step)
+
+    @property
+    def limits_tool_speed(self) -> bool:
+        """Whether the tool is limited: in T1, and after it until the arm has caught up."""
+        return self._tool_limit is not None
 
     def lift_tool_speed(self) -> None:
         """Select another mode: the arm catches up within its limits."""
@@ -284,7 +327,8 @@ class MockController:
             self.ramp = None
             self.start_pose, self.applied = self.setpoint, self._zero
         target = tuple([q - correction for q, correction in zip(goal, self.applied)])
-        self.program = Program(self.start_pose, target, self.config.velocity, self.config.acceleration, duration)
+        limits = self.config.velocity, self.config.acceleration
+        self.program = Program(self.start_pose, target, *limits, duration, self._period)
 
     def _make_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
         return ToolSpeedLimit(
@@ -294,6 +338,7 @@ class MockController:
             self.config.acceleration,
             lambda q: self._forward_kinematics(q)[0],
             self._tool_speed,
+            self._period,
         )
 
     def _begin_own_motion(self, pose: tuple[float, ...]) -> None:
@@ -323,7 +368,7 @@ class MockController:
             self.setpoint = self.ramp.advance()
         elif self.program is not None:
             self.setpoint = self.start_pose = self._programmed_pose(self.program)
-            self._settling = _SETTLING_CYCLES
+            self._settling = round(_SETTLING / self._period)
         elif self._settling:
             self._settling -= 1
         else:
@@ -350,6 +395,7 @@ class MockController:
         largest = tuple(max(-low, high) for low, high in zip(self.correction_lower, self.correction_upper))
         self.correction_monitor = config.correction_monitor or largest
         self._open, self._reply = False, None
+        self.refusals.begin_session()
         self._start_tool = _flat(self._forward_kinematics(pose))
         self.servo.reset(pose)
         self.encoders.absorb()
@@ -387,13 +433,16 @@ class MockController:
         self.delay += 1
         if self.delay >= self.config.timeout:
             self.flag = True
-            self._stop(f"timeout: {self.delay} cycles without a valid reply")
+            refused = self.refusals.since_valid
+            why = f"; the last one was refused: {refused}" if refused else ""
+            self._stop(f"timeout: {self.delay} cycles without a valid reply{why}")
         self._stop_level = self._stop_level and self._stop_holdon
         return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holdon))
 
     def _valid_reply(self, reply: SensorTelegram) -> tuple[float, ...]:
         if not self.config.cumulative_delay:
             self.delay = 0
+        self.counters["without_stop"] += reply.stop is None and self._stop_declared
         stop = bool(reply.stop)
         if stop and not self._stop_level:
             self._stop("stop: requested by the PC, RSI_MOVECORR ended")
@@ -408,18 +457,31 @@ class MockController:
         return correction
 
     def _fault(self, correction: tuple[float, ...], setpoint: tuple[float, ...]) -> str:
+        """Return what supervision stops RSI for, with the value and its limit; "" for nothing."""
         config = self.config
         for index, axis in enumerate(config.axes):
             if abs(correction[index]) > self.correction_monitor[index]:
-                return f"correction monitor {axis}"
+                asked, most = self._on_wire(index, correction[index], self.correction_monitor[index])
+                return f"correction monitor {axis}: {asked}, at most {most}"
             if not config.lower[index] - _RANGE_SLACK <= setpoint[index] <= config.upper[index] + _RANGE_SLACK:
-                return f"software limit {axis}"
+                asked, low, high = self._on_wire(index, setpoint[index], config.lower[index], config.upper[index])
+                return f"software limit {axis}: {asked}, range {low} to {high}"
             step = setpoint[index] - self.setpoint[index]
             if abs(step) > self._max_step[index]:
-                return f"command velocity {axis}"
-            if abs(step - self._last_step[index]) > self._max_step_change[index]:
-                return f"command acceleration {axis}"
+                limit = config.velocity[index]
+                asked, most, own = self._on_wire(index, abs(step) / self._period, config.velocity_factor * limit, limit)
+                return f"command velocity {axis}: {asked}/s, limit {most}/s ({config.velocity_factor:g} times {own}/s)"
+            change = abs(step - self._last_step[index])
+            if change > self._max_step_change[index]:
+                limit, factor = config.acceleration[index], config.acceleration_factor
+                asked, most, own = self._on_wire(index, change / self._period**2, factor * limit, limit)
+                return f"command acceleration {axis}: {asked}/s², limit {most}/s² ({factor:g} times {own}/s²)"
         return ""
+
+    def _on_wire(self, index: int, *values: float) -> list[str]:
+        """Return values of an axis [rad], [m] in the units of the pendant, for people."""
+        factor, unit = self._people_units[index]
+        return [f"{value * factor:.6g} {unit}" for value in values]
 
     def _stop(self, reason: str) -> None:
         if self.running:
@@ -428,6 +490,10 @@ class MockController:
     def _count(self, name: str) -> bool:
         self.counters[name] += 1
         return False
+
+    def _refuse(self, counter: str, kind: str, sentence: str) -> bool:
+        self.refusals.refuse(kind, sentence)
+        return self._count(counter)
 
 
 def _per_cycle(limits: tuple[float, ...], factor: float) -> tuple[float, ...]:

@@ -18,6 +18,8 @@ class Encoders:
     ----------
     count : int
         Number of axes.
+    period : float, optional
+        Length of a cycle [s].
 
     Attributes
     ----------
@@ -29,7 +31,8 @@ class Encoders:
         Error of the controller's angles since it took its readings as its pose [rad], see `absorb`.
     """
 
-    def __init__(self, count: int):
+    def __init__(self, count: int, period: float = CYCLE):
+        self._period = period
         self._random = random.Random(0)
         self.offset = [0.0] * count
         self.slip = [0.0] * count
@@ -80,7 +83,7 @@ class Encoders:
             play[1] = min(max(position, reading[joint] - half), reading[joint] + half)
             reading[joint] = play[1]
         for joint, rate in self._drift.items():
-            self.offset[joint] += rate * CYCLE
+            self.offset[joint] += rate * self._period
         for joint, deviation in self._noise.items():
             reading[joint] += self._random.gauss(0.0, deviation)
         return tuple([angle + offset for angle, offset in zip(reading, self.offset)])

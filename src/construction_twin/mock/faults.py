@@ -1,6 +1,6 @@
 """Faults of the mock controller: their names, their arguments, and their effects.
 
-Pure: time is a count of 4 ms cycles, randomness has a seed. Angles are those of the controller's axes; SI.
+Pure: time is a count of cycles, randomness has a seed. Angles are those of the controller's axes; SI.
 Standard library only. While no fault is active, `FaultBoard.tick` is one comparison per cycle.
 """
 
@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from construction_twin.core.errors import FaultError
 from construction_twin.core.motion_errors import JointRangeError
-from construction_twin.core.units import CYCLE
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.line import Line
 from construction_twin.mock.own_motion import T1_SPEED
@@ -42,6 +41,10 @@ class FaultKind:
         True when every value must be greater than 0; network faults also allow a jitter of 0.
     lasting : bool
         False: it is over as soon as it has happened, and cannot be switched off.
+    largest : float
+        The value is at least 0, and at most this.
+    whole : bool
+        True when the value is a whole number.
     """
 
     axis: str
@@ -51,6 +54,8 @@ class FaultKind:
     shift: bool = False
     positive: bool = True
     lasting: bool = True
+    largest: float = math.inf
+    whole: bool = False
 
 
 #: Every fault by its name.
@@ -67,6 +72,11 @@ KINDS = {
     "estop": FaultKind("no", (0,), "no value"),
     "rsi_timeout": FaultKind("no", (0,), "no value"),
     "t1": FaultKind("no", (0, 1), "nothing, or the tool's speed [m/s]"),
+    "mode": FaultKind("no", (1,), "the operating mode: 1 T1, 2 T2, 3 AUT, 4 EXT", largest=4.0, whole=True),
+    "program": FaultKind(
+        "no", (1,), "the program's state: 1 FREE, 2 RESET, 3 ACTIVE, 4 STOP, 5 END", largest=5.0, whole=True
+    ),
+    "override": FaultKind("no", (1,), "the override, 0 to 100 percent", positive=False, largest=100.0),
     "restart_at": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
     "jog": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
 }
@@ -167,7 +177,7 @@ class FaultBoard:
         self.changes += 1
         if not kind.lasting:
             return f"{fault.name} is carried out"
-        cycles = math.ceil(fault.duration / CYCLE - 1e-9) if fault.duration else math.inf
+        cycles = math.ceil(fault.duration / self.controller.config.period - 1e-9) if fault.duration else math.inf
         self._active[fault.name, fault.subject] = fault, self._cycle + cycles
         return f"{fault} is on" + (f" for {fault.duration:g} s" if fault.duration else "")
 
@@ -213,6 +223,11 @@ class FaultBoard:
             raise FaultError(fault.name, fault.values, f"{kind.meaning}, greater than 0")
         if kind.network and not all(0.0 <= value <= 1.0 for value in fault.values):
             raise FaultError(fault.name, fault.values, f"{kind.meaning}, 0 to 1")
+        allowed = not kind.whole or all(value.is_integer() for value in map(float, fault.values))
+        if math.isfinite(kind.largest) and not (
+            allowed and all(0.0 <= value <= kind.largest for value in fault.values)
+        ):
+            raise FaultError(fault.name, fault.values, kind.meaning)
         if not (math.isfinite(fault.duration) and fault.duration >= 0.0):
             raise FaultError(fault.name, fault.duration, "a duration [s] of 0 or more")
         return kind
@@ -225,6 +240,8 @@ class FaultBoard:
             return self._encoders(fault)
         if KINDS[fault.name].network:
             return self._network(fault)
+        if fault.name in ("mode", "program", "override"):
+            return self._channel(fault)
         controller, values = self.controller, fault.values
         return {
             "estop": (controller.press_emergency_stop, controller.release_emergency_stop),
@@ -233,6 +250,19 @@ class FaultBoard:
             "restart_at": (lambda: controller.restart(values), _nothing),
             "jog": (lambda: controller.run_program(values, fault.duration), _nothing),
         }[fault.name]
+
+    def _channel(self, fault: Fault):
+        """Return what lets an optional channel say something else, and what is again."""
+
+        def tell(value: float | None) -> None:
+            whole, told = None if value is None else int(value), self.controller.told
+            self.controller.told = {
+                "mode": lambda: replace(told, mode=whole),
+                "program": lambda: replace(told, program=whole),
+                "override": lambda: replace(told, override=value),
+            }[fault.name]()
+
+        return lambda: tell(fault.values[0]), lambda: tell(None)
 
     def _servo(self, fault: Fault):
         servo, config = self.controller.servo, self.controller.config

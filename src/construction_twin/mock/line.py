@@ -77,11 +77,11 @@ class Line:
             due = now + self._delay + round(self._random.random() * self._jitter)
             heapq.heappush(self._queue, Underway(due, next(self._order), data))
 
-    def take(self, now: int) -> list[bytes]:
+    def take(self, now: int) -> list[Underway]:
         """Return what has arrived by `now` [ns], in the order of arrival."""
         arrived = []
         while self._queue and self._queue[0].due <= now:
-            arrived.append(heapq.heappop(self._queue).data)
+            arrived.append(heapq.heappop(self._queue))
         self._note()
         return arrived
 

@@ -1,9 +1,12 @@
-"""The mock controller on the network: UDP client and 4 ms clock around `MockController`. Runs without ROS.
+"""The mock controller on the network: UDP client and clock around `MockController`. Runs without ROS.
 
 The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, but this process can be
 late. Then the packets that are due follow each other at half a cycle until they are on the grid again: the PC always has half a
-cycle to answer, and IPOC, which advances by 4 per packet, stays in step with time. Grid points are skipped only after a stall
+cycle to answer, and IPOC, which advances by a cycle per packet, stays in step with time. Grid points are skipped only after a stall
 longer than `CATCH_UP`. Late packets and skipped grid points are counted (`overruns`, `skipped`).
+
+A reply is in time when it *arrived* before its cycle ended, whenever this process came to read it: on Linux the kernel's stamp
+tells. Elsewhere it is in time when it was read before the next packet left.
 """
 
 from __future__ import annotations
@@ -19,17 +22,16 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError, TransportError
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.mock.arrival import ArrivalClock
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
-from construction_twin.rsi.udp import receive
+from construction_twin.rsi.udp import ask_for_stamps, receive
 
 log = logging.getLogger(__name__)
 
 #: Packets that are late by no more than this are all sent [ns].
-CATCH_UP = 25 * CYCLE_NS
-#: Shortest distance of two packets [ns].
-_CLOSEST = CYCLE_NS // 2
+CATCH_UP = NANOSECONDS // 10
 #: Most datagrams read before the clock is checked again, so that a flood of datagrams cannot stop it.
 _DRAIN_LIMIT = 64
 
@@ -49,7 +51,7 @@ class MockRsi:
     observe : callable, optional
         Called with this object in every cycle, right after sending; must be quick.
     report : callable, optional
-        Called with one sentence when a session starts or stops.
+        Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
     fault_seed : int, optional
         Of the faults' random numbers.
 
@@ -86,11 +88,17 @@ class MockRsi:
         self.faults = FaultBoard(controller, fault_seed)
         self.overruns = self.skipped = self.foreign = self.send_errors = self.left = 0
         self._gateway = _resolve(*gateway)
+        self._cycle = controller.config.cycle * NANOSECONDS // 1000
+        #: Shortest distance of two packets [ns].
+        self._closest = self._cycle // 2
         self._restart_after = round(restart_after * NANOSECONDS)
         self._observe = observe
         self._report = report
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
-        self._socket = _open_socket()
+        self._socket, self._stamped = _open_socket()
+        self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
+        #: A reply that arrives later than this is too late for the open cycle [ns].
+        self._ends = 0
         self._session = 0
         self._stopped_at: int | None = None
 
@@ -123,14 +131,18 @@ class MockRsi:
                 self._serve_requests()
                 self._follow_session(due)
                 self.faults.tick()
+                self._clock.measure()
                 packet = self.controller.begin_cycle()
                 self.left = time.monotonic_ns()
                 if packet is not None:
                     self._send(packet)
                 sent = time.monotonic_ns()
-                due = self._next_due(due, sent)
+                due = self.next_due(due, sent)
+                self._ends = max(due, sent + self._closest)
                 self._observe(self)
-                self._receive_until(max(due, sent + _CLOSEST))
+                self._receive_until(self._ends)
+                if self.controller.refusals.news:
+                    self._tell_refusals()
         finally:
             self._socket.close()
 
@@ -159,9 +171,17 @@ class MockRsi:
             self._stopped_at = None
         if controller.session != self._session:
             self._session = controller.session
-            self._socket.close()
-            self._socket = _open_socket()
+            # the new one first: while one of them asks for stamps, the kernel goes on stamping
+            before = self._socket
+            self._socket, self._stamped = _open_socket()
+            before.close()
             self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
+
+    def _tell_refusals(self) -> None:
+        news = self.controller.refusals.news
+        for sentence in news:
+            self._report(f"RSI session {self.controller.session}: {sentence}")
+        news.clear()
 
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc
@@ -178,20 +198,22 @@ class MockRsi:
             # e.g. no route: a controller does not notice it, it only gets no replies
             self.send_errors += 1
 
-    def _next_due(self, due: int, sent: int) -> int:
+    def next_due(self, due: int, sent: int) -> int:
+        """Return when the next packet is due, after one that was sent late or not [ns]; count what a long stall has cost."""
         late = sent - due
-        self.overruns += late > _CLOSEST
-        skipped = late // CYCLE_NS if late > CATCH_UP else 0
+        self.overruns += late > self._closest
+        skipped = late // self._cycle if late > CATCH_UP else 0
         self.skipped += skipped
-        return due + (1 + skipped) * CYCLE_NS
+        return due + (1 + skipped) * self._cycle
 
     def _receive_until(self, deadline: int) -> None:
         now = time.monotonic_ns()
         while True:
             # select: poll and epoll count in whole milliseconds
             select.select([self._socket], [], [], max(0, self._wake_up(deadline) - now) / NANOSECONDS)
-            self._drain()
+            # the time first: what arrived before the deadline is then read before the cycle ends
             now = time.monotonic_ns()
+            self._drain()
             if self.faults.to_pc.active or self.faults.to_controller.active:
                 self._deliver(now)
             if now >= deadline:
@@ -207,31 +229,35 @@ class MockRsi:
 
     def _deliver(self, now: int) -> None:
         """Deliver the datagrams whose delay is over."""
-        for packet in self.faults.to_pc.take(now):
-            self._put_on_wire(packet)
-        for data in self.faults.to_controller.take(now):
-            self.controller.receive(data)
+        for underway in self.faults.to_pc.take(now):
+            self._put_on_wire(underway.data)
+        for underway in self.faults.to_controller.take(now):
+            self.controller.receive(underway.data, not self._stamped or underway.due <= self._ends)
 
     def _drain(self) -> None:
         for _ in range(_DRAIN_LIMIT):
             try:
-                data, _, source = receive(self._socket)
+                data, stamp, source = receive(self._socket)
             except BlockingIOError:
                 return
             if source != self._gateway:
                 self.foreign += 1
-            elif self.faults.to_controller.active:
-                self.faults.to_controller.put(data, time.monotonic_ns())
+                continue
+            now = time.monotonic_ns()
+            arrived = self._clock.arrival(stamp, now) if self._stamped else None
+            if self.faults.to_controller.active:
+                self.faults.to_controller.put(data, now if arrived is None else arrived)
             else:
-                self.controller.receive(data)
+                # not known: as far as this process can tell, it is in time
+                self.controller.receive(data, arrived is None or arrived <= self._ends)
 
 
-def _open_socket() -> socket.socket:
-    """Return a socket on an unused port of the system's choice on all addresses, as the controller opens it."""
+def _open_socket() -> tuple[socket.socket, bool]:
+    """Return a socket on a port of the system's choice on all addresses, as the controller opens it, and whether it has stamps."""
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setblocking(False)
     made.bind(("", 0))
-    return made
+    return made, ask_for_stamps(made)
 
 
 def _resolve(host: str, port: int) -> tuple[str, int]:

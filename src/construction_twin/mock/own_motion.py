@@ -1,6 +1,6 @@
 """The mock controller's own motions: the ramp of the E-stop, programs of the controller, and the speed limit of T1.
 
-Pure: one step per 4 ms cycle. Angles in rad, plain tuples, standard library only.
+Pure: one step per cycle. Angles in rad, plain tuples, standard library only.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ class EmergencyBrake:
         Limits [rad/s^2].
     measured : sequence of float, length n
         Where the arm is, behind the setpoint [rad].
+    period : float, optional
+        Length of a cycle [s].
 
     Attributes
     ----------
@@ -45,10 +47,11 @@ class EmergencyBrake:
         step: Sequence[float],
         acceleration: Sequence[float],
         measured: Sequence[float],
+        period: float = CYCLE,
     ):
         self.position = tuple(position)
         self._step = tuple(step)
-        budgets = [limit * CYCLE * CYCLE for limit in acceleration]
+        budgets = [limit * period * period for limit in acceleration]
         self.cycles = math.ceil(max(abs(s) / budget for s, budget in zip(step, budgets)) - 1e-9)
         self._left = self.cycles
         fraction = (self.cycles - 1) / 2.0 if self.cycles else 0.0
@@ -79,6 +82,8 @@ class Program:
         Limits [rad/s], [rad/s^2].
     duration : float, optional
         [s]; 0 (default): as long as `JOG_FRACTION` of the limits takes.
+    period : float, optional
+        Length of a cycle [s].
 
     Raises
     ------
@@ -93,6 +98,7 @@ class Program:
         velocity: Sequence[float],
         acceleration: Sequence[float],
         duration: float = 0.0,
+        period: float = CYCLE,
     ):
         self._start, self._goal = tuple(start), tuple(goal)
         distances = [abs(b - a) for a, b in zip(start, goal)]
@@ -100,7 +106,7 @@ class Program:
         if duration and duration < quickest:
             raise ValueError(f"a motion of {duration:g} s exceeds the limits; give at least {quickest:.3f} s")
         self.cycles = max(
-            1, math.ceil((duration or _shortest(distances, velocity, acceleration, JOG_FRACTION)) / CYCLE)
+            1, math.ceil((duration or _shortest(distances, velocity, acceleration, JOG_FRACTION)) / period)
         )
         self._cycle = 0
 
@@ -136,6 +142,8 @@ class ToolSpeedLimit:
         From axis angles [rad] to the tool's position [m].
     speed : float, optional
         [m/s]
+    period : float, optional
+        Length of a cycle [s].
     """
 
     def __init__(
@@ -146,10 +154,11 @@ class ToolSpeedLimit:
         acceleration: Sequence[float],
         tool_position: Callable[[tuple[float, ...]], Sequence[float]],
         speed: float = T1_SPEED,
+        period: float = CYCLE,
     ):
-        self._chases = [Chase(q, q, s, v, a) for q, s, v, a in zip(position, step, velocity, acceleration)]
+        self._chases = [Chase(q, q, s, v, a, period) for q, s, v, a in zip(position, step, velocity, acceleration)]
         self._tool_position = tool_position
-        self._longest_step = speed * CYCLE
+        self._longest_step = speed * period
         self._ending = False
 
     @property

@@ -19,6 +19,7 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.units import from_wire, radians, to_wire
+from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.network import MockRsi
@@ -42,8 +43,10 @@ class MockSettings(pydantic.BaseModel):
     gateway_host: str
     gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
     ethernet_xml: str = ""
+    cycle: Literal[4, 12] = 4
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
+    stop_required: bool = False
     cumulative_delay: bool = False
     start_pose_deg: _Degrees = []
     correction_lower_deg: _Degrees = []
@@ -95,8 +98,10 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         acceleration=robot.acceleration,
         layout=layout,
         units=_units(settings, robot),
+        cycle=settings.cycle,
         precision=settings.precision,
         timeout=settings.timeout,
+        stop_required=settings.stop_required,
         cumulative_delay=settings.cumulative_delay,
         correction_lower=listed("correction_lower_deg"),
         correction_upper=listed("correction_upper_deg"),
@@ -129,10 +134,11 @@ def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
 
 def build_servo(settings: MockSettings) -> Servo:
     """Build the servo model that `settings.servo` names."""
+    period = settings.cycle / 1000
     if settings.servo == "ideal":
-        return IdealServo(settings.servo_delay_cycles)
+        return IdealServo(settings.servo_delay_cycles, period)
     resolution = radians([settings.encoder_resolution_deg])[0]
-    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution)
+    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution, period)
 
 
 def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
@@ -159,14 +165,16 @@ def axis_angles(robot: RobotModel, q: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(axis.sign * value + axis.offset for axis, value in zip(robot.axes, q))
 
 
-def _arguments(argv: list[str]) -> argparse.Namespace:
+def parse_arguments(argv: list[str]) -> argparse.Namespace:
+    """Return the options of the command line; only those that were given, or have a default."""
     parser = argparse.ArgumentParser(
         prog="mock_rsi",
-        description="Mock KUKA KR C4 with RSI: a UDP client with its own 4 ms clock. Needs no ROS.",
+        description="Mock KUKA KR C4 with RSI: a UDP client with its own clock. Needs no ROS.",
         argument_default=argparse.SUPPRESS,
     )
     option = parser.add_argument
     option("--robot-xacro", type=Path, default=_ROOT / "urdf/kr120r2500.urdf.xacro", help="URDF or xacro [%(default)s]")
+    option("--robot-xacro-args", metavar="'NAME=VALUE ...'", help="arguments of the xacro [its defaults]")
     option("--robot-config", type=Path, default=_ROOT / "config/kr120.yaml", help="robot YAML [%(default)s]")
     option("--ethernet-xml", type=Path, default=_ROOT / "krl/ethernet/ctwin_ethernet.xml", metavar="FILE",
            help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
@@ -183,6 +191,7 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         metavar="DEG,...",
         help="start pose of the axes [deg], prismatic ones [mm], as the robot's joints are ordered [home]",
     )
+    option("--cycle", type=int, help="length of a cycle [ms], 4 or 12 [4]")
     option("--precision", type=int, help="decimals of sent values, 1 to 32 [6]")
     option("--timeout", type=int, help="cycles without a valid reply until RSI stops [100]")
     option("--servo", choices=("ideal", "realistic"), help="servo model [ideal]")
@@ -197,24 +206,26 @@ def _pose(text: str) -> list[float]:
     return [float(value) for value in text.split(",")]
 
 
-def _settings(options: dict) -> MockSettings:
+def checked_settings(options: dict) -> MockSettings:
+    """Return the settings that `parse_arguments` gave; ConfigurationError when one makes no sense."""
     host, _, port = options.pop("gateway").rpartition(":")
     if "ethernet_xml" in options:
         options["ethernet_xml"] = load_ethernet_xml(options["ethernet_xml"]).text
     try:
         return MockSettings(gateway_host=host, gateway_port=port, **options)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError("/".join(map(str, first["loc"])), first["input"], first["msg"]) from error
+        raise configuration_error(error, MockSettings) from error
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the mock until SIGINT or SIGTERM, then say what was counted; return the exit code."""
-    options = vars(_arguments(sys.argv[1:] if argv is None else argv))
+    options = vars(parse_arguments(sys.argv[1:] if argv is None else argv))
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
     try:
-        robot = read_robot_files(options.pop("robot_xacro"), options.pop("robot_config"))
-        settings = _settings(options)
+        robot = read_robot_files(
+            options.pop("robot_xacro"), options.pop("robot_config"), options.pop("robot_xacro_args", "")
+        )
+        settings = checked_settings(options)
         controller = build_controller(settings, robot)
         mock = MockRsi(controller, gateway_address(settings), settings.restart_after, fault_seed=settings.fault_seed)
     except ConstructionTwinError as error:

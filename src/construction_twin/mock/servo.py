@@ -1,4 +1,4 @@
-"""Servo models of the mock controller: how the axes follow their setpoints, one step per 4 ms cycle.
+"""Servo models of the mock controller: how the axes follow their setpoints, one step per cycle.
 
 Timing: reply k sets the setpoint of cycle k, and `step` turns it into the position at the end of that cycle, which
 packet k + 1 reports. With `IdealServo(delay_cycles=3)` packet k + 3 reports exactly the setpoint of cycle k. Angles in
@@ -23,9 +23,15 @@ class Servo(ABC):
     A stalled joint's measured position is constant. After its release, its reference starts there at rest and approaches the
     setpoint within velocity and acceleration limits; when position and speed match the setpoint, the joint follows it directly
     again. A slow joint approaches its setpoint in the same manner all the time, with a lower velocity limit.
+
+    Parameters
+    ----------
+    period : float
+        Length of a cycle [s].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, period: float) -> None:
+        self._period = period
         self._measured: tuple[float, ...] = ()
         self._setpoint: tuple[float, ...] = ()
         self._last_setpoint: tuple[float, ...] = ()
@@ -42,7 +48,7 @@ class Servo(ABC):
         """Start at rest at `q` [rad], shape (n,); stalled joints stay stalled, there, and slow ones slow."""
         self._setpoint = self._last_setpoint = tuple(q)
         self._chases = {
-            joint: Chase(q[joint], q[joint], 0.0, self._slow[joint], chase.acceleration)
+            joint: Chase(q[joint], q[joint], 0.0, self._slow[joint], chase.acceleration, self._period)
             for joint, chase in self._chases.items()
             if joint in self._slow
         }
@@ -93,7 +99,8 @@ class Servo(ABC):
         if joint in self._stalled:
             self._stalled.remove(joint)
             velocity = self._slow.get(joint, velocity)
-            self._chases[joint] = Chase(self._measured[joint], self._setpoint[joint], 0.0, velocity, acceleration)
+            begin = self._measured[joint], self._setpoint[joint], 0.0
+            self._chases[joint] = Chase(*begin, velocity, acceleration, self._period)
 
     def limit(self, joint: int, velocity: float, acceleration: float) -> None:
         """Make a joint slow: its reference follows the setpoint within these limits [rad/s], [rad/s^2]."""
@@ -112,7 +119,7 @@ class Servo(ABC):
         position, step = setpoint, setpoint - self._last_setpoint[joint]
         if joint in self._chases:
             position, step = self._chases[joint].position, self._chases[joint].step
-        self._chases[joint] = Chase(position, setpoint, step, velocity, acceleration)
+        self._chases[joint] = Chase(position, setpoint, step, velocity, acceleration, self._period)
 
     @abstractmethod
     def _start(self, q: tuple[float, ...]) -> None:
@@ -135,12 +142,14 @@ class IdealServo(Servo):
     delay_cycles : int, optional
         Cycles from the packet whose reply carries a setpoint to the packet that reports it as reached; at least 1,
         default 3.
+    period : float, optional
+        Length of a cycle [s].
     """
 
-    def __init__(self, delay_cycles: int = 3):
+    def __init__(self, delay_cycles: int = 3, period: float = CYCLE):
         if delay_cycles < 1:
             raise ValueError(f"delay_cycles is {delay_cycles}; expected at least 1")
-        super().__init__()
+        super().__init__(period)
         self._delay = delay_cycles
         self._line: deque[list[float]] = deque(maxlen=delay_cycles)
 
@@ -169,13 +178,17 @@ class RealisticServo(Servo):
         Damping ratio.
     resolution : float, optional
         Encoder step [rad]; 0 for an exact reading.
+    period : float, optional
+        Length of a cycle [s].
     """
 
-    def __init__(self, omega: float = 60.0, zeta: float = 0.8, resolution: float = math.radians(3e-5)):
+    def __init__(
+        self, omega: float = 60.0, zeta: float = 0.8, resolution: float = math.radians(3e-5), period: float = CYCLE
+    ):
         if not (omega > 0.0 and zeta > 0.0 and resolution >= 0.0):
             raise ValueError(f"omega {omega}, zeta {zeta}, resolution {resolution}; expected > 0, > 0, >= 0")
-        super().__init__()
-        self._transition = _transition(omega, zeta, CYCLE)
+        super().__init__(period)
+        self._transition = transition_matrix(omega, zeta, period)
         self._resolution = resolution
         self._position: list[float] = []
         self._velocity: list[float] = []
@@ -213,6 +226,8 @@ class Chase:
         Its last step [rad per cycle].
     velocity, acceleration : float
         Limits [rad/s], [rad/s^2]. A chase that begins faster than `velocity` first brakes to it within `acceleration`.
+    period : float
+        Length of a cycle [s].
 
     Attributes
     ----------
@@ -220,14 +235,16 @@ class Chase:
         True when the last `aim` matched the setpoint in position and speed.
     """
 
-    def __init__(self, position: float, setpoint: float, step: float, velocity: float, acceleration: float):
+    def __init__(
+        self, position: float, setpoint: float, step: float, velocity: float, acceleration: float, period: float
+    ):
         self.position, self.step = position, step
         self.acceleration = acceleration
         self.met = False
         self._setpoint = setpoint
         self._aimed = 0.0
-        self._speed = velocity * CYCLE
-        self._budget = acceleration * CYCLE * CYCLE
+        self._speed = velocity * period
+        self._budget = acceleration * period * period
 
     def aim(self, setpoint: float) -> float:
         """Take the setpoint of this cycle [rad]; return the step that the limits allow towards it [rad]."""
@@ -263,7 +280,7 @@ class Chase:
         return self.position
 
 
-def _transition(omega: float, zeta: float, period: float) -> tuple[tuple[float, float], tuple[float, float]]:
+def transition_matrix(omega: float, zeta: float, period: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return exp(A * period) of (x - u, x') for x'' = -omega^2 (x - u) - 2 zeta omega x', u constant, any damping."""
     centre = -zeta * omega
     root = omega * cmath.sqrt(zeta * zeta - 1.0)

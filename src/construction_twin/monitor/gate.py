@@ -15,7 +15,7 @@ from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
-from construction_twin.monitor.states import HELD_STATES, SyncEvent, SyncMachine, SyncState, Transition
+from construction_twin.monitor.states import HELD_STATES, Action, Guard, SyncEvent, SyncMachine, SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 
 #: What may happen after a violation.
@@ -27,9 +27,6 @@ LATEST = NANOSECONDS // 10
 #: A gate is at rest when the command has not changed for this long [ns]: by then the arm has arrived, too.
 REST = NANOSECONDS // 2
 _TOO_LATE = f"at most {LATEST / NANOSECONDS:g} s: the monitor was not run, or the executor's clock was set back (then call reset)"
-#: The gate closes on silence, but does not count it towards `escalate_count`: no pose has differed, and whether the link is lost is
-#: for the bridge to say.
-_SILENCE = (SyncEvent.FEEDBACK_STALE, SyncEvent.SETPOINT_STALE)
 
 
 @dataclass(frozen=True)
@@ -123,7 +120,19 @@ class Gate:
         self.refused = 0
         #: Whether the arm leads: then nothing opens the gate.
         self.mirrored = False
-        self._machine = SyncMachine()
+        guards = {
+            Guard.UNCOUNTED: lambda now: not self._counted,
+            Guard.STOP_POLICY: lambda now: self._policy == STOP,
+            Guard.TOO_MANY: lambda now: len(self._closings) >= self.settings.escalate_count,
+            Guard.HELD_TOO_LONG: lambda now: now - self._closed_at > self.settings.give_up_time * NANOSECONDS,
+        }
+        actions = {
+            Action.FORGET: lambda now: self._forget(),
+            Action.HOLD: self._hold,
+            Action.HOLD_AND_COUNT: self._hold_and_count,
+            Action.COUNT: self._count,
+        }
+        self._machine = SyncMachine(guards, actions)
         self._forget()
         self._machine.on(SyncEvent.STARTED, "started", now)
 
@@ -183,7 +192,6 @@ class Gate:
     def restart(self, reason: str, now: int) -> None:
         """Close the gate and forget every pose: a new command session, in which twin and arm start over."""
         self._fire(SyncEvent.NEW_SESSION, reason, now)
-        self._forget()
 
     def stay_stopped(self, reason: str, now: int) -> None:
         """Begin in STOPPED: a monitor before this one was, and no person has seen to it since."""
@@ -191,9 +199,13 @@ class Gate:
 
     def mirror(self, leads: bool, now: int) -> None:
         """Take whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
-        if leads and not self.mirrored and self._fire(SyncEvent.MIRROR, "the arm leads: nothing is commanded", now):
-            self._forget()
+        if leads and not self.mirrored:
+            self._fire(SyncEvent.MIRROR, "the arm leads: nothing is commanded", now)
         self.mirrored = leads
+
+    def rests(self, now: int) -> bool:
+        """Return whether the command has not changed for `REST`; `now` in ns."""
+        return self._moved_at is None or now - self._moved_at >= REST
 
     def check_rest(self, now: int) -> None:
         """Refuse a change of settings while the arm moves or may move, or while the gate holds; `now` in ns.
@@ -204,7 +216,7 @@ class Gate:
         """
         if self.mirrored:
             raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
-        if self._moved_at is not None and now - self._moved_at < REST:
+        if not self.rests(now):
             raise ConfigurationError(
                 "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
             )
@@ -341,7 +353,7 @@ class Gate:
             if self.settings.compares and not self._fresh(now) and self._heard is not None:
                 age = (now - self._heard) / NANOSECONDS
                 self._close(SyncEvent.FEEDBACK_STALE, f"last comparable feedback is {age:.3f} s old", now)
-        elif self.state in HELD_STATES and now - self._closed_at > self.settings.give_up_time * NANOSECONDS:
+        elif self._machine.row(SyncEvent.GAVE_UP, now) is not None:
             held = (now - self._closed_at) / NANOSECONDS
             self._fire(SyncEvent.GAVE_UP, f"held for {held:.3f} s; {self._machine.reason}; call reset", now)
 
@@ -349,43 +361,35 @@ class Gate:
         return self._heard is not None and now - self._heard <= self.settings.feedback_timeout * NANOSECONDS
 
     def _on_difference(self, comparison: Comparison, now: int) -> None:
-        open_ = self.state is SyncState.IN_SYNC
-        silent = self.state in (SyncState.STALE, SyncState.REPLANNING) and not self._counted
-        if not (open_ or silent) or not self.settings.compares:
+        if not self.settings.compares or self._machine.row(SyncEvent.POSE_DIFFERS, now) is None:
             return
         joint = comparison.worst()
         unit = "m" if self._limits.linear[joint] else "rad"
         difference = f"{comparison.error[joint]:.6f} {unit}, threshold {comparison.threshold[joint]:.6f} {unit}"
-        reason = f"{self._limits.names[joint]} differs by {difference}"
-        if open_:
-            self._close(SyncEvent.POSE_DIFFERS, reason, now)
-            return
-        self._fire(SyncEvent.POSE_DIFFERS, reason, now)
-        # the silence has ended in a contradiction: that the arm was silent before does not excuse it
-        self._count(reason, now)
+        self._close(SyncEvent.POSE_DIFFERS, f"{self._limits.names[joint]} differs by {difference}", now)
 
     def _close(self, event: SyncEvent, reason: str, now: int) -> None:
-        """Leave IN_SYNC: hold, and see whether that is the end of it."""
-        settings = self.settings
+        """Take a violation, and see whether that is the end of it."""
+        self._fire(event, reason, now)
+        self._fire(SyncEvent.POLICY_STOP, f"the policy is to stop; {reason}; call reset", now)
+        often = f"held {len(self._closings)} times in {self.settings.escalate_time:g} s"
+        self._fire(SyncEvent.ESCALATED, f"{often}; {reason}; call reset", now)
+
+    def _hold(self, now: int) -> None:
         self.violations += 1
         # whatever closed the gate, agreement counts from now on
         self._agreed, self._agreed_since = False, None
-        self._policy, self._closed_at, self._counted = settings.policy, now, False
-        self._fire(event, reason, now)
-        if self._policy == STOP:
-            self._fire(SyncEvent.POLICY_STOP, f"the policy is to stop; {reason}; call reset", now)
-        elif event not in _SILENCE:
-            self._count(reason, now)
+        self._policy, self._closed_at, self._counted = self.settings.policy, now, False
 
-    def _count(self, reason: str, now: int) -> None:
-        """Count the present hold, and end it when there have been too many."""
-        settings, self._counted = self.settings, True
+    def _hold_and_count(self, now: int) -> None:
+        self._hold(now)
+        self._count(now)
+
+    def _count(self, now: int) -> None:
+        self._counted = True
         self._closings.append(now)
-        while self._closings[0] < now - settings.escalate_time * NANOSECONDS:
+        while self._closings[0] < now - self.settings.escalate_time * NANOSECONDS:
             self._closings.popleft()
-        if len(self._closings) >= settings.escalate_count:
-            often = f"held {len(self._closings)} times in {settings.escalate_time:g} s"
-            self._fire(SyncEvent.ESCALATED, f"{often}; {reason}; call reset", now)
 
     def _try_to_open(self, stamp: int, theta_next: tuple[float, ...], late: int, now: int) -> None:
         if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):

@@ -1,13 +1,16 @@
-"""The state machine of the pose checking algorithm: one table of states, events and the states that they lead to.
+"""The state machine of the pose checking algorithm: one table of states, events, guards, actions and next states.
 
-Pure. What causes an event is the gate's business; here it is only said what follows from it, and kept why.
+Pure. What causes an event, what a guard asks and what an action does is the gate's business; here it is only said what follows from
+an event, and kept why.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+from construction_twin.core import state_table
 from construction_twin.monitor.comparison import Comparison
 
 
@@ -43,47 +46,73 @@ class SyncEvent(Enum):
     CONFIGURED = "configured"
 
 
-_ANEW = {SyncEvent.NEW_SESSION: SyncState.WAITING, SyncEvent.MIRROR: SyncState.WAITING}
-_GIVE_UP = {SyncEvent.OPENED: SyncState.IN_SYNC, SyncEvent.GAVE_UP: SyncState.STOPPED}
-#: What may follow a violation at once.
-_END = _GIVE_UP | {SyncEvent.POLICY_STOP: SyncState.STOPPED, SyncEvent.ESCALATED: SyncState.STOPPED}
+class Guard(Enum):
+    """What must hold for a row to count; the values are the words of the documentation."""
 
-#: State, event, next state. An event that a state's row does not name changes nothing in that state.
-TABLE: dict[SyncState, dict[SyncEvent, SyncState]] = {
-    SyncState.WAITING: _ANEW
-    | {
-        SyncEvent.STARTED: SyncState.WAITING,
-        SyncEvent.CONFIGURED: SyncState.WAITING,
-        SyncEvent.STOPPED_BEFORE: SyncState.STOPPED,
-        SyncEvent.OPENED: SyncState.IN_SYNC,
-    },
-    SyncState.IN_SYNC: _ANEW
-    | {
-        SyncEvent.CONFIGURED: SyncState.IN_SYNC,
-        SyncEvent.POSE_DIFFERS: SyncState.HOLDING,
-        SyncEvent.FEEDBACK_STALE: SyncState.STALE,
-        SyncEvent.SETPOINT_STALE: SyncState.STALE,
-        SyncEvent.SETPOINT_REFUSED: SyncState.FAULT,
-    },
-    SyncState.HOLDING: _ANEW | _END | {SyncEvent.REPLAN_ASKED: SyncState.REPLANNING},
-    SyncState.REPLANNING: _ANEW
-    | _GIVE_UP
-    | {SyncEvent.REPLAN_FAILED: SyncState.HOLDING, SyncEvent.ESCALATED: SyncState.STOPPED},
-    SyncState.STALE: _ANEW
-    | _GIVE_UP
-    | {
-        SyncEvent.POLICY_STOP: SyncState.STOPPED,
-        SyncEvent.POSE_DIFFERS: SyncState.HOLDING,
-        SyncEvent.REPLAN_ASKED: SyncState.REPLANNING,
-    },
-    # a source of setpoints that no robot can execute is not asked for a new plan
-    SyncState.FAULT: _ANEW | _END,
-    # a person has to see to it: only a new command session leads out
-    SyncState.STOPPED: {SyncEvent.NEW_SESSION: SyncState.WAITING, SyncEvent.CONFIGURED: SyncState.STOPPED},
-}
+    ALWAYS = ""
+    UNCOUNTED = "the present hold was not counted yet"
+    STOP_POLICY = "the policy was `stop` when the gate closed"
+    TOO_MANY = "`escalate_count` holds were counted within `escalate_time`"
+    HELD_TOO_LONG = "the gate has been closed for more than `give_up_time`"
+
+
+class Action(Enum):
+    """What is done before the next state is entered; the values are the words of the documentation."""
+
+    NOTHING = ""
+    FORGET = "poses, lag and counted holds are forgotten"
+    HOLD = "the command is frozen; agreement counts from now on"
+    HOLD_AND_COUNT = "the command is frozen; agreement counts from now on; the hold is counted"
+    COUNT = "the hold is counted"
+    KEEP_REASON = "the state's sentence stays"
+
+
+Row = state_table.Row[SyncState, SyncEvent, Guard, Action]
+_S, _E = SyncState, SyncEvent
+
+
+def _rows(
+    states: Iterable[SyncState],
+    event: SyncEvent,
+    target: SyncState | None,
+    action: Action = Action.NOTHING,
+    guard: Guard = Guard.ALWAYS,
+) -> list[Row]:
+    return state_table.rows(states, event, guard, action, target)
+
 
 #: States of a gate that was closed by a violation, and may open again by itself.
-HELD_STATES = frozenset(state for state, row in TABLE.items() if SyncEvent.GAVE_UP in row)
+HELD_STATES = (_S.HOLDING, _S.REPLANNING, _S.STALE, _S.FAULT)
+
+#: What is not in the table changes nothing in that state.
+TABLE: tuple[Row, ...] = (
+    # a person has to see to what is STOPPED: only a new command session leads out
+    *_rows(_S, _E.NEW_SESSION, _S.WAITING, Action.FORGET),
+    *_rows((_S.WAITING, _S.IN_SYNC, *HELD_STATES), _E.MIRROR, _S.WAITING, Action.FORGET),
+    *_rows([_S.WAITING], _E.STARTED, _S.WAITING),
+    *_rows([_S.WAITING], _E.STOPPED_BEFORE, _S.STOPPED),
+    *_rows([_S.WAITING], _E.CONFIGURED, _S.WAITING, Action.KEEP_REASON),
+    *_rows([_S.IN_SYNC], _E.CONFIGURED, _S.IN_SYNC, Action.KEEP_REASON),
+    *_rows([_S.STOPPED], _E.CONFIGURED, _S.STOPPED, Action.KEEP_REASON),
+    *_rows((_S.WAITING, *HELD_STATES), _E.OPENED, _S.IN_SYNC),
+    *_rows([_S.IN_SYNC], _E.POSE_DIFFERS, _S.HOLDING, Action.HOLD_AND_COUNT),
+    # silence is not counted: no pose has differed, and whether the link is lost is for the bridge to say
+    *_rows([_S.IN_SYNC], _E.FEEDBACK_STALE, _S.STALE, Action.HOLD),
+    *_rows([_S.IN_SYNC], _E.SETPOINT_STALE, _S.STALE, Action.HOLD),
+    *_rows([_S.IN_SYNC], _E.SETPOINT_REFUSED, _S.FAULT, Action.HOLD_AND_COUNT),
+    # the silence has ended in a contradiction: that the arm was silent before does not excuse it
+    *_rows([_S.STALE], _E.POSE_DIFFERS, _S.HOLDING, Action.COUNT, Guard.UNCOUNTED),
+    *_rows([_S.REPLANNING], _E.POSE_DIFFERS, None, Action.COUNT, Guard.UNCOUNTED),
+    # what may follow a violation at once
+    *_rows((_S.HOLDING, _S.STALE, _S.FAULT), _E.POLICY_STOP, _S.STOPPED, guard=Guard.STOP_POLICY),
+    *_rows((_S.HOLDING, _S.REPLANNING, _S.FAULT), _E.ESCALATED, _S.STOPPED, guard=Guard.TOO_MANY),
+    # a source of setpoints that no robot can execute, FAULT, is not asked for a new plan
+    *_rows((_S.HOLDING, _S.STALE), _E.REPLAN_ASKED, _S.REPLANNING),
+    *_rows([_S.REPLANNING], _E.REPLAN_FAILED, _S.HOLDING),
+    *_rows(HELD_STATES, _E.GAVE_UP, _S.STOPPED, guard=Guard.HELD_TOO_LONG),
+)
+
+ROWS = state_table.by_cause(TABLE)
 
 
 @dataclass(frozen=True)
@@ -119,6 +148,13 @@ class Transition:
 class SyncMachine:
     """The present state, and how it changes.
 
+    Parameters
+    ----------
+    guards : mapping of Guard to callable
+        From the time [ns] to whether the guard holds; for all but `ALWAYS`.
+    actions : mapping of Action to callable
+        Called with the time [ns]; for all that do something.
+
     Attributes
     ----------
     state : SyncState
@@ -126,15 +162,21 @@ class SyncMachine:
         Why it was entered; other settings are no reason to be in a state.
     """
 
-    def __init__(self):
+    def __init__(self, guards: Mapping[Guard, Callable[[int], bool]], actions: Mapping[Action, Callable[[int], None]]):
         self.state = SyncState.WAITING
         self.reason = ""
+        self._guards = {Guard.ALWAYS: lambda now: True, **guards}
+        self._actions = {Action.NOTHING: lambda now: None, Action.KEEP_REASON: lambda now: None, **actions}
         self._taken: list[Transition] = []
+
+    def row(self, event: SyncEvent, now: int) -> Row | None:
+        """Return the row that would apply to an event in the present state at `now` [ns]; None: it changes nothing."""
+        return next((row for row in ROWS[self.state, event] if self._guards[row.guard](now)), None)
 
     def on(
         self, event: SyncEvent, reason: str, now: int, comparison: Comparison | None = None, held_stamp: int = 0
     ) -> bool:
-        """Take an event; return whether the table has a row for it in the present state.
+        """Take an event; return whether a row of the table applied.
 
         Parameters
         ----------
@@ -146,13 +188,15 @@ class SyncMachine:
         held_stamp : int, optional
             [ns]
         """
-        target = TABLE[self.state].get(event)
-        if target is None:
+        row = self.row(event, now)
+        if row is None:
             return False
-        self._taken.append(Transition(now, self.state, target, event, reason, comparison, held_stamp))
-        self.state = target
-        if event is not SyncEvent.CONFIGURED:
-            self.reason = reason
+        self._actions[row.action](now)
+        if row.target is not None:
+            self._taken.append(Transition(now, self.state, row.target, event, reason, comparison, held_stamp))
+            self.state = row.target
+            if row.action is not Action.KEEP_REASON:
+                self.reason = reason
         return True
 
     @property

@@ -18,6 +18,10 @@ _UNKNOWN_CA = (2, 18, 19, 20, 21)
 _WRONG_NAME = (62, 64)
 #: Reason codes of MQTT 5 that mean the account; paho translates those of 3.1.1 into them.
 _BAD_CREDENTIALS, _NOT_AUTHORIZED = 134, 135
+#: The one that means the version of MQTT; paho makes it of return code 1 too, with which brokers of 3.1.1 refuse MQTT 5.
+_UNSUPPORTED_VERSION = 132
+#: What paho calls a connection that ended without a word of the broker.
+_CLOSED = 128
 
 
 def connection_failure(broker: Broker, error: OSError) -> str:
@@ -79,6 +83,8 @@ def _tls_failure(error: ssl.SSLError) -> str:
 def refused_connection(broker: Broker, reason_code: ReasonCode) -> str:
     """Return the sentence for a connection that the broker refused in its answer (CONNACK)."""
     where = f"broker {broker.host}:{broker.port}"
+    if reason_code.value == _UNSUPPORTED_VERSION:
+        return f"{where} {_version_failure(broker)}"
     if reason_code.value not in (_BAD_CREDENTIALS, _NOT_AUTHORIZED):
         return f"{where} refused the connection: {reason_code}"
     if broker.account is None or not broker.account.user:
@@ -89,12 +95,42 @@ def refused_connection(broker: Broker, reason_code: ReasonCode) -> str:
     )
 
 
+#: What to do where MQTT 5 is refused.
+_OLDER = (
+    "start with protocol:=3.1.1 (rsi_gateway on a cell PC: --protocol 3.1.1, with its configuration exported again); what is lost "
+    "then: docs/broker.md"
+)
+
+
+def _version_failure(broker: Broker) -> str:
+    if broker.protocol == "5":
+        return f"does not speak MQTT 5, only an older version: {_OLDER}"
+    return f"does not speak MQTT {broker.protocol}: start with protocol:=5, or use another broker"
+
+
 def lost_connection(broker: Broker, reason_code: ReasonCode) -> str:
     """Return the sentence for a connection that ended; a broker that refuses a client certificate shows itself only here."""
-    sentence = f"connection to broker {broker.host}:{broker.port} lost: {reason_code}; trying again"
-    if broker.account is not None and broker.account.cert_file:
-        sentence += " (if it never lasts: the broker may refuse the client certificate)"
-    return sentence
+    why = "the broker or the network has closed it" if reason_code.value == _CLOSED else str(reason_code)
+    return f"connection to broker {broker.host}:{broker.port} lost: {why}; trying again{_maybe_certificate(broker)}"
+
+
+def no_welcome(broker: Broker) -> str:
+    """Return the sentence for a connection that was closed before a broker's answer (CONNACK) had come."""
+    spoken = f"MQTT {broker.protocol} {'with' if broker.encrypted else 'without'} TLS"
+    older = ""
+    if broker.protocol == "5":
+        # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
+        older = f"; a broker that does not know MQTT 5 may do so (RabbitMQ before 3.13): {_OLDER}"
+    return (
+        f"broker {broker.host}:{broker.port} closed the connection without an answer: is the port right, and is {spoken} spoken "
+        f"there{older}{_maybe_certificate(broker)}"
+    )
+
+
+def _maybe_certificate(broker: Broker) -> str:
+    if broker.account is None or not broker.account.cert_file:
+        return ""
+    return " (if it never lasts: the broker may refuse the client certificate)"
 
 
 def refused_publish(broker: Broker, topic: str, reason_code: ReasonCode) -> str:
@@ -124,6 +160,7 @@ class ConnectionReport:
     def __init__(self, broker: Broker, say: Callable[[str], None]):
         self._broker = broker
         self._say = say
+        self._welcomed = False
         self.sentence = ""
 
     def watch(self, client: paho.Client) -> None:
@@ -138,6 +175,7 @@ class ConnectionReport:
 
     def connected(self) -> None:
         """Take note that the broker has said welcome."""
+        self._welcomed = True
         self.sentence = ""
 
     def failed(self, error: OSError) -> None:
@@ -150,8 +188,9 @@ class ConnectionReport:
 
     def lost(self, reason_code: ReasonCode) -> None:
         """Report the unwanted end of a connection; what the broker said when it refused one stays."""
+        welcomed, self._welcomed = self._welcomed, False
         if reason_code.is_failure and not self.sentence:
-            self._report(lost_connection(self._broker, reason_code))
+            self._report(lost_connection(self._broker, reason_code) if welcomed else no_welcome(self._broker))
 
     def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
         """Report when the broker's access rules refuse a message; see `watch_answer`."""

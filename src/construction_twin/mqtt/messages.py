@@ -19,6 +19,11 @@ _SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _LEVEL = re.compile(r"[A-Za-z0-9_-]+")
 #: What a `control` message may ask for.
 VERBS = ("arm", "stop", "reset", "end", "speed_limit")
+#: What a bare PLC says on `status`, retained: it takes joint strings, or none. ``offline`` is its last will too.
+READY, OFFLINE = "ready", "offline"
+#: Who answers on `status`: rsi_gateway, in JSON, or a bare PLC, in those two words.
+RSI, PLC = "rsi", "plc"
+GATEWAY_KINDS = (RSI, PLC)
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
 
@@ -155,6 +160,17 @@ def read_state_properties(pairs: list[tuple[str, str]]) -> StateProperties:
     return StateProperties(*(_number(name, values[name]) for name in ("seq", "stamp", "command_stamp")))
 
 
+def no_properties(pairs: list[tuple[str, str]]) -> StateProperties | None:
+    """Refuse user properties beside a bare PLC's state: PayloadError (``properties``)."""
+    if not pairs:
+        return None
+    raise PayloadError(
+        "properties",
+        f"a state with user properties {[name[:32] for name, _ in pairs[:8]]}: a bare PLC sends the joint string alone; a gateway "
+        "needs gateway_kind:=rsi",
+    )
+
+
 @dataclass(frozen=True)
 class Control:
     """A message on `control`: who (session), which message (id), what (verb), and the verb's value.
@@ -215,6 +231,19 @@ def parse_status(payload: bytes) -> dict:
     ):
         raise PayloadError("status", "status message whose reply_us is not a histogram of whole numbers")
     return status
+
+
+def parse_presence(payload: bytes) -> dict:
+    """Parse what is on `status`, whoever sent it: a gateway's JSON, see `parse_status`, or a bare PLC's word.
+
+    Returns
+    -------
+    status : dict
+        Of a bare PLC ``{"state": "ready", "kind": "plc"}``. In a gateway's `kind` is ``rsi``, whatever its message holds.
+    """
+    if payload in (READY.encode(), OFFLINE.encode()):
+        return {"state": payload.decode(), "kind": PLC}
+    return parse_status(payload) | {"kind": RSI}
 
 
 def _is_short_text(value: object) -> bool:

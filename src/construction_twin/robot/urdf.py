@@ -5,22 +5,73 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-from collections.abc import Mapping
+import shlex
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import ModuleType
 from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError
 
 import xacro
 from urdf_parser_py.urdf import URDF, Joint
 from urdf_parser_py.xml_reflection.core import ParseError
+from xacro.substitution_args import ArgException
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.robot.packages import Packages
 
 _LOG = logging.getLogger(__name__)
+#: The module of ROS 2 that xacro asks for the folder of a package.
+_AMENT = "ament_index_python.packages"
+
+
+def xacro_arguments(text: str) -> dict[str, str]:
+    """Return the arguments of a xacro file from one text, as the launch argument ``robot_xacro_args`` has it.
+
+    Parameters
+    ----------
+    text : str
+        Words ``name=value`` (or ``name:=value``, which roslaunch does not take on its command line), quoted as in a shell.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the word that is none.
+    """
+    expected = "words name=value, divided by spaces"
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        raise ConfigurationError("robot_xacro_args", text, f"{expected} ({error})") from error
+    arguments: dict[str, str] = {}
+    for word in words:
+        name, separator, value = word.partition("=")
+        name = name.removesuffix(":")
+        if not (name and separator):
+            raise ConfigurationError("robot_xacro_args", word, expected)
+        arguments[name] = value
+    return arguments
+
+
+class _Arguments(dict[str, str]):
+    """The arguments that xacro expands a file with; remembers which ones the file asked for."""
+
+    def __init__(self, given: Mapping[str, str]):
+        super().__init__(given)
+        self.asked: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.asked.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked.add(name)
+        return super().__getitem__(name)
 
 
 def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
-    """Expand a xacro file to URDF text.
+    """Expand a xacro file to URDF text. ``$(find pkg)`` is answered by rospack.
 
     Parameters
     ----------
@@ -36,15 +87,66 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
     Raises
     ------
     ConfigurationError
-        If the file cannot be read or expanded.
+        If the file cannot be read or expanded, or has no argument of a name that was given.
     """
     read_text(path)  # xacro's own message for a missing file does not say what was expected
+    given = _Arguments(arguments or {})
     try:
-        return xacro.process_file(str(path), mappings=dict(arguments or {})).toprettyxml(indent="  ")
+        with _packages_by_rospack():
+            document = xacro.process_file(str(path), mappings=given)
     except xacro.XacroException as error:
-        raise ConfigurationError(str(path), str(error), "a xacro file that expands") from error
+        raise _refusal(str(path), error) from error
     except ExpatError as error:
-        raise ConfigurationError(str(path), str(error), "well-formed XML") from error
+        raise ConfigurationError(str(path), _found(str(path), error), "well-formed XML") from error
+    unknown = sorted(set(arguments or {}) - given.asked)
+    if unknown:
+        raise ConfigurationError(
+            f"{path} argument", unknown[0], f"one of the arguments that the file has: {sorted(given.asked) or 'none'}"
+        )
+    return document.toprettyxml(indent="  ")
+
+
+@contextlib.contextmanager
+def _packages_by_rospack() -> Iterator[None]:
+    """Answer xacro's questions for ``$(find pkg)`` by rospack.
+
+    xacro 2 has no setting for it: it imports `get_package_share_directory` from ROS 2's `ament_index_python` at each question,
+    and there is no ROS 2 here. A module of that name stands in while a file is expanded; nothing of xacro is changed. A xacro
+    that asks rospack itself, as ROS 1's does, does not notice.
+    """
+    packages = Packages()
+    stand_in = ModuleType(_AMENT, "Answers by rospack, see construction_twin.robot.urdf.")
+    stand_in.__dict__["get_package_share_directory"] = lambda name: str(
+        packages.folder(name, f"{xacro.filestack[-1]} $(find {name})")
+    )
+    before = sys.modules.get(_AMENT)
+    sys.modules[_AMENT] = stand_in
+    try:
+        yield
+    finally:
+        if before is None:
+            del sys.modules[_AMENT]
+        else:
+            sys.modules[_AMENT] = before
+
+
+def _refusal(path: str, error: xacro.XacroException) -> ConfigurationError:
+    """Return what to say about a file that does not expand."""
+    cause: BaseException | None = error
+    while isinstance(cause, xacro.XacroException):
+        cause = cause.exc
+    if isinstance(cause, ConfigurationError):
+        return cause
+    if isinstance(cause, ArgException):
+        where = f"{xacro.filestack[-1]} $(arg {cause})"
+        return ConfigurationError(where, "no value", f"one in robot_xacro_args, e.g. {cause}=...")
+    return ConfigurationError(path, _found(path, error), "a xacro file that expands")
+
+
+def _found(path: str, error: Exception) -> str:
+    """Return what is wrong, and where, if that is in a file that the one at `path` includes."""
+    reading = str(xacro.filestack[-1])
+    return str(error) if reading == path else f"{error} (in {reading})"
 
 
 def parse_urdf(urdf: str) -> URDF:
@@ -99,4 +201,6 @@ def read_text(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), str(error), "a readable text file") from error
+        raise ConfigurationError(
+            str(path), getattr(error, "strerror", None) or str(error), "a readable text file"
+        ) from error

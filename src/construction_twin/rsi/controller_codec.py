@@ -6,11 +6,12 @@ Rad and m on this side, degrees and millimetres on the other, as in `gateway_cod
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUnit
+from construction_twin.rsi.status_channels import NAMES, ControllerStatus, status_channels
 from construction_twin.rsi.telegram import (
     SensorTelegram,
     attribute_template,
@@ -28,6 +29,13 @@ from construction_twin.rsi.telegram import (
 AXIS_BLOCKS = {"AIPos": ROBOT_AXES, "ASPos": ROBOT_AXES, "EIPos": EXTERNAL_AXES, "ESPos": EXTERNAL_AXES}
 #: Blocks of a packet that hold a Cartesian pose.
 POSE_BLOCKS = ("RIst", "RSol")
+#: What an optional channel sends.
+_STATUS_VALUES: dict[str, Callable[[ControllerStatus], float | None]] = {
+    "Mode": lambda status: status.mode,
+    "ProgStatus": lambda status: status.program,
+    "OvPro": lambda status: status.override,
+}
+_NO_STATUS = ControllerStatus()
 
 
 class RobotEncoder:
@@ -40,7 +48,8 @@ class RobotEncoder:
     precision : int
         Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
     send : tuple of str, optional
-        Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay.
+        Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay. The channels of
+        `status_channels` may be among them.
     units : tuple of AxisUnit, length n, optional
         Default: every axis is revolute, and in the controller's own units.
 
@@ -65,6 +74,7 @@ class RobotEncoder:
         self._blocks = [
             (name, [axes.index(a) if a in axes else None for a in AXIS_BLOCKS.get(name, ())]) for name in send
         ]
+        self._status = {tag: _STATUS_VALUES[tag.partition(".")[0]] for tag in status_channels(send)}
         elements = "".join(_block(name, precision) for name in send)
         self._template = f'<Rob Type="KUKA">{elements}<IPOC>%d</IPOC></Rob>'.encode()
         zero = f"{0:.{precision}f}".encode()
@@ -78,6 +88,7 @@ class RobotEncoder:
         measured_pose: Sequence[float],
         setpoint_pose: Sequence[float],
         delay: int,
+        status: ControllerStatus = _NO_STATUS,
     ) -> bytes:
         """Write one packet.
 
@@ -91,6 +102,8 @@ class RobotEncoder:
             X, Y, Z [m] and A, B, C [rad] of the tool in the base, for RIst and RSol.
         delay : int
             Cycles without a valid reply.
+        status : ControllerStatus, optional
+            For the optional channels; what is not known is sent as 0.
 
         Returns
         -------
@@ -113,6 +126,8 @@ class RobotEncoder:
                 values.extend(_pose_on_wire(measured_pose if name == "RIst" else setpoint_pose))
             elif name == "Delay":
                 values.append(delay)
+            elif name in self._status:
+                values.append(self._status[name](status) or 0)
             else:
                 values.extend(0.0 if slot is None else axes[name[1]][slot] for slot in slots)
         return (self._template % (*values, ipoc)).replace(self._negative_zero, self._zero)
@@ -134,13 +149,20 @@ class SensorDecoder:
         Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
     units : tuple of AxisUnit, length n, optional
         Default: every axis is revolute, and in the controller's own units.
+    stop_required : bool, optional
+        False: a declared `Stop` may be missing.
     """
 
     def __init__(
-        self, sentype: str, axes: tuple[str, ...], receive: tuple[str, ...] = (), units: tuple[AxisUnit, ...] = ()
+        self,
+        sentype: str,
+        axes: tuple[str, ...],
+        receive: tuple[str, ...] = (),
+        units: tuple[AxisUnit, ...] = (),
+        stop_required: bool = True,
     ):
-        self._stop_declared = STOP in receive
-        self._stop_ignored = bool(receive) and not self._stop_declared
+        self._stop_required = STOP in receive and stop_required
+        self._stop_ignored = bool(receive) and STOP not in receive
         receive = correction_channels(axes, receive)
         element_of = {axis: element for element, _, axis in (channel.partition(".") for channel in receive)}
         self._sentype = sentype
@@ -159,7 +181,7 @@ class SensorDecoder:
         Returns
         -------
         telegram : SensorTelegram
-            Corrections in rad and m; `stop` is None where the element is not declared.
+            Corrections in rad and m; `stop` is None where the element is not declared, or not there.
 
         Raises
         ------
@@ -180,7 +202,7 @@ class SensorDecoder:
         return SensorTelegram(read_ipoc(found), correction, self._stop(found.get(STOP)))
 
     def _stop(self, element: ElementTree.Element | None) -> bool | None:
-        if element is None and self._stop_declared:
+        if element is None and self._stop_required:
             raise TelegramError("element", "the reply has no Stop element")
         if element is None or self._stop_ignored:
             return None
@@ -201,7 +223,10 @@ def _block(name: str, precision: int) -> str:
         return f"<{name} {attribute_template(AXIS_BLOCKS[name], precision)}/>"
     if name == "Delay":
         return '<Delay D="%d"/>'
-    raise ConfigurationError("SEND", name, f"one of {', '.join((*POSE_BLOCKS, *AXIS_BLOCKS, 'Delay'))}")
+    if status_channels((name,)):
+        element, _, attribute = name.partition(".")
+        return f'<{element} {attribute}="%g"/>' if attribute else f"<{element}>%g</{element}>"
+    raise ConfigurationError("SEND", name, f"one of {', '.join((*POSE_BLOCKS, *AXIS_BLOCKS, 'Delay', *NAMES))}")
 
 
 def _pose_on_wire(pose: Sequence[float]) -> tuple[float, ...]:

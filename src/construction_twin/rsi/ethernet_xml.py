@@ -21,6 +21,7 @@ from xml.etree import ElementTree
 
 from construction_twin.core.errors import EthernetXmlError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
+from construction_twin.rsi.status_channels import doubled_channel
 
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024
@@ -32,6 +33,8 @@ INTERNAL = {
 TYPES = ("BOOL", "STRING", "LONG", "DOUBLE")
 
 _TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(?:\.[A-Za-z0-9_]{1,31})?").fullmatch
+#: A digital output of the controller, as the file of ros-industrial's driver declares eight of them (docs/rsi.md, section 3).
+_OUTPUT = re.compile(r"Out\.[0-9]{2}").fullmatch
 _GENERATOR_1 = re.compile(r"DEF_Tech\.[CT]1").fullmatch
 
 
@@ -113,13 +116,15 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
         _check_internal(element, where)
     for element in receive:
         _check_channel(element, where)
+    filled = [element for element in receive if not (element.type == "BOOL" and _OUTPUT(element.tag))]
     layout = RsiLayout(
         sentype=sentype,
         port=_port(config, where),
         onlysend=onlysend == "TRUE",
         send=tuple(element.tag.removeprefix("DEF_") for element in send),
-        receive=tuple(element.tag for element in receive),
-        holdon=tuple(element.holdon == "1" for element in receive),
+        receive=tuple(element.tag for element in filled),
+        holdon=tuple(element.holdon == "1" for element in filled),
+        not_filled=tuple(element.tag for element in receive if element not in filled),
     )
     return EthernetXml(where, _address(config, where), layout, text)
 
@@ -148,7 +153,8 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
             continue
         if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
             expected = (
-                "axis corrections (e.g. AK.A1) and Stop only: no other channel is filled; remove it from the file"
+                "axis corrections (e.g. AK.A1), Stop and outputs of type BOOL (Out.01) only: no other channel is filled; "
+                "remove it from the file"
             )
             raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
         if axis in elements:
@@ -181,7 +187,8 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     Raises
     ------
     EthernetXmlError
-        For a position block that is not sent, for HOLDON 0 on a correction, and as `check_axes`.
+        For a position block that is not sent, an optional channel that is there twice, HOLDON 0 on a correction, and as
+        `check_axes`.
     """
     check_axes(layout, axes, where)
     blocks = {"AIPos": "the measured axes", "ASPos": "the pose that corrections are relative to"}
@@ -190,6 +197,10 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     for block, meaning in blocks.items():
         if block not in layout.send:
             raise EthernetXmlError(where, f"SEND DEF_{block}", None, f'TAG="DEF_{block}" INDX="INTERNAL": {meaning}')
+    twice = doubled_channel(layout.send)
+    if twice:
+        name = twice.partition(".")[0]
+        raise EthernetXmlError(where, f"SEND {twice}", f"a second channel for {name}", f"one: {name} or {name}.R")
     for channel, holdon in zip(layout.receive, layout.holdon):
         if channel != STOP and not holdon and not layout.onlysend:
             expected = '"1": with "0" one missed reply commands a jump back to the start pose'

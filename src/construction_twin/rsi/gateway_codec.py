@@ -25,12 +25,14 @@ from construction_twin.rsi.telegram import (
     check_values,
     correction_channels,
     find_children,
+    is_fixed_in_bytes,
     is_number,
     is_number_in_bytes,
     read_count,
     read_document,
     read_ipoc,
     read_number,
+    without_declaration,
 )
 from construction_twin.rsi.telegram_cache import TelegramShape, is_count
 
@@ -79,7 +81,8 @@ class RobotDecoder:
     def parse(self, data: bytes) -> RobotTelegram:
         """Read a controller packet.
 
-        The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal.
+        The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal, and so are an XML declaration
+        and numbers with an exponent, as senders write them that are no controller.
 
         Parameters
         ----------
@@ -99,7 +102,12 @@ class RobotDecoder:
         known = self._of_shape(self._shape, data) if self._shape is not None else None
         if known:
             return known
-        found = find_children(read_document(data, "Rob"), self._wanted)
+        document = without_declaration(data)
+        if document is not data and self._shape is not None:
+            known = self._of_shape(self._shape, document)
+            if known:
+                return known
+        found = find_children(read_document(document, "Rob"), self._wanted)
         delay = found.get("Delay")
         telegram = RobotTelegram(
             read_ipoc(found),
@@ -110,7 +118,7 @@ class RobotDecoder:
         if self._relearn_in:
             self._relearn_in -= 1
         else:
-            self._learn(data, telegram)
+            self._learn(document, telegram)
         return telegram
 
     def _learn(self, data: bytes, telegram: RobotTelegram) -> None:
@@ -126,7 +134,7 @@ class RobotDecoder:
         if found is None:
             return None
         ipoc, (*texts, delay) = found
-        if not is_count(delay) or not all(map(is_number_in_bytes, texts)):
+        if not is_count(delay) or not (all(map(is_fixed_in_bytes, texts)) or all(map(is_number_in_bytes, texts))):
             return None
         count = len(self._scale)
         if texts[count:] != self._setpoint[0]:
@@ -148,7 +156,7 @@ class RobotDecoder:
         for text in texts:
             if text is None or not is_number(text):
                 for block, axis in self._slots:
-                    read_number(elements[block], axis)
+                    read_number(elements[block], axis, exponent=True)
         return self._si(texts)
 
 

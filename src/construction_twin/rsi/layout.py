@@ -35,6 +35,8 @@ class RsiLayout:
         Channels of a reply in order: ``Stop``, or element and axis, e.g. ``AK.A1``; `IPOC` follows.
     holdon : tuple of bool
         Per channel of `receive`: True keeps the last value when a reply is missed, False falls to 0.
+    not_filled : tuple of str
+        Digital outputs that the file declares, e.g. ``Out.01``; no reply carries them, so they stay as they are at RSI's start.
     """
 
     sentype: str
@@ -43,6 +45,7 @@ class RsiLayout:
     send: tuple[str, ...]
     receive: tuple[str, ...]
     holdon: tuple[bool, ...]
+    not_filled: tuple[str, ...] = ()
 
     @classmethod
     def plain(cls, axes: Sequence[str]) -> RsiLayout:

@@ -1,8 +1,10 @@
 """RSI telegrams as values, and what both directions share: strict reading of XML; names, channels and units. Standard library only.
 
 A refused telegram raises `TelegramError` with one of these reasons: ``size``, ``encoding`` (not ASCII text), ``markup``
-(declaration, entity, comment, processing instruction), ``xml`` (not well-formed), ``root``, ``sentype``, ``ipoc``,
-``element`` (missing or twice), ``attribute`` (missing), ``number`` (not a finite plain decimal).
+(declaration of types, entity, comment, processing instruction), ``xml`` (not well-formed), ``root``, ``sentype``, ``ipoc``,
+``element`` (missing or twice), ``attribute`` (missing), ``number`` (not a finite decimal).
+What a controller sends may begin with an XML declaration and have exponents: both are legal XML and numbers, and general libraries
+write them. What a controller reads may not (docs/rsi.md, section 3).
 """
 
 from __future__ import annotations
@@ -21,9 +23,20 @@ from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, AxisUn
 MAX_TELEGRAM = 8192
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
-_NUMBER = r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?"
+_FIXED = r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?"
+_is_fixed = re.compile(_FIXED).fullmatch
+is_fixed_in_bytes = re.compile(_FIXED.encode()).fullmatch
+#: The same with an exponent below 100 as well: every match is still finite. It takes longer, so it is asked second.
+_NUMBER = _FIXED + r"(?:[eE](?:-[0-9]{1,3}|\+?0?[0-9]{1,2}))?"
 is_number = re.compile(_NUMBER).fullmatch
 is_number_in_bytes = re.compile(_NUMBER.encode()).fullmatch
+#: An XML declaration that says nothing that ASCII text could contradict.
+_SPACE = r"[ \t\r\n]"
+_DECLARATION = re.compile(
+    rf"""<\?xml{_SPACE}+version{_SPACE}*={_SPACE}*(?:"1\.[0-9]"|'1\.[0-9]')"""
+    rf"""(?:{_SPACE}+encoding{_SPACE}*={_SPACE}*(["'])(?i:utf-?8|(?:us-)?ascii|iso-8859-[0-9]{{1,2}}|windows-125[0-9])\1)?"""
+    rf"""(?:{_SPACE}+standalone{_SPACE}*={_SPACE}*(?:"(?:yes|no)"|'(?:yes|no)'))?{_SPACE}*\?>{_SPACE}*""".encode()
+).match
 _COUNT = re.compile(r"[0-9]{1,20}").fullmatch
 _UINT64_MAX = 2**64 - 1
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}").fullmatch
@@ -69,6 +82,12 @@ class SensorTelegram:
     ipoc: int
     correction: tuple[float, ...]
     stop: bool | None
+
+
+def without_declaration(data: bytes) -> bytes:
+    """Return what stands behind an XML declaration; `data` itself when it does not begin with one."""
+    declared = _DECLARATION(data) if data.startswith(b"<?") and len(data) <= MAX_TELEGRAM else None
+    return data[declared.end() :] if declared else data
 
 
 def read_document(data: bytes, root_tag: str) -> ElementTree.Element:
@@ -120,13 +139,14 @@ def read_count(text: str | None, name: str, reason: str) -> int:
     return int(text)
 
 
-def read_number(element: ElementTree.Element, attribute: str) -> float:
-    """Return an attribute that is a plain decimal number."""
+def read_number(element: ElementTree.Element, attribute: str, exponent: bool = False) -> float:
+    """Return an attribute that is a decimal number; `exponent` says whether it may have one."""
     text = element.get(attribute)
     if text is None:
         raise TelegramError("attribute", f"{element.tag} has no {attribute}")
-    if not is_number(text):
-        raise TelegramError("number", f"{element.tag} {attribute} is {text[:32]!r}; expected a plain decimal number")
+    if not (is_number if exponent else _is_fixed)(text):
+        kind = "decimal" if exponent else "plain decimal"
+        raise TelegramError("number", f"{element.tag} {attribute} is {text[:32]!r}; expected a {kind} number")
     return float(text)
 
 

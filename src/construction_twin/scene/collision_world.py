@@ -6,26 +6,26 @@ A world belongs to one scene; a changed scene needs a new world (`CollisionWorld
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import coal
 import numpy as np
 import pinocchio
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
-from construction_twin.scene.collision_bodies import Body, RobotBodies
+from construction_twin.scene.collision_bodies import Body, RobotBodies, make_reliable
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
 from construction_twin.scene.neighbour import Obstacle
-from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.self_collision import SelfCollision
 
 #: Pinocchio's broad phases: for few bodies, comparing every box with every box is fastest; for many bodies, a tree.
 _FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
 _MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
-_MANY_BODIES = 128
+MANY_BODIES = 128
 #: With another arm in the world most bodies stand still; this broad phase first compares one box around each group of bodies
 #: that move together.
 _WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
@@ -42,6 +42,25 @@ class Contact:
     """
 
     between: tuple[str, str]
+
+
+@dataclass(frozen=True)
+class PairDistance:
+    """How far two bodies are from each other.
+
+    Attributes
+    ----------
+    between : tuple of str, length 2
+        As in `Contact`.
+    distance : float
+        Negative for two bodies that penetrate each other [m].
+    margin : float
+        At this distance or less they are in contact [m].
+    """
+
+    between: tuple[str, str]
+    distance: float
+    margin: float
 
 
 class CollisionWorld:
@@ -128,7 +147,7 @@ class CollisionWorld:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
-        _forget_past_answers(self._geometry_data)
+        make_reliable(self._geometry_data)
         for request, (_, _, margin) in zip(self._geometry_data.collisionRequests, pairs):
             request.security_margin = margin
         order = robot_bodies.order
@@ -136,7 +155,7 @@ class CollisionWorld:
         # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
         self._order = slice(None) if (order == np.arange(len(order))).all() else order
         # one call per question: boxes around the bodies first, shapes only where the boxes overlap
-        manager = _WITH_NEIGHBOUR if reached else _FEW if len(self._bodies) <= _MANY_BODIES else _MANY
+        manager = _WITH_NEIGHBOUR if reached else _FEW if len(self._bodies) <= MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
 
     def _neighbour_pairs(
@@ -185,6 +204,44 @@ class CollisionWorld:
         pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
         results = zip(self._names, self._geometry_data.collisionResults)
         return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
+
+    def unchecked_pairs(self) -> list[tuple[SceneObject, str]]:
+        """Return the standing objects, each with every link that no joint moves, unless it may touch it."""
+        links = dict.fromkeys(body.link for body in self._own if body.item is None and not body.joint)
+        standing = (item for item in self.scene.objects if not item.link)
+        return [(item, link) for item in standing for link in links if link not in item.touch]
+
+    def distance(self, q: JointValues, first: str, second: str) -> float:
+        """Return the smallest distance between the shapes of two links or objects, whether the pair is checked or not.
+
+        Parameters
+        ----------
+        q : sequence of float, length n
+            [rad] or [m]
+        first, second : str
+            Names.
+
+        Returns
+        -------
+        distance : float
+            [m]; negative: how deep one is in the other; inf if one of them has no shape.
+        """
+        self._q[self._order] = q
+        pinocchio.forwardKinematics(self._model, self._data, self._q)
+        request = coal.DistanceRequest()
+        placed: dict[str, list[tuple[coal.CollisionGeometry, coal.Transform3s]]] = {first: [], second: []}
+        for body in self._own:
+            if body.owner in placed:
+                place = self._data.oMi[body.joint] * body.placement
+                placed[body.owner].append((body.geometry, coal.Transform3s(place.rotation, place.translation)))
+        return min(
+            (
+                coal.distance(*one, *other, request, coal.DistanceResult())
+                for one in placed[first]
+                for other in placed[second]
+            ),
+            default=np.inf,
+        )
 
     def object_pose(self, q: JointValues, name: str) -> Pose:
         """Return an object's pose in the base_link, at joint values `q` when a link carries it.
@@ -263,6 +320,11 @@ class CollisionWorld:
         measure(row, pair)
         return self._clearance(pair), row
 
+    def distances(self, q: JointValues) -> list[PairDistance]:
+        """Return every checked pair, measured one by one; far slower than `is_free` and `clearance`; parameters as there."""
+        found = zip(self._names, self._distances(q), self._pairs)
+        return [PairDistance(names, float(distance), margin) for names, distance, (_, _, margin) in found]
+
     def _measure(self, q: JointValues) -> int:
         """Measure every pair; return the closest one."""
         self._q[self._order] = q
@@ -279,15 +341,6 @@ class CollisionWorld:
         return Clearance(
             float(result.min_distance), self._names[pair], (float(point[0]), float(point[1]), float(point[2]))
         )
-
-
-def _forget_past_answers(data: pinocchio.GeometryData) -> None:
-    """Switch off the warm start of the distance search, so that a result depends on the pose alone, not on earlier ones."""
-    with warnings.catch_warnings():
-        # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
-        warnings.simplefilter("ignore", DeprecationWarning)
-        for request in (*data.collisionRequests, *data.distanceRequests):
-            request.enable_cached_gjk_guess = False
 
 
 def checked_pairs(

@@ -61,6 +61,22 @@ def parse_mesh(
     return vertices * scale, triangles
 
 
+def binary_stl(corners: np.ndarray) -> bytes:
+    """Return the contents of a binary STL file.
+
+    Parameters
+    ----------
+    corners : array, shape (t, 3, 3)
+        Of each triangle [m], counterclockwise seen from outside.
+    """
+    triangles = np.zeros(len(corners), _STL_TRIANGLE)
+    triangles["corners"] = corners
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    triangles["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()
+
+
 def _check(where: str, path: str, vertices: np.ndarray, triangles: np.ndarray, scale: tuple) -> None:
     wrong = np.argwhere(~np.isfinite(vertices).all(axis=1))
     if len(wrong):

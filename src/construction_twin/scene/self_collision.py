@@ -1,32 +1,32 @@
 """The pairs of a robot's links that need no collision check, and why. Found by sampling, kept in a YAML file.
 
-A pair is left out when it is ``adjacent`` (joined by one joint, or by two joints with one origin, like A5 and A6 in a
-spherical wrist: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses (then the
-shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of the
-geometry that it was made from, and is refused for any other geometry.
+A pair is left out when it is ``adjacent`` (held by one joint, or by two joints with one origin, like A5 and A6 in a
+spherical wrist, see `adjacent_links`: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses
+(then the shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of
+the geometry that it was made from, and is refused for any other geometry.
 """
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import pinocchio
 import pydantic
 import yaml
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import wrong_value
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
+from construction_twin.scene.pair_sampling import sample_pairs
 
-#: Poses that `main` samples by default, and the seed of their random numbers.
+#: Poses that are sampled by default, and the seed of their random numbers.
 SAMPLES, SEED = 20000, 0
 #: A pair that came this close [m] in a sample is checked: a contact may lie between the samples.
 NEAR = 0.05
@@ -87,7 +87,13 @@ def _rounded(values) -> list[float]:
     return (np.round(np.asarray(values, dtype=float), 9) + 0.0).ravel().tolist()
 
 
-def sample_self_collision(robot: RobotModel, samples: int = SAMPLES, seed: int = SEED) -> SelfCollision:
+def sample_self_collision(
+    robot: RobotModel,
+    samples: int = SAMPLES,
+    seed: int = SEED,
+    processes: int = 1,
+    report: Callable[[int, int], None] = lambda poses, pairs: None,
+) -> SelfCollision:
     """Find the pairs of links that need no check.
 
     Parameters
@@ -96,73 +102,39 @@ def sample_self_collision(robot: RobotModel, samples: int = SAMPLES, seed: int =
     samples : int, optional
         Poses: the home pose and random ones within the ranges.
     seed : int, optional
+    processes, report : optional
+        As of `sample_pairs`; the result does not depend on them.
 
     Returns
     -------
     self_collision : SelfCollision
+
+    Raises
+    ------
+    ConfigurationError
+        If the robot's shapes cannot be read.
     """
     bodies = RobotBodies(robot)
     pairs, adjacent = _link_pairs(bodies)
-    touched, near = _sample(bodies, pairs, samples, np.random.default_rng(seed))
+    found = sample_pairs(robot, pairs, NEAR, samples, seed, processes, report)
     ignored = {frozenset(pair): "adjacent" for pair in adjacent}
-    for pair in pairs:
-        if touched[pair] == samples:
-            ignored[frozenset(pair)] = "always"
-        elif not near[pair]:
-            ignored[frozenset(pair)] = "never"
+    ignored |= {frozenset(pair): "never" for pair in found.never}
+    ignored |= {frozenset(pair): "always" for pair in found.always}
     return SelfCollision(ignored, geometry_hash(bodies))
 
 
 def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the pairs of links that move against each other: those to sample, and the adjacent ones."""
     joints = {body.link: body.joint for body in bodies.bodies}
+    held = adjacent_links(bodies)
     links = list(joints)
     pairs: list[tuple[str, str]] = []
     adjacent: list[tuple[str, str]] = []
     for index, second in enumerate(links):
         for first in links[:index]:
             if joints[first] != joints[second]:
-                (adjacent if _adjacent(bodies, joints[first], joints[second]) else pairs).append((first, second))
+                (adjacent if frozenset((first, second)) in held else pairs).append((first, second))
     return pairs, adjacent
-
-
-def _adjacent(bodies: RobotBodies, first: int, second: int) -> bool:
-    near, far = sorted((first, second))
-    parent = bodies.model.parents[far]
-    if parent == near:
-        return True
-    common_origin = not np.any(np.round(bodies.model.jointPlacements[far].translation, 9))
-    return parent != 0 and bodies.model.parents[parent] == near and common_origin
-
-
-def _sample(bodies: RobotBodies, pairs: Sequence[tuple[str, str]], samples: int, rng: np.random.Generator):
-    """Return, for each pair of links, the number of poses in contact and of those nearly in contact."""
-    model, geometry = bodies.model, pinocchio.GeometryModel()
-    for index, body in enumerate(bodies.bodies):
-        geometry.addGeometryObject(pinocchio.GeometryObject(str(index), body.joint, body.placement, body.geometry))
-    owners = []
-    wanted = set(pairs)
-    for second, other in enumerate(bodies.bodies):
-        for first, one in enumerate(bodies.bodies[:second]):
-            if (one.link, other.link) in wanted:
-                geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
-                owners.append((one.link, other.link))
-    counts = []
-    lower, upper = np.array(bodies.robot.lower), np.array(bodies.robot.upper)
-    poses = np.vstack([bodies.robot.home, rng.uniform(lower, upper, (samples - 1, len(lower)))])
-    for margin in (0.0, NEAR):
-        data, shapes = model.createData(), geometry.createData()
-        for request in shapes.collisionRequests:
-            request.security_margin = margin
-        count = dict.fromkeys(pairs, 0)
-        q = np.zeros(len(lower))
-        for pose in poses:
-            q[bodies.order] = pose
-            pinocchio.computeCollisions(model, data, geometry, shapes, q, False)
-            for pair in {pair for pair, result in zip(owners, shapes.collisionResults) if result.isCollision()}:
-                count[pair] += 1
-        counts.append(count)
-    return counts
 
 
 class _Description(pydantic.BaseModel):
@@ -211,10 +183,8 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     try:
         parsed = _Description.model_validate(dict(description))
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = "/".join(map(str, first["loc"]))
-        value = None if first["type"] == "missing" else first["input"]
-        raise ConfigurationError(f"{where} {key}", value, first["msg"]) from error
+        wrong = wrong_value(error, _Description.model_json_schema())
+        raise ConfigurationError(f"{where} {wrong.key}", wrong.value, wrong.expected) from error
     found = geometry_hash(bodies)
     if parsed.geometry != found:
         raise ConfigurationError(
@@ -234,30 +204,3 @@ def read_self_collision(path: str | Path, robot: RobotModel) -> SelfCollision:
     if not isinstance(description, dict):
         raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
     return load_self_collision(description, RobotBodies(robot), str(path))
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Sample a robot's self collisions and write the file; needs no ROS master."""
-    parser = argparse.ArgumentParser(
-        prog="self_collision",
-        description="Find the pairs of links that need no check against each other, and write them to a YAML file.",
-    )
-    parser.add_argument("urdf", help="URDF, or xacro with default arguments")
-    parser.add_argument("robot", help="robot YAML, e.g. config/kr120.yaml")
-    parser.add_argument("output", help="file to write; - for the terminal")
-    parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
-    parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
-    options = parser.parse_args(arguments)
-    if options.samples < 1 or options.seed < 0:
-        sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
-    try:
-        robot = read_robot_files(options.urdf, options.robot)
-        found = sample_self_collision(robot, options.samples, options.seed)
-    except ConstructionTwinError as error:
-        sys.exit(f"self_collision: {error}")
-    text = self_collision_yaml(robot, found, options.samples, options.seed)
-    if options.output == "-":
-        print(text, end="")
-        return
-    Path(options.output).write_text(text, encoding="utf-8")
-    print(f"{options.output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")

@@ -1,15 +1,12 @@
-"""Checks the arguments of a launch before anything starts: what cannot work, or must not be left to a default, is one sentence.
+"""Checks the arguments of a launch by themselves: what cannot work, or must not be left to a default, is one sentence.
 
-Standard library only. Called by bringup.launch as ``preflight name:=value ...``. A port that is taken is reported by the program
-that opens it.
+Standard library only. What is in the files, and what runs already, is looked at in `ros.commands.preflight`.
 """
 
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping
 
 from construction_twin.core.network import is_loopback
 
@@ -19,6 +16,8 @@ CHOICES = {
     "arm": ("mock", "real", "none"),
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
+    "gateway_kind": ("rsi", "plc"),
+    "rsi_cycle": ("4", "12"),
 }
 SWITCHES = (
     "auto_approve",
@@ -40,16 +39,17 @@ NUMBERS = {
     "realtime": (0, 80),
     "frame_rate": (1, 250),
 }
+#: What stands for no file: roslaunch drops an empty value.
+NONE = "none"
 #: Files that must be there, and those that may be left out.
 FILES = ("robot_xacro", "robot_config", "self_collision", "ethernet_xml")
-OPTIONAL_FILES = ("scene", "bridge_account", "gateway_account")
+OPTIONAL_FILES = ("scene", "cell", "bridge_account", "gateway_account")
+
+#: Returns whether a path is a file that can be read, or has some other quality.
+Question = Callable[[str], bool]
 
 
-def problem(
-    given: Mapping[str, str],
-    is_file: Callable[[str], bool],
-    is_anonymous: Callable[[str], bool] = lambda path: False,
-) -> str:
+def problem(given: Mapping[str, str], is_file: Question, is_anonymous: Question = lambda path: False) -> str:
     """Return a sentence about the first argument that cannot work, or must be meant; empty when there is none.
 
     Parameters
@@ -61,34 +61,50 @@ def problem(
     is_anonymous : callable, optional
         Returns whether the mosquitto configuration at a path lets in everybody.
     """
+    return next(filter(None, (check(given, is_file, is_anonymous) for check in CHECKS)), "")
+
+
+def _wrong_value(given: Mapping[str, str], is_file: Question, _is_anonymous: Question) -> str:
     for name, value in given.items():
         expected = _expected(name, value, is_file)
         if expected:
             return f"{name}:={value or chr(39) * 2}: expected {expected}"
-    if _is_true(given, "broker") and "broker_config" in given and not is_file(given["broker_config"]):
+    return ""
+
+
+def _broker_without_file(given: Mapping[str, str], is_file: Question, _is_anonymous: Question) -> str:
+    if is_true(given, "broker") and "broker_config" in given and not is_file(given["broker_config"]):
         return f"broker_config:={given['broker_config']}: expected the path of a file; or use another broker with broker:=false"
+    return ""
+
+
+def _open_rsi(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
     listen = given.get("rsi_listen", "127.0.0.1")
-    served_here = given.get("arm") != "none" and _is_true(given, "gateway", "true")
+    served_here = given.get("arm") != "none" and has_gateway_here(given)
     if served_here and not given.get("rsi_controller") and not is_loopback(listen):
         return f"rsi_controller:='': expected the controller's address, because rsi_listen:={listen} is reached from a network"
-    return _unsafe(given, is_anonymous) if given.get("arm") == "real" else ""
+    return ""
 
 
-def _unsafe(given: Mapping[str, str], is_anonymous: Callable[[str], bool]) -> str:
-    """Return why a real arm must not be started like this; empty when it may."""
-    if _is_true(given, "auto_approve") and not _is_true(given, "auto_approve_is_meant"):
+def _nobody_approves(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
+    real = given.get("arm") == "real"
+    if real and is_true(given, "auto_approve") and not is_true(given, "auto_approve_is_meant"):
         return (
             "auto_approve:=true with arm:=real: the arm would move without a person who has approved the plan; leave it out, or "
             "give auto_approve_is_meant:=true as well"
         )
-    if _is_true(given, "anonymous_broker_is_meant"):
+    return ""
+
+
+def _anonymous_broker(given: Mapping[str, str], _is_file: Question, is_anonymous: Question) -> str:
+    if given.get("arm") != "real" or is_true(given, "anonymous_broker_is_meant"):
         return ""
     anonymous = ""
     if not given.get("bridge_account"):
         anonymous = "bridge_account:=''"
-    elif _is_true(given, "gateway", "true") and not given.get("gateway_account"):
+    elif has_gateway_here(given) and not given.get("gateway_account"):
         anonymous = "gateway_account:=''"
-    elif _is_true(given, "broker") and is_anonymous(given.get("broker_config", "")):
+    elif is_true(given, "broker") and is_anonymous(given.get("broker_config", "")):
         anonymous = f"broker_config:={given['broker_config']}"
     if anonymous:
         return (
@@ -98,7 +114,49 @@ def _unsafe(given: Mapping[str, str], is_anonymous: Callable[[str], bool]) -> st
     return ""
 
 
-def _is_true(given: Mapping[str, str], name: str, default: str = "false") -> bool:
+def _mock_without_track(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
+    if is_bare(given) and given.get("arm") == "mock" and is_true(given, "track"):
+        return (
+            "track:=true with gateway_kind:=plc: the PLC of examples/plc, which is the mock arm then, has no track; give "
+            "arm:=real"
+        )
+    return ""
+
+
+#: What is checked of the arguments alone, in this order: each returns a sentence, empty when all is well.
+CHECKS: tuple[Callable[[Mapping[str, str], Question, Question], str], ...] = (
+    _wrong_value,
+    _broker_without_file,
+    _open_rsi,
+    _nobody_approves,
+    _anonymous_broker,
+    _mock_without_track,
+)
+
+
+def notes(given: Mapping[str, str]) -> list[str]:
+    """Return what must be said of a start that can work, one sentence each."""
+    if is_bare(given) and given.get("arm") == "real":
+        return [
+            "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. Configuration, session, sequence and "
+            "age of strings, stops and speed limits are not checked, on neither side; a person is responsible for that, by "
+            "name: `rosrun construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
+        ]
+    return []
+
+
+def is_bare(given: Mapping[str, str]) -> bool:
+    """Return whether a bare PLC takes the commands."""
+    return given.get("gateway_kind") == "plc"
+
+
+def has_gateway_here(given: Mapping[str, str]) -> bool:
+    """Return whether rsi_gateway is started on this machine; with a bare PLC there is none."""
+    return is_true(given, "gateway", "true") and not is_bare(given)
+
+
+def is_true(given: Mapping[str, str], name: str, default: str = "false") -> bool:
+    """Return whether a switch is on."""
     return given.get(name, default).lower() in ("true", "1")
 
 
@@ -115,39 +173,8 @@ def _expected(name: str, value: str, is_file: Callable[[str], bool]) -> str:
         lowest, highest = NUMBERS[name]
         if not (value.isascii() and value.isdigit() and lowest <= int(value) <= highest):
             return f"a whole number from {lowest} to {highest}"
+    if name == "scene" and value == NONE:
+        return ""
     if (name in FILES or (name in OPTIONAL_FILES and value)) and not is_file(value):
-        return "the absolute path of a file that can be read"
+        return "the absolute path of a file that can be read" + (f", or {NONE}" if name == "scene" else "")
     return ""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Check ``name:=value`` arguments; print "ok", or a sentence on standard error and return 1."""
-    words = sys.argv[1:] if arguments is None else arguments
-    given = dict(word.split(":=", 1) for word in words if ":=" in word)
-    sentence = problem(given, _readable, _lets_in_everybody)
-    if sentence:
-        print(f"preflight: {sentence}", file=sys.stderr)
-        return 1
-    print("ok")
-    return 0
-
-
-def _readable(path: str) -> bool:
-    if not path.startswith("/"):
-        return False
-    try:
-        with Path(path).open("rb"):
-            return True
-    except OSError:
-        return False
-
-
-def _lets_in_everybody(path: str) -> bool:
-    """Return whether a mosquitto configuration permits clients without an account; one that cannot be read is taken to."""
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):
-        return True
-    # of several lines the last one counts; without one mosquitto 2 refuses clients without an account
-    permitted = [line.split()[1:] for line in lines if line.split()[:1] == ["allow_anonymous"]]
-    return bool(permitted) and permitted[-1] == ["true"]

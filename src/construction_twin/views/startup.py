@@ -24,6 +24,8 @@ class Deployment:
         HOST:PORT on which the gateway should listen; port 0: that of the Ethernet XML.
     gateway : bool
         The gateway is started on this machine.
+    gateway_kind : str
+        ``rsi``: rsi_gateway takes the commands; ``plc``: a bare PLC.
     """
 
     namespace: str
@@ -31,6 +33,7 @@ class Deployment:
     broker: str
     rsi: str
     gateway: bool
+    gateway_kind: str = "rsi"
 
     @property
     def rsi_address(self) -> str:
@@ -48,10 +51,13 @@ class Word:
     Attributes
     ----------
     state, reason : str
+    gateway : str
+        State of the gateway, in the bridge's report.
     """
 
     state: str
     reason: str
+    gateway: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,8 @@ class Seen:
         Of the three reports.
     feedback, twin, scene : bool
         Whether a pose of the arm, a pose of the twin, a scene has come.
+    controller : str
+        Why the arm may not move, as the controller says itself; "" for no reason.
     """
 
     link: Word | None = None
@@ -72,6 +80,7 @@ class Seen:
     feedback: bool = False
     twin: bool = False
     scene: bool = False
+    controller: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,9 @@ class StartUp:
         self._since = 0.0
         self._said: Missing | None = None
         self._ready = False
+        self._controller = ""
+        self._controller_said = ""
+        self._controller_since = 0.0
 
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.
@@ -124,6 +136,18 @@ class StartUp:
         now : float
             On a clock that never runs back [s].
         """
+        return self._progress(seen, now) + self._note_controller(seen.controller, now)
+
+    def _note_controller(self, sentence: str, now: float) -> list[str]:
+        """Return what the controller says against a motion, when it has said it for `PATIENCE`, and that it does no more."""
+        if sentence != self._controller:
+            self._controller, self._controller_since = sentence, now
+        if sentence == self._controller_said or now - self._controller_since < PATIENCE:
+            return []
+        self._controller_said = sentence
+        return [sentence or "the controller reports nothing against a motion any more"]
+
+    def _progress(self, seen: Seen, now: float) -> list[str]:
         missing = first_missing(seen, self._deployment)
         if missing != self.missing or not self._since:
             self.missing, self._since = missing, now
@@ -150,15 +174,25 @@ def first_missing(seen: Seen, deployment: Deployment) -> Missing | None:
     return _link(seen, deployment) or _twin(seen, deployment) or _armed(seen, deployment) or _gate(seen)
 
 
+#: What is missing at a bare PLC, by the link's state, and what to do.
+_PLC = {
+    "GATEWAY_OFFLINE": ("the PLC", "start it; it says `ready` on its `status` topic, retained"),
+    "MISMATCH": ("the PLC", "stop what answers there, or start with the other gateway_kind"),
+    "NO_CONTROLLER": ("the PLC's pose", "let it send joint strings on its `state` topic, without user properties"),
+}
+
+
 def _link(seen: Seen, deployment: Deployment) -> Missing | None:
     """Broker, gateway, configuration, controller, first feedback."""
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
-    real = deployment.arm == "real"
     if not state:
         return Missing("the bridge", "no report", "mqtt_bridge does not run; its reason stands in its log")
     if state == "DISCONNECTED":
         return Missing(f"the MQTT broker {deployment.broker}", reason, "start it, or give broker_host and broker_port")
+    if deployment.gateway_kind == "plc" and state in _PLC:
+        what, action = _PLC[state]
+        return Missing(what, reason, action)
     if state == "GATEWAY_OFFLINE":
         here = f"read its lines here; is UDP {deployment.rsi_address} taken?"
         there = f"start rsi_gateway on the cell PC with --broker {deployment.broker}"
@@ -166,13 +200,26 @@ def _link(seen: Seen, deployment: Deployment) -> Missing | None:
     if state == "MISMATCH":
         return Missing("the gateway's configuration", reason, "export it again, copy it, restart the gateway")
     if state == "NO_CONTROLLER":
-        program = f"start the RSI program; the controller sends to {deployment.rsi_address}"
-        return Missing("the controller (RSI)", reason, program if real else "look why mock_rsi does not send")
+        return Missing("the controller (RSI)", reason, _action_for_controller(word.gateway, deployment))
     if not seen.feedback:
         return Missing(
             "the first pose of the arm", reason, "look at `/diagnostics` of mqtt_bridge: what does it refuse?"
         )
     return None
+
+
+def _action_for_controller(gateway: str, deployment: Deployment) -> str:
+    real = deployment.arm == "real"
+    if gateway == "measuring":
+        return "nothing to do, it goes on by itself within seconds"
+    if gateway == "other_cycle":
+        return (
+            "correct RSI_ON in the program, and start it again" if real else "give gateway and mock_rsi one rsi_cycle"
+        )
+    if gateway == "joined_running":
+        return "start the RSI program again once RSI has timed out" if real else "it starts again by itself"
+    program = f"start the RSI program, or cure what is refused; the controller sends to {deployment.rsi_address}"
+    return program if real else "look why mock_rsi does not send, or what it sends"
 
 
 def _twin(seen: Seen, deployment: Deployment) -> Missing | None:
@@ -186,6 +233,10 @@ def _twin(seen: Seen, deployment: Deployment) -> Missing | None:
 def _armed(seen: Seen, deployment: Deployment) -> Missing | None:
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
+    if state == "NEEDS_RESET" and deployment.gateway_kind == "plc":
+        robot = deployment.namespace.strip("/")
+        call = f"see to PLC and arm, then rosrun construction_twin twin --robot {robot} arm --responsible NAME"
+        return Missing("a person who arms the bare PLC by name", "", call)
     if state == "NEEDS_RESET":
         call = f"remove the cause, then rosservice call {deployment.namespace}/reset"
         return Missing("a reset", reason, call)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -61,12 +61,31 @@ def status_lines(snapshot: Snapshot) -> list[str]:
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
         lines.append(f"{name:10} {'no report' if facts is None else f'{facts.text}{because(facts.reason)}'}")
+    controller = controller_words(snapshot.link.counters) if snapshot.link is not None else ""
+    if controller:
+        lines.append(f"controller {controller}")
+    if snapshot.link is not None and snapshot.link.not_checked:
+        lines.append(f"bare PLC   {snapshot.link.responsible or 'no person'} is responsible; not checked:")
+        lines += [f"           {sentence}" for sentence in snapshot.link.not_checked]
     if snapshot.execution is not None and snapshot.execution.plan_id:
         execution = snapshot.execution
         lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or 'under way')}")
     lines.append(f"review     {under_review(snapshot.plan)}")
     lines += [f"{node.name}: {node.sentence}" for node in snapshot.nodes if node.level > 0]
     return lines
+
+
+def controller_words(told: Mapping[str, str]) -> str:
+    """Return what the controller says on its optional channels, e.g. ``T1, program ACTIVE, override 100 %``; "" for nothing.
+
+    Parameters
+    ----------
+    told : mapping of str to str
+        `LinkFacts.counters`.
+    """
+    words = {"mode": "{}", "program": "program {}", "override_percent": "override {} %"}
+    values = {name: told.get(f"controller_{name}", "") for name in words}
+    return ", ".join(word.format(values[name]) for name, word in words.items() if values[name])
 
 
 def under_review(plan: Plan | None) -> str:

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from memory import size
 from neighbour_cell import AWAY, CLEAR, NEAR, STRETCHED, TOWARDS, empty_world, line, other, plan
 from planning_cell import HOME, ROBOT
 
 from construction_twin.coordination import conflict as conflict_module
 from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, braking_horizon, gives_way
+from construction_twin.coordination.path_sweep import PathSweep
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import PayloadError
 from construction_twin.execution.conflict_verdicts import AHEAD, VERDICT_TIMEOUT, ConflictVerdicts
@@ -37,7 +39,7 @@ def way(start=CLEAR, end=NEAR) -> OwnPath:
 
 
 def rows(made: OwnPath) -> np.ndarray:
-    return made.plan.trajectory.sample_many(made._sweep.times)[0]
+    return made.plan.trajectory.sample_many(PathSweep(own_arm(), made.plan.trajectory).times)[0]
 
 
 def row(made: OwnPath, fraction: float) -> int:
@@ -50,7 +52,7 @@ def conflict(made: OwnPath, obstacles, at: int = 0) -> Conflict | None:
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch):
-    monkeypatch.setattr(conflict_module, "_BLOCK", 16)
+    monkeypatch.setattr(conflict_module, "BLOCK", 16)
 
 
 @pytest.fixture
@@ -115,7 +117,7 @@ def test_who_has_looked_at_the_whole_path_need_not_look_at_its_rest(compared):
 
 def test_a_look_takes_what_is_near_and_no_more_than_its_budget_beyond(compared):
     made, obstacles = way(CLEAR, CLEAR + np.radians([-60, 0, 0, 0, 0, 0])), other().along(line(AWAY, AWAY + 0.3)).rest()
-    whole = way(CLEAR, CLEAR + np.radians([-60, 0, 0, 0, 0, 0]))._sweep
+    whole = PathSweep(own_arm(), made.plan.trajectory, standing=False)
     whole.grow(whole.row_after(0, np.inf))
     copies = len(whole.copies)
     near = whole.copies_before(126)
@@ -313,9 +315,11 @@ def test_the_plan_that_runs_is_kept_while_many_others_come():
     made.on_plan(p)
     made.on_execution(ExecutorState.PLAYING.value, p.id, 5)
     for number in range(30):
+        if number == 10:
+            held = size(made)
         made.on_plan(plan(CLEAR, HOME, f"other{number}"))
     assert made.followed() is p
-    assert len(made._plans) <= 10
+    assert size(made) <= held * 1.05
 
 
 def test_an_unknown_state_is_refused():

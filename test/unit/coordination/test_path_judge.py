@@ -10,7 +10,6 @@ from planning_cell import HOME, ROBOT
 from construction_twin.coordination import conflict, path_judge
 from construction_twin.coordination.conflict import Claim
 from construction_twin.coordination.path_judge import Others, PathJudge
-from construction_twin.coordination.path_sweep import PlanPosition
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -24,7 +23,7 @@ CLEAR_PLAN = plan(CLEAR, CLEAR + np.radians([-60, 0, 0, 0, 0, 0]), "p2")
 @pytest.fixture
 def judge(monkeypatch) -> PathJudge:
     monkeypatch.setattr(path_judge, "BUDGET", 1)
-    monkeypatch.setattr(conflict, "_BLOCK", 16)
+    monkeypatch.setattr(conflict, "BLOCK", 16)
     return PathJudge(ROBOT, "other", 0.03, 0.1, HORIZON)
 
 
@@ -57,7 +56,8 @@ def test_a_plan_that_runs_goes_on_while_what_is_far_ahead_is_still_being_compare
     moving = Others(other().along(line(AWAY, AWAY + 0.3)).rest(), Claim(9, "other"))
     verdict = judge.followed(CLEAR_PLAN, EMPTY, moving, 5, pose(CLEAR_PLAN, 0.5))
     assert not verdict.blocked
-    assert judge._paths["p2"]._batches[0].checked < len(judge._paths["p2"]._sweep.copies)
+    # the same path, asked for as a whole: it is still being compared
+    assert "so far" in judge.waiting(CLEAR_PLAN, EMPTY, moving).sentence
 
 
 def test_a_conflict_far_ahead_is_found_as_the_looks_go_on(judge):
@@ -96,8 +96,8 @@ def test_who_does_not_know_where_he_is_takes_every_conflict_for_near(judge):
 def test_a_plan_begins_at_its_first_row_wherever_the_last_one_ended(judge):
     judge.followed(PLAN, EMPTY, STANDS_AWAY, 5, pose(PLAN, 3.5))
     back = plan(NEAR, CLEAR, "back")
-    judge.followed(back, EMPTY, STANDS_AWAY, 6, pose(back, 0.0))
-    assert judge._at == PlanPosition("back", 0)
+    verdict = judge.followed(back, EMPTY, STANDS_TOWARDS, 6, pose(back, 0.0))
+    assert verdict.blocked and verdict.time == 0.0
 
 
 def test_an_arm_that_is_nowhere_takes_up_all_that_it_can_reach_and_the_sentence_says_so(judge):
@@ -126,7 +126,8 @@ def test_what_the_arm_carries_counts_and_a_load_that_cannot_be_used_is_an_error(
 
 
 def test_plans_that_are_over_are_forgotten(judge):
-    judge.waiting(PLAN, EMPTY, STANDS_AWAY)
-    judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY)
+    for one in (PLAN, CLEAR_PLAN):
+        settled(lambda: judge.waiting(one, EMPTY, STANDS_AWAY))
     judge.forget({"p2"})
-    assert set(judge._paths) == {"p2"}
+    assert not judge.waiting(CLEAR_PLAN, EMPTY, STANDS_AWAY).blocked
+    assert "so far" in judge.waiting(PLAN, EMPTY, STANDS_AWAY).sentence

@@ -158,7 +158,7 @@ class TestRecordFirst:
     def test_a_verdict_that_cannot_be_recorded_changes_nothing(self, bench, approve):
         plan = make_plan()
         bench.executor.offer(plan)
-        bench.approval._record = self.refuse
+        bench.record = self.refuse
         with pytest.raises(RecordError, match="nothing is approved without a record"):
             bench.review("p", plan.hash, approve, "Ada")
         assert set(bench.run(100)) == {ROBOT.home}
@@ -171,7 +171,7 @@ class TestRecordFirst:
             bench.records.append(record)
             bench.executor.on_sync(SyncState.HOLDING, False)
 
-        bench.approval._record = record_slowly
+        bench.record = record_slowly
         with pytest.raises(ReviewError, match="HOLDING"):
             bench.review("p", "", True, "Ada")
         approval, ending = bench.records
@@ -181,7 +181,7 @@ class TestRecordFirst:
 
     def test_an_automatic_approval_that_cannot_be_recorded_withdraws_the_plan(self, bench):
         bench.executor.offer(make_plan())
-        bench.approval._record = self.refuse
+        bench.record = self.refuse
         with pytest.raises(RecordError):
             bench.approval.approve_by_itself(bench.stamp)
         assert bench.executor.queue.plan is None
@@ -243,7 +243,7 @@ class TestOrder:
         plan = make_plan()
         bench.executor.offer(plan)
         started, threads = threading.Event(), []
-        write = bench.approval._record
+        write = bench.record
 
         def slow_disk(record):
             if not threads:
@@ -257,7 +257,7 @@ class TestOrder:
             with pytest.raises(ReviewError):
                 bench.review("p", plan.hash, approve, "Carl")
 
-        bench.approval._record = slow_disk
+        bench.record = slow_disk
         bench.review("p", plan.hash, True, "Ada")
         assert started.is_set()
         for thread in threads:

@@ -6,17 +6,17 @@ import pytest
 from construction_twin.msg import Execution
 from executor_bench import Bench, make_plan
 
+from construction_twin.core.state_table import cells
 from construction_twin.execution.states import (
     ACTIVE,
     MOVING,
     OUTCOMES,
+    ROWS,
     TABLE,
     Action,
     ExecutorEvent,
     ExecutorState,
     Guard,
-    rows_for,
-    table_cells,
 )
 from construction_twin.monitor.gate import RESUME, SyncState
 
@@ -47,14 +47,14 @@ def test_a_stop_never_leads_to_motion_again():
 def test_a_guard_without_a_row_behind_it_that_always_counts_is_none():
     for state in ExecutorState:
         for event in ExecutorEvent:
-            rows = rows_for(state, event)
+            rows = ROWS[state, event]
             assert not rows or rows[-1].guard is Guard.ALWAYS
             assert all(row.guard is not Guard.ALWAYS for row in rows[:-1])
 
 
 def test_whatever_ends_a_motion_counts_in_every_state_that_moves():
     for event in (ExecutorEvent.STOP, ExecutorEvent.DISARMED, ExecutorEvent.GATE_ENDS, ExecutorEvent.NEW_SESSION):
-        assert all(rows_for(state, event) for state in MOVING), event
+        assert all(ROWS[state, event] for state in MOVING), event
 
 
 def test_values_are_those_of_the_message():
@@ -62,8 +62,8 @@ def test_values_are_those_of_the_message():
 
 
 def test_the_rows_for_the_documentation_are_words():
-    assert len(table_cells()) == len(TABLE)
-    assert table_cells()[0] == ("WAITING", "agreed", "", "the setpoint begins at the twin's pose", "IDLE")
+    assert len(cells(TABLE)) == len(TABLE)
+    assert cells(TABLE)[0] == ("WAITING", "agreed", "", "the setpoint begins at the twin's pose", "IDLE")
 
 
 def bench_in(state: ExecutorState) -> Bench:
@@ -101,9 +101,9 @@ CALLS = {
 def test_the_executor_goes_where_the_table_says(state, event):
     bench = bench_in(state)
     CALLS[event](bench)
-    allowed = {row.target for row in rows_for(state, event)} or {state}
+    allowed = {row.target for row in ROWS[state, event]} or {state}
     assert bench.state in allowed
-    ends = {row.target: OUTCOMES[row.action] for row in rows_for(state, event) if row.action in OUTCOMES}
+    ends = {row.target: OUTCOMES[row.action] for row in ROWS[state, event] if row.action in OUTCOMES}
     assert bench.executor.outcome == ends.get(bench.state, "")
 
 

@@ -382,3 +382,47 @@ def test_properties_that_cannot_be_read_are_refused_while_nobody_commands():
     unreadable = PayloadError("properties", "seq is not a whole number")
     cell.gateway.on_command(cell.codec.encode(cell.held()), unreadable, cell.now)
     assert (cell.count("refused_not_armed"), cell.state) == (1, State.HOLDING)
+
+
+# -- the last refusal --------------------------------------------------------------------------------------------------
+
+
+def last_refusal(cell):
+    return cell.gateway.status()["last_refusal"]
+
+
+def test_what_a_stream_was_stopped_for_is_not_overwritten_by_the_commands_that_still_come():
+    cell = following()
+    cell.send((0.4, 3.0))
+    cause = last_refusal(cell)
+    assert cell.state is State.BRAKING and cause.startswith("velocity: A1")
+    for k in range(100, 200):
+        cell.send(slow(k))
+        cell.cycle()
+    assert (cell.state, cell.count("refused_not_armed"), last_refusal(cell)) == (State.HOLDING, 100, cause)
+    # any other refusal is news
+    assert cell.control("nonsense") == (False, "unknown verb 'nonsense'")
+    assert last_refusal(cell).startswith("verb: ")
+    cell.send(slow(200))
+    assert last_refusal(cell).startswith("verb: ")
+
+
+def test_without_another_cause_not_armed_is_the_last_refusal():
+    cell = Cell()
+    cell.cycle(3)
+    cell.send(START)
+    assert last_refusal(cell) == "not_armed: gateway is ready"
+    cell.gateway.refusals.telegram("xml", "telegram is not well-formed")
+    cell.send(START)
+    assert last_refusal(cell) == "telegram xml: telegram is not well-formed"
+
+
+def test_once_it_was_armed_again_what_stopped_it_before_is_over():
+    cell = following()
+    cell.send((0.4, 3.0))
+    cell.cycle(300)
+    assert cell.control("reset")[0] and cell.arm("s2")[0]
+    assert cell.control("stop", "s2")[0]
+    cell.cycle(3)
+    cell.send(cell.measured, session="s2")
+    assert last_refusal(cell).startswith("not_armed: gateway is ")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import socket
 import subprocess
 import sys
+from xml.etree import ElementTree
 
 import pytest
 from processes import ROOT, wait_until
@@ -13,6 +15,7 @@ from rsi_mutations import mutate
 from service_cell import AXES, CONFIG, START, client_of, controller_of, free_port, serving
 
 from construction_twin.core.errors import TelegramError
+from construction_twin.gateway.states import State
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorDecoder
 from construction_twin.rsi.layout import RsiLayout
@@ -99,6 +102,53 @@ def test_every_hostile_telegram_is_counted_and_none_disturbs_the_session(topics)
         assert sent > 500 and refused == sent
         assert set(controller.replies) == {(0.0, 0.0)}
         assert (counters["rsi_sessions"], controller.measured) == (1, START)
+
+
+@pytest.mark.parametrize(
+    "change, why",
+    [
+        ((b'A2="-', b'A9="-'), "attribute: AIPos has no A2"),
+        ((b'A1="5', b'A1="inf5'), "number: AIPos A1 is 'inf5"),
+        ((b"</Rob>", b""), "xml: telegram is not well-formed"),
+        ((b"<IPOC>", b"<IPOC>x"), "ipoc: IPOC is 'x"),
+        ((b"<Rob", b"<!-- --><Rob"), "markup: telegram holds a declaration"),
+    ],
+)
+def test_while_no_telegram_can_be_read_the_reason_says_why_and_how_many(broker, topics, change, why):
+    with serving(broker, topics) as (_, address), controller_of(address) as controller:
+        with client_of(broker, topics) as client:
+            client.wait_for_status(state="no_controller", reason="no telegram yet")
+            for _ in range(30):
+                controller.send(controller.telegram().replace(*change))
+            client.wait_for_counter(f"telegram_refused_{why.partition(':')[0]}", 30)
+
+            def said():
+                # counted once a second: the last ones are told with the next datagram that cannot be read
+                words = r"no telegram yet; datagrams refused: \d+, the last one for (.*)"
+                found = re.match(words, client.status()["reason"])
+                return found and found[1]
+
+            controller.send(controller.telegram().replace(*change))
+            assert wait_until(said, what="the reason").startswith(why)
+            assert client.status()["state"] == "no_controller"
+            controller.cycle()
+            client.wait_for_status(state="ready")
+
+
+def test_telegrams_as_a_python_sender_writes_them_make_a_session(broker, topics):
+    with serving(broker, topics) as (service, address), controller_of(address) as controller:
+        for k in range(20):
+            controller.ipoc += 4
+            root = ElementTree.fromstring(controller.telegram())
+            for element in root.findall("AIPos") + root.findall("ASPos"):
+                for name, value in element.attrib.items():
+                    element.set(name, f"{float(value):.12e}" if k % 2 else repr(float(value)))
+            controller.send(ElementTree.tostring(root, encoding="utf8"))
+            assert controller.receive() == (0.0, 0.0)
+        counters = service.gateway.counters
+        assert (counters["telegrams"], counters["rsi_sessions"]) == (20, 1)
+        assert not [name for name in counters if name.startswith("telegram_refused_")]
+        assert service.gateway.state is State.READY
 
 
 def is_telegram(decoder, data) -> bool:

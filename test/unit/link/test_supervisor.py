@@ -27,7 +27,7 @@ class TestFirstStart:
         bench.run(0.1)
         assert bench.state is LinkState.GATEWAY_OFFLINE and "rsi_gateway" in bench.supervisor.reason
 
-    @pytest.mark.parametrize("state", ["no_controller", "joined_running", "read_only"])
+    @pytest.mark.parametrize("state", ["no_controller", "joined_running", "read_only", "measuring", "other_cycle"])
     def test_waits_for_a_controller_and_says_what_the_gateway_says(self, bench, state):
         bench.set_gateway(state, "no telegram yet")
         bench.run(0.1)
@@ -126,13 +126,13 @@ class TestAnswers:
 
     def test_messages_are_repeated_no_faster_than_the_retry_pause(self, bench):
         bench.answering = False
-        bench._carry_out = lambda control: None
+        bench.carry_out = lambda control: None
         bench.run(5.0)
         assert 8 <= len(bench.sent) <= 5.0 * NANOSECONDS / RETRY + 1
         assert len({control.id for control in bench.sent}) == len(bench.sent)
 
     def test_a_refusal_is_told_and_asked_again_after_the_pause(self, bench):
-        bench._carry_out = lambda control: bench.refuse(control, "the arm is elsewhere")
+        bench.carry_out = lambda control: bench.refuse(control, "the arm is elsewhere")
         bench.run(3.0)
         assert bench.state is LinkState.RESYNC and "the arm is elsewhere" in bench.supervisor.reason
         assert len(bench.sent) <= 3.0 * NANOSECONDS / RETRY + 1
@@ -146,7 +146,7 @@ class TestAnswers:
 
     def test_an_answer_to_an_older_attempt_is_ignored(self, bench):
         bench.answering = False
-        bench._carry_out = lambda control: None
+        bench.carry_out = lambda control: None
         bench.run(1.2)
         assert len(bench.sent) >= 2
         bench.answer(bench.sent[0])
@@ -216,26 +216,26 @@ class TestRun:
             bench.refuse(control, "run 'run1' is not the gateway's present one")
 
     def test_a_former_run_s_status_costs_one_refusal_and_no_person(self, bench):
-        bench._carry_out = lambda control: self.started_again(bench, control, "run2")
+        bench.carry_out = lambda control: self.started_again(bench, control, "run2")
         bench.run(3.0)
         assert bench.state is LinkState.ARMED and bench.gateway["session"] == bench.supervisor.session
         assert [control.value["run"] for control in bench.sent] == ["run1", "run2"]
 
     def test_while_the_former_run_s_status_stays_it_says_why_and_asks_at_the_usual_pace(self, bench):
-        bench._carry_out = lambda control: bench.refuse(control, "run 'run1' is not the gateway's present one")
+        bench.carry_out = lambda control: bench.refuse(control, "run 'run1' is not the gateway's present one")
         bench.run(5.0)
         assert bench.state is LinkState.RESYNC and "present one" in bench.supervisor.reason
         assert 2 <= len(bench.sent) <= 5.0 * NANOSECONDS / RETRY + 1
-        bench._carry_out = lambda control: self.started_again(bench, control, "run2")
+        bench.carry_out = lambda control: self.started_again(bench, control, "run2")
         bench.set_gateway("ready", run="run2")
         bench.run(2 * RETRY / NANOSECONDS + 0.5)
         assert bench.state is LinkState.ARMED
 
     def test_an_arm_that_nobody_answered_is_asked_again_of_the_run_that_is_there_then(self, bench):
-        bench._carry_out = lambda control: None
+        bench.carry_out = lambda control: None
         bench.run(0.3)
         bench.gateway["run"] = "run2"
-        bench._carry_out = lambda control: self.started_again(bench, control, "run2")
+        bench.carry_out = lambda control: self.started_again(bench, control, "run2")
         bench.run(2.0)
         assert bench.state is LinkState.ARMED
         assert [control.value["run"] for control in bench.sent] == ["run1", "run2"]

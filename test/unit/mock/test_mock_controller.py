@@ -115,7 +115,7 @@ def test_d_a_step_of_one_degree_in_one_cycle_is_a_fault():
     cell = Cell()
     cell.cycles(5)
     cell.cycle(step(0, 1.0))
-    assert_stopped(cell, "command velocity A1")
+    assert_stopped(cell, "command velocity A1: 250 deg/s, limit 246 deg/s (2 times 123 deg/s)")
     assert not cell.mock.flag
     assert cell.mock.measured == HOME
 
@@ -124,7 +124,7 @@ def test_d_acceleration_is_supervised_when_velocity_is_not():
     cell = Cell(velocity_factor=0.0)
     cell.cycles(5)
     cell.cycle(step(0, 1.0))
-    assert_stopped(cell, "command acceleration A1")
+    assert_stopped(cell, "command acceleration A1: 62500 deg/s², limit 62320 deg/s² (400 times 155.8 deg/s²)")
 
 
 def test_d_without_supervision_the_step_is_carried_out():
@@ -161,7 +161,7 @@ def test_e_a_correction_beyond_the_monitor_stops_rsi():
     cell = Cell(correction_monitor=radians((0.1,) * 6))
     for k in range(12):
         cell.cycle(step(2, -0.01 * k))
-    assert_stopped(cell, "correction monitor A3")
+    assert_stopped(cell, "correction monitor A3: -0.11 deg, at most 0.1 deg")
     assert cell.mock.setpoint[2] == pytest.approx(HOME[2] - math.radians(0.1))
 
 
@@ -177,7 +177,7 @@ def test_correction_limits_wider_than_the_soft_limits_end_in_a_soft_limit_stop()
     cell = Cell(start_pose=near, correction_upper=radians((90,) * 6))
     for k in range(7):
         cell.cycle(step(4, 0.01 * k))
-    assert_stopped(cell, "software limit A5")
+    assert_stopped(cell, "software limit A5: 125.01 deg, range -125 deg to 125 deg")
 
 
 def test_f_holdon_0_and_one_miss_is_a_jump_and_a_fault():

@@ -250,7 +250,7 @@ def test_t1_keeps_the_tool_slow_and_lets_it_catch_up():
     speed = np.linalg.norm(np.diff(positions[:, :3], axis=0), axis=1) / CYCLE
     assert speed[:1490].max() == pytest.approx(0.05, rel=0.01)
     assert positions[-1] == pytest.approx(np.add(HOME, radians((10, 8, 0, 0, 0, 0))), abs=1e-12)
-    assert bench.mock._tool_limit is None
+    assert not bench.mock.limits_tool_speed
 
 
 @settings(max_examples=60)
@@ -292,11 +292,12 @@ def test_a_line_keeps_loses_doubles_and_delays():
     line.drop(0.0)
     line.duplicate(1.0)
     line.put(b"a", 2000)
-    assert line.take(2000) == [b"a", b"a"]
+    assert [underway.data for underway in line.take(2000)] == [b"a", b"a"]
     line.duplicate(0.0)
     line.delay(0.001, 0.002)
     line.put(b"b", 3000)
     assert line.take(3000 + 999_999) == [] and line.next_arrival() >= 3000 + 1_000_000
     line.delay(0.0, 0.0)
     # what is on its way still arrives
-    assert line.active and line.take(3000 + 3_000_000) == [b"b"] and not line.active
+    [late] = line.take(3000 + 3_000_000) if line.active else []
+    assert late.data == b"b" and 1_000_000 <= late.due - 3000 <= 3_000_000 and not line.active

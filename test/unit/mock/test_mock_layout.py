@@ -11,7 +11,13 @@ from processes import ROOT
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
-from construction_twin.mock.program import MockSettings, _arguments, _settings, build_controller, gateway_address
+from construction_twin.mock.program import (
+    MockSettings,
+    build_controller,
+    checked_settings,
+    gateway_address,
+    parse_arguments,
+)
 from construction_twin.mock.servo import IdealServo
 from construction_twin.robot.description import read_robot_files
 from construction_twin.rsi.ethernet_xml import read_ethernet_xml
@@ -65,7 +71,7 @@ def test_a_track_beyond_its_end_stops_rsi_like_any_axis():
     cell.cycle()
     cell.cycle((0.001, 0.0, 0.0))
     assert cell.cycle() is None
-    assert cell.mock.reason == "software limit E1"
+    assert cell.mock.reason == "software limit E1: 5000.9 mm, range -2000 mm to 5000 mm"
 
 
 def test_a_controller_with_another_unit_and_direction_moves_as_asked():
@@ -89,14 +95,36 @@ def test_stop_ends_the_motion_on_its_rising_edge():
     assert not cell.mock.flag
 
 
-def test_a_missed_reply_is_no_stop_and_a_reply_without_stop_is_no_reply():
+def test_a_missed_reply_is_no_stop():
     cell = Cell()
     cell.cycle(None)
-    data = cell.mock.begin_cycle()
-    cell.mock.receive(SensorEncoder("ImFree", AXES, (), UNITS).encode(ZERO, cell.decoder.parse(data).ipoc))
     cell.cycle()
-    assert cell.mock.counters["malformed"] == 1
-    assert cell.mock.counters["missed"] == 2 and cell.mock.running
+    assert cell.mock.counters["missed"] == 1 and cell.mock.running
+
+
+def answer_without_stop(cell, correction=ZERO):
+    """Run a cycle whose reply has corrections and IPOC only, as ROS-Industrial's driver sends them."""
+    ipoc = cell.decoder.parse(cell.mock.begin_cycle()).ipoc
+    return cell.mock.receive(SensorEncoder("ImFree", AXES, (), UNITS).encode(correction, ipoc))
+
+
+def test_a_reply_without_the_declared_stop_counts_and_is_counted():
+    cell = Cell()
+    for k in range(20):
+        assert answer_without_stop(cell, (0.001 * k, 0.0, 0.0))
+    packet = cell.cycle((0.02, 0.0, 0.0))
+    assert packet.measured[0] == pytest.approx(1.519, abs=1e-7) and packet.delay == 0
+    assert (cell.mock.counters["missed"], cell.mock.counters["without_stop"]) == (0, 20)
+    cell.cycle(stop=True)
+    assert cell.cycle() is None
+
+
+def test_a_controller_that_insists_on_stop_says_that_it_is_missing():
+    cell = Cell(stop_required=True)
+    assert not answer_without_stop(cell)
+    cell.cycle()
+    assert (cell.mock.counters["malformed"], cell.mock.counters["missed"]) == (1, 1)
+    assert cell.mock.refusals.last == "the reply has no Stop element"
 
 
 def test_an_undeclared_stop_is_not_wired_to_anything():
@@ -173,9 +201,9 @@ def test_a_block_that_the_mock_cannot_send_is_refused(robot):
 
 
 def test_the_command_line_reads_the_shipped_file_unless_told_otherwise(tmp_path):
-    options = vars(_arguments([]))
+    options = vars(parse_arguments([]))
     options = {key: value for key, value in options.items() if not key.startswith("robot_")}
-    assert gateway_address(_settings(options)) == ("127.0.0.1", 49152)
+    assert gateway_address(checked_settings(options)) == ("127.0.0.1", 49152)
     options = {"gateway": "127.0.0.1:0", "ethernet_xml": tmp_path / "none.xml"}
     with pytest.raises(EthernetXmlError, match="none.xml"):
-        _settings(options)
+        checked_settings(options)

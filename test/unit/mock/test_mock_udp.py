@@ -8,10 +8,10 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from mock_pc import Pc, running
 
 from construction_twin.core.errors import ConfigurationError, FaultError, TransportError
 from construction_twin.core.units import CYCLE_NS, radians
@@ -19,53 +19,17 @@ from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import (
     MockRsi,
     MockSettings,
-    _settings,
     build_controller,
+    checked_settings,
     joint_angles,
     make_forward_kinematics,
 )
 from construction_twin.mock.servo import RealisticServo
 from construction_twin.robot.description import read_robot_files
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
 
 ROOT = Path(__file__).resolve().parents[3]
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
-
-
-class Pc(threading.Thread):
-    """Answers every packet with zero corrections while `answering`; keeps (monotonic ns, packet, source)."""
-
-    def __init__(self):
-        super().__init__(daemon=True)
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(0.05)
-        self.answering = True
-        self.received = []
-        self._encoder = SensorEncoder("ImFree", AXES)
-        self._closing = threading.Event()
-
-    @property
-    def address(self):
-        return self.socket.getsockname()
-
-    def run(self):
-        while not self._closing.is_set():
-            try:
-                data, source = self.socket.recvfrom(65535)
-            except TimeoutError:
-                continue
-            now = time.monotonic_ns()
-            packet = parse_robot(data, AXES)
-            if self.answering:
-                self.socket.sendto(self._encoder.encode(ZERO, packet.ipoc), source)
-            self.received.append((now, packet, source))
-
-    def close(self):
-        self._closing.set()
-        self.join(1.0)
-        self.socket.close()
 
 
 @pytest.fixture(scope="module")
@@ -79,21 +43,6 @@ def pc():
     pc.start()
     yield pc
     pc.close()
-
-
-@contextmanager
-def running(robot, address, restart_after=0.0, observe=lambda mock: None, **settings):
-    settings = MockSettings(gateway_host=address[0], gateway_port=address[1], **settings)
-    mock = MockRsi(build_controller(settings, robot), address, restart_after, observe)
-    stop = threading.Event()
-    thread = threading.Thread(target=mock.run, args=(stop,), daemon=True)
-    thread.start()
-    try:
-        yield mock
-    finally:
-        stop.set()
-        thread.join(1.0)
-        assert not thread.is_alive()
 
 
 def wait_for(condition, timeout=3.0):
@@ -222,7 +171,7 @@ def test_nobody_listening_is_no_error(robot):
 def test_late_packets_are_all_sent_and_only_a_long_stall_gives_up_grid_points(robot):
     mock = MockRsi(build_controller(MockSettings(gateway_host="127.0.0.1", gateway_port=9), robot), ("127.0.0.1", 9))
     for late_ms, grid_points in ((0, 1), (1.9, 1), (2.1, 1), (100, 1), (101, 26)):
-        assert mock._next_due(0, round(late_ms * 1e6)) == grid_points * CYCLE_NS
+        assert mock.next_due(0, round(late_ms * 1e6)) == grid_points * CYCLE_NS
     assert (mock.overruns, mock.skipped) == (3, 25)
 
 
@@ -287,7 +236,7 @@ def test_settings_choose_servo_and_start_pose(robot):
 )
 def test_settings_without_meaning_are_refused(options):
     with pytest.raises(ConfigurationError):
-        _settings(dict(options))
+        checked_settings(dict(options))
 
 
 def test_the_command_line_runs_without_ros_and_ends_on_sigterm(robot, pc):

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from construction_twin.core.units import CYCLE
-from construction_twin.mock.servo import IdealServo, RealisticServo, _transition
+from construction_twin.mock.servo import IdealServo, RealisticServo, transition_matrix
 
 VELOCITY, ACCELERATION = 2.0, 2.5
 
@@ -45,7 +45,7 @@ def test_ideal_servo_refuses_a_delay_of_zero():
 def test_transition_is_the_matrix_exponential(zeta):
     omega = 60.0
     matrix = np.array([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]])
-    np.testing.assert_allclose(_transition(omega, zeta, CYCLE), expm(matrix * CYCLE), rtol=1e-12)
+    np.testing.assert_allclose(transition_matrix(omega, zeta, CYCLE), expm(matrix * CYCLE), rtol=1e-12)
 
 
 def test_realistic_servo_follows_the_differential_equation():

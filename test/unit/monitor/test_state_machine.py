@@ -22,8 +22,8 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.monitor.gate import POLICIES, REST, Gate, GateSettings
-from construction_twin.monitor.states import HELD_STATES, TABLE, SyncEvent, SyncState
+from construction_twin.monitor.gate import POLICIES, Gate, GateSettings
+from construction_twin.monitor.states import HELD_STATES, ROWS, SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
 LIMITS = MotionLimits.of(ROBOT)
@@ -96,7 +96,7 @@ class Cell(RuleBasedStateMachine):
 
     def check_transitions(self):
         for change in self.gate.take_transitions():
-            assert TABLE[change.source][change.event] is change.target
+            assert change.target in {row.target for row in ROWS[change.source, change.event]}
             assert change.source is self.state and change.reason and 0 < change.at <= self.stamp
             if change.source is SyncState.STOPPED is not change.target:
                 assert change.event is SyncEvent.NEW_SESSION and self.new_session
@@ -187,7 +187,7 @@ class Cell(RuleBasedStateMachine):
     @rule(policy=st.sampled_from(POLICIES), threshold=st.sampled_from([0.002, 0.01, 0.1]))
     def reconfigure(self, policy, threshold):
         before, reason = self.gate.settings, self.gate.reason
-        rests = self.gate._moved_at is None or self.stamp - self.gate._moved_at >= REST
+        rests = self.gate.rests(self.stamp)
         try:
             self.gate.configure(GateSettings(policy=policy, threshold=threshold, **BRISK), "by the test", self.stamp)
         except ConfigurationError:

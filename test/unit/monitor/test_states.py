@@ -4,12 +4,33 @@ from __future__ import annotations
 
 import pytest
 
-from construction_twin.monitor.states import HELD_STATES, TABLE, SyncEvent, SyncMachine, SyncState
+from construction_twin.core.state_table import cells
+from construction_twin.monitor.states import (
+    HELD_STATES,
+    ROWS,
+    TABLE,
+    Action,
+    Guard,
+    SyncEvent,
+    SyncMachine,
+    SyncState,
+)
 
 EVERY = [(state, event) for state in SyncState for event in SyncEvent]
 
 
-def machine_in(state: SyncState) -> SyncMachine:
+class Machine(SyncMachine):
+    """A machine whose guards all hold, but those in `closed`, and that notes what it does."""
+
+    def __init__(self, closed: tuple[Guard, ...] = ()):
+        self.done: list[tuple[Action, int]] = []
+        guards = {guard: lambda now, guard=guard: guard not in closed for guard in Guard}
+        super().__init__(
+            guards, {action: lambda now, action=action: self.done.append((action, now)) for action in Action}
+        )
+
+
+def machine_in(state: SyncState, closed: tuple[Guard, ...] = ()) -> Machine:
     """Return a machine that was led to a state along the table."""
     way = {
         SyncState.WAITING: (),
@@ -20,47 +41,54 @@ def machine_in(state: SyncState) -> SyncMachine:
         SyncState.STOPPED: (SyncEvent.OPENED, SyncEvent.POSE_DIFFERS, SyncEvent.POLICY_STOP),
         SyncState.FAULT: (SyncEvent.OPENED, SyncEvent.SETPOINT_REFUSED),
     }[state]
-    machine = SyncMachine()
+    machine, led = Machine(closed), Machine()
     for event in way:
-        assert machine.on(event, "on the way", 1)
-    machine.take()
-    assert machine.state is state
+        assert led.on(event, "on the way", 1)
+    assert led.state is state
+    machine.state, machine.reason = led.state, led.reason
     return machine
 
 
 class TestTable:
-    def test_has_a_row_for_every_state(self):
-        assert set(TABLE) == set(SyncState)
-
-    def test_every_event_means_something_somewhere(self):
-        assert {event for row in TABLE.values() for event in row} == set(SyncEvent)
+    def test_every_state_event_guard_and_action_means_something(self):
+        assert {row.state for row in TABLE} == {row.target for row in TABLE} - {None} == set(SyncState)
+        assert {row.event for row in TABLE} == set(SyncEvent)
+        assert {row.guard for row in TABLE} == set(Guard) and {row.action for row in TABLE} == set(Action)
 
     def test_stopped_is_left_by_a_new_session_alone(self):
-        leaving = {event for event, target in TABLE[SyncState.STOPPED].items() if target is not SyncState.STOPPED}
+        leaving = {row.event for row in TABLE if row.state is SyncState.STOPPED is not row.target}
         assert leaving == {SyncEvent.NEW_SESSION}
 
-    def test_every_state_goes_back_to_waiting_with_a_new_session(self):
-        assert {row[SyncEvent.NEW_SESSION] for row in TABLE.values()} == {SyncState.WAITING}
+    def test_every_state_goes_back_to_waiting_with_a_new_session_and_forgets(self):
+        for state in SyncState:
+            (row,) = ROWS[state, SyncEvent.NEW_SESSION]
+            assert (row.target, row.action, row.guard) == (SyncState.WAITING, Action.FORGET, Guard.ALWAYS)
 
     def test_only_opening_leads_to_in_sync(self):
-        leading = {
-            event
-            for state, row in TABLE.items()
-            for event, target in row.items()
-            if target is SyncState.IN_SYNC is not state
+        assert {row.event for row in TABLE if row.target is SyncState.IN_SYNC is not row.state} == {SyncEvent.OPENED}
+
+    def test_what_closes_the_gate_holds_and_only_silence_is_not_counted(self):
+        closing = {
+            row.event: row.action for row in TABLE if row.state is SyncState.IN_SYNC and row.target in HELD_STATES
         }
-        assert leading == {SyncEvent.OPENED}
+        silence = {event for event, action in closing.items() if action is Action.HOLD}
+        assert silence == {SyncEvent.FEEDBACK_STALE, SyncEvent.SETPOINT_STALE}
+        assert set(closing.values()) == {Action.HOLD, Action.HOLD_AND_COUNT}
 
     def test_other_settings_change_no_state_and_are_taken_only_where_nothing_holds(self):
-        taken = {state: row[SyncEvent.CONFIGURED] for state, row in TABLE.items() if SyncEvent.CONFIGURED in row}
-        assert taken == {state: state for state in set(SyncState) - HELD_STATES}
+        taken = {row.state: row.target for row in TABLE if row.event is SyncEvent.CONFIGURED}
+        assert taken == {state: state for state in set(SyncState) - set(HELD_STATES)}
 
     def test_a_gate_that_holds_can_be_given_up(self):
-        held = {SyncState.HOLDING, SyncState.REPLANNING, SyncState.STALE, SyncState.FAULT}
-        assert held == HELD_STATES
+        assert {row.state for row in TABLE if row.event is SyncEvent.GAVE_UP} == set(HELD_STATES)
 
     def test_a_refused_setpoint_is_not_planned_around(self):
-        assert SyncEvent.REPLAN_ASKED not in TABLE[SyncState.FAULT]
+        assert ROWS[SyncState.FAULT, SyncEvent.REPLAN_ASKED] == ()
+
+    def test_is_told_in_words(self):
+        told = cells(TABLE)
+        assert ("REPLANNING", "pose_differs", Guard.UNCOUNTED.value, Action.COUNT.value, "") in told
+        assert ("WAITING", "opened", "", "", "IN_SYNC") in told and len(told) == len(TABLE)
 
     def test_values_are_those_of_the_message(self):
         assert [(state.name, state.value) for state in SyncState] == [
@@ -78,21 +106,29 @@ class TestTable:
 def test_an_event_leads_where_the_table_says_or_nowhere(state, event):
     machine = machine_in(state)
     before = machine.state, machine.reason
-    target = TABLE[state].get(event)
-    assert machine.on(event, "why", 7, None, 5) is (target is not None)
-    if target is None:
+    row = machine.row(event, 7)
+    assert machine.on(event, "why", 7, None, 5) is (row is not None)
+    assert machine.done == ([] if row is None else [(row.action, 7)])
+    if row is None or row.target is None:
         assert (machine.state, machine.reason) == before and not machine.changed and machine.take() == []
         return
     reason = before[1] if event is SyncEvent.CONFIGURED else "why"
-    assert (machine.state, machine.reason, machine.changed) == (target, reason, True)
+    assert (machine.state, machine.reason, machine.changed) == (row.target, reason, True)
     (change,) = machine.take()
-    assert (change.at, change.source, change.target, change.event) == (7, state, target, event)
+    assert (change.at, change.source, change.target, change.event) == (7, state, row.target, event)
     assert (change.reason, change.comparison, change.held_stamp) == ("why", None, 5)
     assert not machine.changed
 
 
+@pytest.mark.parametrize("row", [row for row in TABLE if row.guard is not Guard.ALWAYS], ids=str)
+def test_a_row_whose_guard_does_not_hold_changes_nothing(row):
+    machine = machine_in(row.state, closed=(row.guard,))
+    assert not machine.on(row.event, "why", 7) and machine.done == []
+    assert machine.state is row.state and not machine.changed
+
+
 def test_transitions_are_taken_once_and_in_order():
-    machine = SyncMachine()
+    machine = Machine()
     machine.on(SyncEvent.OPENED, "first", 1)
     machine.on(SyncEvent.FEEDBACK_STALE, "second", 2)
     assert [change.reason for change in machine.take()] == ["first", "second"]
@@ -100,6 +136,6 @@ def test_transitions_are_taken_once_and_in_order():
 
 
 def test_a_transition_reads_as_a_sentence():
-    machine = SyncMachine()
+    machine = Machine()
     machine.on(SyncEvent.OPENED, "poses agree", 1)
     assert str(machine.take()[0]) == "WAITING -> IN_SYNC (opened): poses agree"

@@ -10,6 +10,7 @@ from paho.mqtt import __version__ as paho_version
 from processes import ROOT, wait_until
 from service_cell import PATIENT, cell, motion, stream
 
+from construction_twin.gateway import service as gateway_service
 from construction_twin.mqtt import fast_client
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
@@ -86,9 +87,16 @@ def test_a_stream_arrives_whole_in_order_and_with_its_properties(broker, topics,
     assert got[200] == (b"kept", [], protocol == "5")
 
 
-def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics, kind):
+def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics, kind, monkeypatch):
+    made = []
+
+    def make(*given, **more):
+        made.append(make_client(*given, **more))
+        return made[-1]
+
+    monkeypatch.setattr(gateway_service, "make_client", make)
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
-        assert isinstance(service._mqtt.client, FastClient) == (kind == "fast")
+        assert [isinstance(one, FastClient) for one in made] == [kind == "fast"]
         assert client.arm(PATIENT)["ok"]
         stream(client, controller, (motion(k) for k in range(150)))
         client.wait_for_status(state="following")

@@ -91,7 +91,7 @@ def test_file_has_these_keys_and_no_others(files):
 def test_what_did_not_arrive_is_lost_and_what_came_twice_is_not(modules):
     heard = modules("link_peer").Heard
     sender = heard(sent=[100, 200, 300])
-    outcome = modules("link_routes")._outcome([(sender, [(100, 150), (300, 420), (300, 999), (7, 8)])], 0.1)
+    outcome = modules("link_routes").outcome([(sender, [(100, 150), (300, 420), (300, 999), (7, 8)])], 0.1)
     assert (outcome.latencies, outcome.sent, outcome.lost) == ([50, 120], 3, 1)
 
 
@@ -131,7 +131,7 @@ TEXT = st.text(max_size=30).filter(lambda text: not set(text) & {"\0", "\ufeff"}
 def test_lean_client_speaks_mqtt(modules, topic, payload, pairs):
     mqtt = modules("link_mqtt")
     packet = mqtt.publish_packet(topic, payload, pairs)
-    length, at = mqtt._read_varint(packet, 1)
+    length, at = mqtt.read_varint(packet, 1)
     body = packet[at:]
     assert length == len(body)
     known = decode_publish(packet[0], body, MQTTProtocolVersion.MQTTv5)
@@ -227,7 +227,7 @@ def test_the_probe_tells_when_a_watch_did_not_run(modules):
     with machine.MachineProbe(0) as probe:
         probe.taken()
         before = time.monotonic_ns()
-        watch = probe._watches[-1]
+        watch = probe.watches[-1]
         watch.send_signal(signal.SIGSTOP)
         time.sleep(0.05)
         watch.send_signal(signal.SIGCONT)

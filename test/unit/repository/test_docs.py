@@ -25,10 +25,12 @@ from evaluation_samples import run
 from gateway_cell import following
 
 from construction_twin.broker.access import PLC, ROLES
+from construction_twin.core.state_table import cells
 from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.execution.states import ExecutorEvent, ExecutorState, table_cells
+from construction_twin.execution.states import TABLE, ExecutorEvent, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
+from construction_twin.link.bare_supervisor import NOT_CHECKED
 from construction_twin.link.remote_review import PlanView, review_answer
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
@@ -157,6 +159,12 @@ def test_keys_of_plan_review_and_account_files_are_documented():
     assert sorted(keys - code_words(BROKER)) == []
 
 
+def test_what_is_not_checked_with_a_bare_plc_is_documented_word_for_word():
+    table = BROKER.split("| not checked | so |")[1].split("\n\n")[0]
+    rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", table, re.MULTILINE)
+    assert tuple(sentence for sentence, _ in rows) == NOT_CHECKED and all(so.strip() for _, so in rows)
+
+
 def test_roles_and_their_topics_are_documented():
     rows = dict(re.findall(r"^\| (\w+)(?: \(`--plc`\))? \| `kr120-.*?\| (.*) \|$", BROKER, re.MULTILINE))
     assert set(rows) == {*ROLES, PLC}
@@ -175,6 +183,8 @@ def test_roles_and_their_topics_are_documented():
         "ros/commands/export_gateway_config",
         "broker/start",
         "broker/make_site",
+        "ros/commands/new_arm",
+        "scene/self_collision_command",
         "views/arguments",
     ],
 )
@@ -237,7 +247,7 @@ def test_gateway_states_and_events_are_explained():
 def test_rows_that_states_share_keep_the_order_in_which_guards_are_asked():
     shared = make_reference.state_rows("construction_twin.execution.states")
     asked = [(state, row[1], row[2:]) for row in shared for state in row[0].split(", ")]
-    rows = table_cells()
+    rows = cells(TABLE)
     for state, event in {(row[0], row[1]) for row in rows}:
         expected = [tuple(row[2:]) for row in rows if (row[0], row[1]) == (state, event)]
         assert [rest for of, on, rest in asked if (of, on) == (state, event)] == expected

@@ -172,4 +172,4 @@ def test_memory_that_grows_is_found(fuzz, monkeypatch):
             pass
 
     with pytest.raises(sys.modules["fuzz_gateway"].Refused, match="grew by 4.2 MB"):
-        fuzz._row("x", Growing(), Still(), lambda *_: {}, 10, 1)
+        fuzz.flooded("x", Growing(), Still(), lambda *_: {}, 10, 1)

@@ -120,7 +120,7 @@ def test_a_cut_holds_everything_and_then_brings_it():
         receive(far, 1)
         begin = time.monotonic()
         network.apply(proxy, Profile(cut=0.5))
-        wait_until(lambda: proxy._line.is_cut, what="the cut")
+        wait_until(lambda: proxy.is_cut, what="the cut")
         near.sendall(b"b")
         far.sendall(b"c")
         assert receive(far, 1) + receive(near, 1) == b"bc"

@@ -117,16 +117,15 @@ class TestLimit:
 def test_the_node_takes_a_sensor_for_silent_although_the_wall_clock_was_set_back(monkeypatch):
     wall, steady, said = [1000 * NANOSECONDS], [50 * NANOSECONDS], []
     monkeypatch.setattr(module.time, "monotonic_ns", lambda: steady[0])
-    monkeypatch.setattr(module, "read_parameters", lambda _: module.Settings(table=ROWS, deadline=0.3, rate=20))
-    monkeypatch.setattr(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=None))
-    monkeypatch.setattr(module, "Publisher", lambda *_, **__: SimpleNamespace(publish=said.append))
-    monkeypatch.setattr(module, "Subscriber", lambda *_, **__: None)
-    monkeypatch.setattr(rospy, "Timer", lambda *_, **__: None)
     monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time.from_sec(wall[0] / NANOSECONDS))
-    node = module.SeparationNode()
-    node._on_range(Range(range=math.inf, max_range=5.0))
-    node._on_timer(None)
+    node = module.SeparationNode(
+        SeparationLimit(SpeedTable(ROWS), 0.3),
+        SimpleNamespace(publish=said.append),
+        lambda _: SimpleNamespace(refuse=None),
+    )
+    node.on_range(Range(range=math.inf, max_range=5.0))
+    node.update()
     wall[0] -= 10 * NANOSECONDS
     steady[0] += round(0.31 * NANOSECONDS)
-    node._on_timer(None)
+    node.update()
     assert [message.limit for message in said] == [1.0, ROWS[0][1]]

@@ -13,10 +13,12 @@ from bridge_bench import BridgeBench, Clocks
 from gateway_cell import following
 
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.bare_supervisor import NOT_CHECKED
 from construction_twin.link.states import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE
 from construction_twin.ros.shared import diagnostics
+from construction_twin.rsi.status_channels import ControllerStatus
 
 
 @pytest.fixture
@@ -54,6 +56,34 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
         "gateway decimals", "gateway reply_us_max", "gateway states_lost",
     }  # fmt: skip
     assert values["gateway playout_delay_ms"] == "20"
+
+
+def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostics(bench):
+    bench.connect()
+    stopped = ControllerStatus(3, 4, 100.0)
+    status = following().gateway.status() | {"controller": stopped.report()}
+    shown = bench.shown(status)
+    assert (shown["controller_mode"], shown["controller_program"]) == ("AUT", "STOP")
+    assert (shown["controller_override_percent"], shown["controller_sentence"]) == ("100", stopped.sentence)
+    assert bench.links[-1][0].reason.endswith(f"; {stopped.sentence}")
+    assert bench.bridge.report().sentence.endswith(f"; {stopped.sentence}")
+    bench.shown(status | {"controller": ControllerStatus(3, 3, 100.0).report()})
+    assert "STOP" not in bench.links[-1][0].reason
+
+
+def test_what_a_controller_said_before_its_gateway_went_is_not_told(bench):
+    bench.connect()
+    status = following().gateway.status() | {"controller": ControllerStatus(1).report()}
+    bench.shown(status)
+    bench.shown(status | {"state": "offline", "reason": "gateway stopped"})
+    assert bench.links[-1][0].text == "GATEWAY_OFFLINE" and "T1" not in bench.links[-1][0].reason
+
+
+def test_a_status_whose_controller_is_no_object_is_refused(bench):
+    before = bench.shown(following().gateway.status())
+    for wrong in ("T1", {"sentence": ["T1"]}, {"sentence": {}}):
+        assert bench.shown(following().gateway.status() | {"controller": wrong}) == before
+    assert bench.refused == {"status": 3}
 
 
 def test_a_change_of_the_playout_is_shown(bench):
@@ -213,3 +243,91 @@ def test_halt_without_a_broker_says_that_the_gateway_brakes_by_itself(bench):
     bench.client.connected = False
     answer = bench.bridge.on_halt(None)
     assert not answer.success and "brakes by itself" in answer.message and bench.bridge.link is LinkState.NEEDS_RESET
+
+
+# -- strings that are refused, and the bare PLC --------------------------------------------------------------------
+
+
+def test_a_reset_that_fails_because_strings_are_refused_says_that(bench):
+    bench.arm()
+    for _ in range(30):
+        clocks = bench.clocks
+        clocks.run(0.02)
+        bench.bridge.on_status(json.dumps(bench.gateway).encode())
+        bench.bridge.on_state(b"+005.730,-057.29", [], False)
+        bench.bridge.poll()
+    answer = bench.bridge.on_reset(None)
+    assert not answer.success
+    assert answer.message.startswith(
+        "cannot reset: the arm's pose is unknown, because its strings are refused (30 of them): 16 bytes b'+005.730,-057.29'; "
+    )
+
+
+def test_a_bare_plc_is_armed_by_name_and_sent_strings_alone(clocks):
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.run_bare(20)
+    assert bench.bridge.link is LinkState.NEEDS_RESET
+    refused = bench.bridge.on_responsible(SimpleNamespace(responsible=" "))
+    assert not refused.success and "--responsible NAME" in refused.message
+    assert not bench.bridge.on_reset(None).success and bench.client.streamed == []
+    bench.clocks.while_waiting = bench.run_bare
+    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    assert answer.success and "Ada is responsible for what is not checked: configuration, " in answer.message
+    bench.run_bare(1)
+    link = bench.links[-1][0]
+    assert (link.text, link.gateway_kind, link.responsible) == ("ARMED", "plc", "Ada")
+    assert tuple(link.not_checked) == NOT_CHECKED
+    assert {(topic, pairs) for topic, _, pairs in bench.client.streamed} == {("twin/arm/command", None)}
+    assert bench.client.controls == []
+    said = json.loads(
+        next(payload for topic, payload in bench.client.published[::-1] if topic.endswith("bridge/status"))
+    )
+    assert (said["responsible"], tuple(said["not_checked"])) == ("Ada", NOT_CHECKED)
+    # neither a speed limit nor a stop is understood: silence is
+    bench.bridge.on_speed_limit(limit(0.5))
+    bench.run_bare(5)
+    answer = bench.bridge.on_halt(None)
+    assert answer.success and "brakes on silence" in answer.message and bench.client.controls == []
+    sent = len(bench.client.streamed)
+    bench.run_bare(20)
+    assert bench.bridge.link is LinkState.NEEDS_RESET and len(bench.client.streamed) == sent
+
+
+def test_a_bare_plc_whose_poses_do_not_meet_the_twin_is_not_armed_later(clocks):
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.run_bare(20)
+    bench.clocks.while_waiting = lambda: bench.run_bare(commands=False)
+    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    assert not answer.success and answer.message.startswith("not armed within 1 s: RESYNC")
+    bench.run_bare(50)
+    assert bench.bridge.link is LinkState.NEEDS_RESET and bench.client.streamed == []
+
+
+def test_properties_beside_a_bare_plc_s_state_are_refused(clocks):
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.bridge.on_state(b"+005.730,-057.296", [("seq", "1"), ("stamp", "1"), ("command_stamp", "0")], False)
+    bench.bridge.on_state(b"+005.730,-057.296", [], True)
+    assert bench.refused == {"state_properties": 1, "state_retained": 1} and bench.physical == []
+
+
+def test_what_answers_in_the_other_mode_is_named_with_the_argument(clocks):
+    bench = BridgeBench(clocks)
+    bench.connect()
+    bench.bridge.on_status(b"ready")
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.MISMATCH and "gateway_kind:=plc" in bench.links[-1][0].reason
+    bench.bridge.on_status(b"offline")
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
+
+
+def test_without_a_bare_plc_nobody_is_responsible(bench):
+    bench.arm()
+    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    assert not answer.success and "armed by itself" in answer.message
+    link = bench.links[-1][0]
+    assert (link.gateway_kind, link.responsible, list(link.not_checked)) == ("rsi", "", [])
+    assert "not_checked" not in json.loads(bench.client.published[-1][1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from types import SimpleNamespace
 
@@ -14,7 +15,9 @@ from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
-from construction_twin.review.queue import Verdict
+from construction_twin.execution.executor import Executor
+from construction_twin.execution.speed_limit import SpeedLimit as SpeedLimitState
+from construction_twin.review.record import ReviewLog
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
@@ -28,7 +31,6 @@ class World:
         self.wall, self.steady = 1000 * NANOSECONDS, 50 * NANOSECONDS
         self.said: list[tuple[str, object]] = []
         self.logged: list[tuple[str, str]] = []
-        self.services: dict[str, object] = {}
         self.refused: list[tuple[str, str]] = []
         self.cycles = 0
         patch = monkeypatch.setattr
@@ -37,22 +39,18 @@ class World:
         patch(module, "Cycles", self.grid)
         patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
         patch(rospy.Time, "now", lambda: to_time(self.wall))
-        patch(rospy, "on_shutdown", lambda _: None)
-        patch(module, "Subscriber", lambda *_, **__: SimpleNamespace(get_num_connections=lambda: 1))
-        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
-        patch(rospy, "Timer", lambda *_: None)
         for level in ("loginfo", "logwarn", "logerr"):
             patch(rospy, level, self.logger(level))
-        limits = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_required": False}
-        settings = module.Settings(arm="mock", review_file=str(tmp_path / "reviews.jsonl"), **limits)
-        patch(module, "read_parameters", lambda model: settings)
-        patch(module, "robot_from_parameters", lambda: ROBOT)
-        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *said: self.refused.append(said)))
-        patch(module, "JointSubscriber", lambda *_, **__: None)
-        patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
-        patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
-        self.node = module.ExecutorNode()
-        self.logged.clear()
+        self.executor, self.limit = Executor(ROBOT), SpeedLimitState(0.5, 0.1, False)
+        self.executor.on_link(False, "no report of the link yet")
+        self.node = module.ExecutorNode(
+            ROBOT,
+            self.executor,
+            self.limit,
+            ReviewLog(tmp_path / "reviews.jsonl", lambda: self.wall),
+            module.Outputs(self.topic("next/joint_states"), self.topic("execution"), self.topic("review")),
+            lambda _: SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
+        )
 
     def logger(self, level: str):
         """Return a log function that says which thread called it."""
@@ -67,10 +65,10 @@ class World:
         for _ in range(self.cycles):
             self.wall, self.steady = self.wall + CYCLE_NS, self.steady + CYCLE_NS
             if self.speaks:
-                self.node._on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan"))
+                self.node.on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan"))
             yield self.wall, 0
             setpoints = [message for name, message in self.said if name == "next/joint_states"]
-            self.node._on_twin(*(setpoints[-1] if setpoints else (self.wall, ROBOT.home)))
+            self.node.on_twin(*(setpoints[-1] if setpoints else (self.wall, ROBOT.home)))
 
     def run(self, cycles: int, speaks: bool = True) -> World:
         """Run some cycles, while the monitor speaks or not."""
@@ -81,12 +79,12 @@ class World:
     def playing(self) -> World:
         """Play a plan."""
         node = self.node
-        node._on_link(Link(state=Link.ARMED, session="s"))
-        node._on_scene(Scene(hash=SCENE))
+        node.on_link(Link(state=Link.ARMED, session="s"))
+        node.on_scene(Scene(hash=SCENE))
         self.run(5)
         plan = make_plan(created_ns=self.wall)
-        node._executor.offer(plan)
-        node._approval.review(plan.id, plan.hash, True, "Ada")
+        self.executor.offer(plan)
+        assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")).success
         return self.run(50)
 
     def states(self) -> list[str]:
@@ -110,59 +108,86 @@ def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age,
     watch, taken = ConflictVerdicts("b"), []
     on_verdict = watch.on_verdict
     monkeypatch.setattr(watch, "on_verdict", lambda *given: taken.append(given[3]) or on_verdict(*given))
-    world.node._executor.neighbour = watch
+    world.executor.neighbour = watch
     message = Conflict(plan_id="p1", conflict=False, reason="its path is free")
     message.header.stamp = to_time(world.wall) - rospy.Duration(age)
-    world.node._on_conflict(message)
+    world.node.on_conflict(message)
     assert [reason for reason, _ in world.refused] == ["conflict_age"] * refused
     np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
+
+
+def records(tmp_path) -> list[dict]:
+    return [json.loads(line) for line in (tmp_path / "reviews.jsonl").read_text().splitlines()]
+
+
+def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, tmp_path):
+    bare = {"gateway_kind": "plc", "responsible": "Grace", "not_checked": ["age: not known"]}
+    for _ in range(3):
+        world.node.on_link(Link(state=Link.RESYNC, session="s", **bare))
+    node = world.node
+    node.on_link(Link(state=Link.ARMED, session="s", **bare))
+    node.on_scene(Scene(hash=SCENE))
+    world.run(5)
+    plan = make_plan(created_ns=world.wall)
+    world.executor.offer(plan)
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")).success
+    armed, verdict = records(tmp_path)[:2]
+    assert (armed["record"], armed["responsible"], armed["not_checked"]) == (
+        "responsibility", "Grace", ["age: not known"],
+    )  # fmt: skip
+    assert (verdict["reviewer"], verdict["responsible"], verdict["not_checked"]) == ("Ada", "Grace", ["age: not known"])
+    # armed anew, in another session, is another record; not armed is none
+    node.on_link(Link(state=Link.NEEDS_RESET, session="s", gateway_kind="plc", not_checked=bare["not_checked"]))
+    node.on_link(Link(state=Link.ARMED, session="t", **bare))
+    node.work_off(True)
+    assert [line["session"] for line in records(tmp_path) if line["record"] == "responsibility"] == ["s", "t"]
 
 
 class TestCycle:
     def test_writes_no_log_the_background_does(self, world):
         world.playing()
-        world.services["stop"](None)
+        world.node.on_stop(None)
         world.run(100)
         assert world.logged == []
-        world.node._on_timer(None)
+        world.node.work_off(True)
         lines = [line for _, line in world.logged]
         assert "PLAYING: approved by Ada" in lines and any(line.startswith("stop: braking plan p") for line in lines)
         assert lines.index("PLAYING: approved by Ada") < lines.index("STOPPING: stop requested")
 
     def test_says_what_it_does_before_what_became_of_plans(self, world):
         world.playing()
-        world.node._executor.offer(make_plan("q", created_ns=world.wall))
+        world.executor.offer(make_plan("q", created_ns=world.wall))
         world.said.clear()
-        world.node._executor.stop(world.wall)
-        world.node._publish_changes()
-        assert [name for name, _ in world.said] == ["execution", "review"]
+        world.executor.stop(world.wall)
+        world.run(1)
+        assert [name for name, _ in world.said if name != "next/joint_states"] == ["execution", "review"]
 
     def test_a_limit_that_follows_a_sensor_fills_no_log(self, world):
         world.playing()
-        world.node._on_timer(None)
+        world.node.work_off(True)
         world.logged.clear()
         for k in range(20):
-            world.node._on_limit(limit(0.5 + 0.01 * k))
+            world.node.on_limit(limit(0.5 + 0.01 * k))
             world.run(2)
-        world.node._on_timer(None)
+        world.node.work_off(True)
         assert [line for _, line in world.logged] == ["speed limit 0.5 by /sensor: somebody is near"]
-        assert world.node._executor.reason.startswith("approved by Ada; at 69% of the planned speed: speed limit 0.69")
+        assert world.executor.reason.startswith("approved by Ada; at 69% of the planned speed: speed limit 0.69")
 
 
 class TestClocks:
     def test_a_wall_clock_set_back_does_not_let_a_silent_source_of_the_limit_speak(self, world):
         world.playing()
-        world.node._on_limit(limit(0.9))
+        world.node.on_limit(limit(0.9))
         world.run(10)
         world.wall -= 10 * NANOSECONDS
         world.run(130)
-        assert world.node._limit.limit == 0.1 and "silent" in world.node._limit.reason
+        assert world.limit.limit == 0.1 and "silent" in world.limit.reason
 
     def test_nor_a_monitor_that_is_silent(self, world):
         world.playing()
         world.wall -= 10 * NANOSECONDS
         world.run(130, speaks=False)
-        assert world.node._executor.outcome == "held"
+        assert world.executor.outcome == "held"
 
     @pytest.mark.parametrize("step", [-10.0, 10.0])
     def test_a_wall_clock_that_is_set_ends_no_plan(self, world, step):
@@ -178,13 +203,13 @@ class TestPlansThatAreTurnedDown:
     def offered(self, world, plan) -> list[tuple[str, bool, str]]:
         message = plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3)))
         world.said.clear()
-        world.node._on_plan(message)
-        world.node._publish_changes()
+        world.node.on_plan(message)
+        world.run(1)
         return [(m[0].plan_id, m[0].approved, m[0].reason) for name, m in world.said if name == "review"]
 
     def test_one_that_was_asked_for_before_a_stop(self, world):
         asked = world.playing().wall - CYCLE_NS
-        world.services["stop"](None)
+        world.node.on_stop(None)
         world.run(100)
         ((plan_id, approved, reason),) = self.offered(world, make_plan("late", created_ns=asked))
         assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
@@ -202,10 +227,10 @@ class TestPlansThatAreTurnedDown:
 def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer):
     world.playing()
     plan = make_plan("q", created_ns=world.wall)
-    world.node._executor.offer(plan)
-    answer = world.services["review_plan"](ReviewPlanRequest(plan.id, plan.hash, False, reviewer, ""))
+    world.executor.offer(plan)
+    answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, ""))
     assert not answer.success and "the name of a person" in answer.message
-    assert world.services["review_plan"](ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "")).success
+    assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "")).success
 
 
 def test_a_full_log_forgets_the_oldest_lines():
@@ -217,5 +242,9 @@ def test_a_full_log_forgets_the_oldest_lines():
 
 
 def test_a_verdict_is_published_with_its_reason(world):
-    world.node._publish_verdict(Verdict("withdrawn", "p", "h", "executor", "replaced"))
-    assert world.said[-1][0] == "review" and world.said[-1][1][0].reason == "replaced"
+    world.run(5).executor.offer(make_plan("p", created_ns=world.wall))
+    world.executor.offer(make_plan("q", created_ns=world.wall))
+    world.run(1)
+    (verdict,) = [message[0] for name, message in world.said if name == "review"]
+    assert (verdict.plan_id, verdict.approved, verdict.reviewer) == ("p", False, "executor")
+    assert verdict.reason == "replaced by plan q"

@@ -12,7 +12,8 @@ from rich.console import Console
 
 from construction_twin.core.units import radians
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.experiment import ExperimentSettings, RestDetector, _ProgressView, point_latest
+from construction_twin.ros.commands.experiment import ProgressView, RestDetector, point_latest
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 
 CONFIG = yaml.safe_load(Path("config/experiment.yaml").read_text())
 
@@ -59,7 +60,7 @@ def test_latest_points_at_the_newest_results(tmp_path):
 
 def test_progress_without_a_terminal_is_a_line_every_ten_percent():
     console = Console(file=io.StringIO())
-    with _ProgressView(console, "plan") as show:
+    with ProgressView(console, "plan") as show:
         for step in range(1001):
             show(step / 1000)
     lines = console.file.getvalue().splitlines()

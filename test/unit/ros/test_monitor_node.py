@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -10,12 +11,17 @@ import rospy
 from construction_twin.msg import Execution, Link, Plan, Sync
 from construction_twin.srv import ConfigureGateRequest
 from executor_bench import ROBOT
+from processes import wait_until
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.monitor.gate import Gate
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
+from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import to_time
 
 HOME = ROBOT.home
@@ -35,30 +41,36 @@ class World:
         self.said: list[tuple[str, object]] = []
         self.logged: list[str] = []
         self.refused: list[tuple[str, str]] = []
-        self.services: dict[str, object] = {}
         self.planned = threading.Event()
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
         patch(module.time, "monotonic_ns", lambda: self.steady)
         patch(rospy.Time, "now", lambda: to_time(self.wall))
-        patch(rospy, "has_param", lambda name: False)
-        patch(rospy, "get_param", lambda name, default: self.parameters.get(name, default))
-        patch(rospy, "set_param", self.parameters.__setitem__)
-        patch(module, "Subscriber", lambda *_, **__: None)
-        patch(rospy, "Timer", lambda *_: None)
-        patch(rospy, "ServiceProxy", lambda *_: self.plan_to_joints)
         for level in ("loginfo", "logwarn", "logerr"):
             patch(rospy, level, lambda *words: self.logged.append(words[0] % words[1:]))
-        settings = module.Settings(**SETTINGS, arm="mock", decimals=6, sync_rate=50, transition_file="none")
-        patch(module, "read_parameters", lambda model: settings)
-        patch(module, "robot_from_parameters", lambda: ROBOT)
-        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *said: self.refused.append(said)))
-        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
-        patch(module, "JointSubscriber", lambda *_, **__: None)
-        patch(module, "JointPublisher", lambda topic, _: self.topic(topic))
-        patch(module, "Publisher", lambda topic, *_, **__: self.topic(topic))
-        patch(
-            module, "TransitionReport", lambda *_: SimpleNamespace(report=self.report, flush=lambda: None, problem="")
+        self.outputs = module.Outputs(
+            self.topic("command/joint_states"),
+            self.topic("sync"),
+            SimpleNamespace(report=self.report, flush=lambda: None, problem=""),
+            self.plan_to_joints,
+            lambda session: self.parameters.update({PARAMETER: session}),
+        )
+
+    def start(self, sync=None) -> module.PcaMonitorNode:
+        """Return a monitor, and keep its gate; `sync` is a publisher in place of the one that notes what it is given."""
+        behaviour = Behaviour(**SETTINGS)
+        limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
+        self.gate = Gate(limits, codec, behaviour.gate_settings(True), self.steady)
+        outputs = self.outputs if sync is None else replace(self.outputs, sync=sync)
+        return module.PcaMonitorNode(
+            self.gate,
+            behaviour,
+            ROBOT.joint_names,
+            True,
+            50.0,
+            outputs,
+            lambda _: SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
+            self.parameters.get(PARAMETER, ""),
         )
 
     def topic(self, name: str):
@@ -99,17 +111,17 @@ def run(world: World, node, cycles: int) -> None:
     """Let the stream of a standing robot pass."""
     for _ in range(cycles):
         world.pass_time()
-        node._on_twin(world.wall - CYCLE_NS, HOME)
-        node._on_feedback(*feedback(world))
-        node._on_next(world.wall, HOME)
+        node.on_twin(world.wall - CYCLE_NS, HOME)
+        node.on_feedback(*feedback(world))
+        node.on_next(world.wall, HOME)
 
 
-def opened(world: World, session: str = "s1"):
+def opened(world: World, session: str = "s1", sync=None):
     """Return a node whose gate is open."""
-    node = module.PcaMonitorNode()
-    node._on_link(Link(session=session, state=Link.ARMED))
+    node = world.start(sync)
+    node.on_link(Link(session=session, state=Link.ARMED))
     run(world, node, 40)
-    assert node._gate.state is SyncState.IN_SYNC
+    assert world.gate.state is SyncState.IN_SYNC
     return node
 
 
@@ -118,27 +130,27 @@ def test_settings_of_this_test_are_all_there_are():
 
 
 class TestSettings:
-    def change(self, world, settings: str, operator: str = "Ada"):
+    def change(self, node, settings: str, operator: str = "Ada"):
         """Ask for other settings."""
-        return world.services["configure_gate"](ConfigureGateRequest(settings=settings, operator=operator))
+        return node.on_configure(ConfigureGateRequest(settings=settings, operator=operator))
 
     def test_change_at_rest_and_are_recorded(self, world):
         node = opened(world)
         world.said.clear()
-        answer = self.change(world, "{agree_time: 0.2, thresholds: {joint_a3: 0.02}}")
+        answer = self.change(node, "{agree_time: 0.2, thresholds: {joint_a3: 0.02}}")
         assert answer.success and "agree_time 0.1 -> 0.2" in answer.message
         (change,) = [change for name, change in world.said if name == "transitions"]
         assert (change.event, change.target) == (SyncEvent.CONFIGURED, SyncState.IN_SYNC)
         assert change.reason.startswith("Ada changed thresholds {} -> {'joint_a3': 0.02}") and change.at == world.wall
-        assert node._gate.settings.agree_time == 0.2 and not world.planned.is_set()
+        assert world.gate.settings.agree_time == 0.2 and not world.planned.is_set()
         # what was changed before stays changed
-        assert self.change(world, "{policy: stop}").success
-        assert (node._gate.settings.agree_time, node._gate.settings.policy) == (0.2, "stop")
+        assert self.change(node, "{policy: stop}").success
+        assert (world.gate.settings.agree_time, world.gate.settings.policy) == (0.2, "stop")
 
     def test_that_are_the_same_are_no_transition(self, world):
-        opened(world)
+        node = opened(world)
         world.said.clear()
-        assert self.change(world, "{policy: replan}").message == "nothing to change" and world.said == []
+        assert self.change(node, "{policy: replan}").message == "nothing to change" and world.said == []
 
     @pytest.mark.parametrize(
         "settings, operator, problem",
@@ -159,36 +171,36 @@ class TestSettings:
     )
     def test_that_make_no_sense_change_nothing_at_all(self, world, settings, operator, problem):
         node = opened(world)
-        before = node._gate.settings
+        before = world.gate.settings
         world.said.clear()
-        answer = self.change(world, settings, operator)
+        answer = self.change(node, settings, operator)
         assert not answer.success and problem in answer.message and answer.message.endswith("nothing was changed")
-        assert node._gate.settings is before and world.said == []
+        assert world.gate.settings is before and world.said == []
         assert world.refused == [("configure_gate", answer.message)]
 
     @pytest.mark.parametrize("state", ["PLAYING", "STOPPING", "PAUSING", "PAUSED", "HELD"])
     def test_do_not_change_while_a_plan_is_being_executed(self, world, state):
         node = opened(world)
-        node._on_execution(Execution(state=getattr(Execution, state), text=state, plan_id="p"))
-        answer = self.change(world, "{threshold: 0.5}")
+        node.on_execution(Execution(state=getattr(Execution, state), text=state, plan_id="p"))
+        answer = self.change(node, "{threshold: 0.5}")
         assert not answer.success and f"plan p is {state}" in answer.message
-        node._on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
-        assert self.change(world, "{threshold: 0.5}").success
+        node.on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
+        assert self.change(node, "{threshold: 0.5}").success
 
     def test_are_not_even_read_unless_a_named_person_asks_at_rest(self, world, monkeypatch):
         node = opened(world)
         monkeypatch.setattr(Behaviour, "changed", lambda *_: pytest.fail("read the settings"))
-        assert "operator" in self.change(world, "{policy: stop}", "").message
-        node._on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
-        assert "plan p" in self.change(world, "{policy: stop}").message
-        node._on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
-        node._on_link(Link(session="s1", state=Link.MIRROR))
-        assert "the arm leads" in self.change(world, "{policy: stop}").message
+        assert "operator" in self.change(node, "{policy: stop}", "").message
+        node.on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
+        assert "plan p" in self.change(node, "{policy: stop}").message
+        node.on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
+        node.on_link(Link(session="s1", state=Link.MIRROR))
+        assert "the arm leads" in self.change(node, "{policy: stop}").message
 
 
 def test_a_plan_without_points_is_refused_with_a_sentence(world):
     node = opened(world)
-    node._on_plan(Plan(id="empty"))
+    node.on_plan(Plan(id="empty"))
     ((reason, sentence),) = world.refused
     assert reason == "plan" and "plan empty has no points" in sentence
 
@@ -197,14 +209,13 @@ class TestOrder:
     def test_the_executor_hears_of_a_hold_before_anybody_else(self, world):
         node = opened(world)
         world.said.clear()
-        node._on_feedback(*feedback(world, 0.2))
+        node.on_feedback(*feedback(world, 0.2))
         (first, sync), (second, change) = world.said
         assert (first, sync.text, second) == ("sync", "HOLDING", "transitions")
         assert change.target is SyncState.HOLDING and world.logged == []
 
     def test_what_is_published_last_is_the_newest(self, world):
         """A thread that is held up while it publishes keeps a newer state from overtaking it."""
-        node = opened(world)
         entered, go_on, order = threading.Event(), threading.Event(), []
 
         def slow(message: Sync) -> None:
@@ -213,14 +224,15 @@ class TestOrder:
                 go_on.wait(10.0)
             order.append(message.text)
 
-        node._sync = SimpleNamespace(publish=slow)
-        held = threading.Thread(target=node._on_feedback, args=feedback(world, 0.2))
+        node = opened(world, sync=SimpleNamespace(publish=slow))
+        order.clear()
+        held = threading.Thread(target=node.on_feedback, args=feedback(world, 0.2))
         held.start()
         assert entered.wait(10.0)
 
         def give_up():
             world.pass_time(31.0)
-            node._on_timer(None)
+            node.watch()
 
         newer = threading.Thread(target=give_up)
         newer.start()
@@ -236,7 +248,7 @@ class TestClocks:
         node = opened(world)
         world.wall -= 10 * NANOSECONDS
         world.pass_time(0.11)
-        node._on_timer(None)
+        node.watch()
         assert world.syncs()[-1] == "STALE"
 
     @pytest.mark.parametrize("step", [-10.0, 10.0])
@@ -245,26 +257,26 @@ class TestClocks:
         late = feedback(world)
         world.wall += round(step * NANOSECONDS)
         stamp = world.wall - round(step * NANOSECONDS)
-        node._on_feedback(*late)
+        node.on_feedback(*late)
         for k in range(1, 50):
             world.pass_time()
-            node._on_twin(stamp + (k - 1) * CYCLE_NS, HOME)
-            node._on_feedback(*feedback(world))
-            node._on_next(stamp + k * CYCLE_NS, HOME)
-            node._on_timer(None)
-        assert node._gate.state is SyncState.IN_SYNC and node._gate.violations == 0
+            node.on_twin(stamp + (k - 1) * CYCLE_NS, HOME)
+            node.on_feedback(*feedback(world))
+            node.on_next(stamp + k * CYCLE_NS, HOME)
+            node.watch()
+        assert world.gate.state is SyncState.IN_SYNC and world.gate.violations == 0
 
     def test_feedback_that_waited_in_a_queue_is_not_fresh(self, world):
         node = opened(world)
         waited = feedback(world)
         world.pass_time(0.11)
-        node._on_feedback(*waited)
-        node._on_timer(None)
+        node.on_feedback(*waited)
+        node.watch()
         assert world.syncs()[-1] == "STALE"
 
     def test_changes_are_reported_in_ros_time(self, world):
         node = opened(world)
-        node._on_feedback(*feedback(world, 0.2))
+        node.on_feedback(*feedback(world, 0.2))
         assert [change.at for name, change in world.said if name == "transitions"][-1] == world.wall
 
 
@@ -272,17 +284,17 @@ class TestReplan:
     def offer(self, node, velocity_use=(0.2, 0.1)) -> None:
         points = [JointTrajectoryPoint(positions=HOME), JointTrajectoryPoint(positions=[0.5] * 6)]
         use = {"velocity_use": velocity_use, "acceleration_use": (0.4, 0.1)}
-        node._on_plan(Plan(id="p", trajectory=JointTrajectory(points=points), **use))
+        node.on_plan(Plan(id="p", trajectory=JointTrajectory(points=points), **use))
 
     def test_asks_for_the_same_goal_at_the_approved_pace(self, world):
         node = opened(world)
         self.offer(node)
         known = Execution(state=Execution.PLAYING, plan_id="p")
         known.header.stamp = to_time(world.wall)
-        node._on_execution(known)
+        node.on_execution(known)
         world.pass_time()
-        node._on_feedback(*feedback(world, 0.2))
-        assert world.planned.wait(10.0) and node._gate.state is SyncState.REPLANNING
+        node.on_feedback(*feedback(world, 0.2))
+        assert world.planned.wait(10.0) and world.gate.state is SyncState.REPLANNING
         assert world.request["goal"] == (0.5,) * 6
         assert (world.request["speed_scale"], world.request["acceleration_scale"]) == (0.2, 0.4)
         # as of when the plan was known to be played: a stop since then voids the new one
@@ -292,37 +304,42 @@ class TestReplan:
     def test_what_a_person_has_halted_is_not_re_planned(self, world, state):
         node = opened(world)
         self.offer(node)
-        node._on_execution(Execution(state=state, plan_id="p"))
-        node._on_feedback(*feedback(world, 0.2))
-        assert node._gate.state is SyncState.HOLDING and not world.planned.is_set()
+        node.on_execution(Execution(state=state, plan_id="p"))
+        node.on_feedback(*feedback(world, 0.2))
+        assert world.gate.state is SyncState.HOLDING and not world.planned.is_set()
 
 
 class TestStopped:
+    def wait_for(self, world: World, node, session: str) -> None:
+        """Let the monitor watch, until the thread that it keeps the session with has done so."""
+
+        def kept() -> bool:
+            node.watch()
+            return world.parameters == {"stopped_session": session}
+
+        wait_until(kept)
+
     def stop(self, world: World):
         node = opened(world)
-        node._on_feedback(*feedback(world, 0.2))
+        node.on_feedback(*feedback(world, 0.2))
         world.pass_time(31.0)
-        node._on_timer(None)
-        node._stopped._writer.join(10.0)
-        assert world.parameters == {"stopped_session": "s1"}
+        self.wait_for(world, node, "s1")
         return node
 
     def test_a_monitor_in_its_place_stays_stopped_until_a_person_resets(self, world):
         self.stop(world)
         world.said.clear()
-        node = module.PcaMonitorNode()
+        node = world.start()
         run(world, node, 40)
-        node._on_link(Link(session="s1", state=Link.ARMED))
+        node.on_link(Link(session="s1", state=Link.ARMED))
         run(world, node, 100)
         assert set(world.syncs()) == {"STOPPED"} and "command/joint_states" not in dict(world.said)
-        node._on_link(Link(session="s2", state=Link.ARMED))
+        node.on_link(Link(session="s2", state=Link.ARMED))
         run(world, node, 40)
-        assert node._gate.state is SyncState.IN_SYNC
+        assert world.gate.state is SyncState.IN_SYNC
 
     def test_is_forgotten_with_the_session(self, world):
         node = self.stop(world)
-        node._on_link(Link(session="s2", state=Link.ARMED))
-        node._on_timer(None)
-        node._stopped._writer.join(10.0)
-        assert world.parameters == {"stopped_session": ""}
+        node.on_link(Link(session="s2", state=Link.ARMED))
+        self.wait_for(world, node, "")
         opened(world)

@@ -12,11 +12,13 @@ from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STEP, other, plan
 from planning_cell import ROBOT
 
 from construction_twin.coordination.path_judge import Judgement
+from construction_twin.coordination.path_sweep import PathSweep
 from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
 from construction_twin.ros.nodes import neighbour as neighbour_node
-from construction_twin.ros.nodes.neighbour import NeighbourNode
+from construction_twin.ros.nodes.neighbour import Latest, NeighbourNode
+from construction_twin.ros.shared import arm_listener
 from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
@@ -34,21 +36,14 @@ class Bench:
     def __init__(self, monkeypatch):
         self.did: list = []
         settings = SimpleNamespace(name="b", max_pose_age=0.5, rate=10.0, watch_padding=0.1, own_step=0.1)
-        own = SimpleNamespace(plans=self.plans, scene=EMPTY, poses=lambda _: (AWAY, AWAY))
-        there = SimpleNamespace(occupied=self.occupied, claim=None, unknown="", complete=True, robot=None)
-        judge = SimpleNamespace(followed=self.followed, waiting=self.waiting, forget=lambda _: None)
-        patch = monkeypatch.setattr
-        patch(neighbour_node.rospy.Time, "now", staticmethod(self._now))
-        patch(neighbour_node.rospy, "loginfo", lambda *_: None)
-        patch(neighbour_node, "neighbour_settings", lambda: settings)
-        patch(neighbour_node, "robot_from_parameters", lambda: SimpleNamespace(name="a"))
-        patch(neighbour_node, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
-        patch(neighbour_node, "listen_to_other_arm", lambda *_, **__: there)
-        patch(neighbour_node, "ArmListener", lambda *_, **__: own)
-        patch(neighbour_node, "braking_horizon", lambda *_: 2.9)
-        patch(neighbour_node, "PathJudge", lambda *_: judge)
-        patch(neighbour_node, "Publisher", lambda *_, **__: SimpleNamespace(publish=self.did.append))
-        self.node = NeighbourNode()
+        self.own = SimpleNamespace(plans=self.plans, scene=EMPTY, poses=lambda _: (AWAY, AWAY))
+        self.other = SimpleNamespace(occupied=self.occupied, claim=None, unknown="", complete=True)
+        self.judge = SimpleNamespace(followed=self.followed, waiting=self.waiting, forget=lambda _: None)
+        self.latest = Latest()
+        monkeypatch.setattr(neighbour_node.rospy.Time, "now", staticmethod(self._now))
+        monkeypatch.setattr(neighbour_node.rospy, "loginfo", lambda *_: None)
+        conflict = SimpleNamespace(publish=self.did.append)
+        self.node = NeighbourNode(settings, self.own, self.other, self.judge, 2.9, conflict, self.latest)
 
     def _now(self):
         self.did.append("time")
@@ -84,15 +79,15 @@ def test_the_verdict_on_the_plan_that_runs_is_out_before_the_one_that_waits_is_j
     bench.check()
     names = [item.plan_id if isinstance(item, Conflict) else item for item in bench.did]
     assert names == ["time", "read", "judge played", "played", "judge waiting", "waiting"]
-    assert bench.node._state.level == OK
+    assert bench.latest.report.level == OK
 
 
 def test_a_plan_that_began_while_it_was_judged_is_not_stopped_by_what_keeps_others_from_starting(bench):
     waiting, calls = plan(CLEAR, NEAR, "waiting"), iter(range(9))
-    bench.node._own.plans = lambda: ArmPlans(None, 0, waiting) if next(calls) % 2 == 0 else ArmPlans(waiting, 5, None)
-    bench.node._judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its path has been checked so far")
+    bench.own.plans = lambda: ArmPlans(None, 0, waiting) if next(calls) % 2 == 0 else ArmPlans(waiting, 5, None)
+    bench.judge.waiting = lambda *_: Judgement(True, 0.0, "40% of its path has been checked so far")
     assert not bench.check()
-    bench.node._own.plans = lambda: ArmPlans(None, 0, waiting)
+    bench.own.plans = lambda: ArmPlans(None, 0, waiting)
     assert bench.check()["waiting"].conflict
 
 
@@ -104,31 +99,31 @@ def test_a_load_that_cannot_be_used_blocks_its_plan_and_is_an_error_on_diagnosti
     def broken(*_):
         raise SceneError("mesh", "/gone.stl", "a readable file")
 
-    bench.node._judge.waiting = broken
+    bench.judge.waiting = broken
     verdicts = bench.check()
     assert not verdicts["played"].conflict
     assert verdicts["waiting"].conflict and "/gone.stl" in verdicts["waiting"].reason
-    state = bench.node._state
+    state = bench.latest.report
     assert state.level == ERROR and "/gone.stl" in state.sentence
-    bench.node._judge.waiting = lambda *_: FREE
+    bench.judge.waiting = lambda *_: FREE
     assert not bench.check()["waiting"].conflict
-    assert bench.node._state.level == OK
+    assert bench.latest.report.level == OK
 
 
 def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostics(bench):
     def unknown(horizon):
         raise NeighbourUnknownError("b", "what it carries cannot be used")
 
-    bench.node._other.occupied = unknown
+    bench.other.occupied = unknown
     verdicts = bench.check()
     assert all(message.conflict and "cannot be used" in message.reason for message in verdicts.values())
-    assert set(verdicts) == {"played", "waiting"} and bench.node._state.level == ERROR
+    assert set(verdicts) == {"played", "waiting"} and bench.latest.report.level == ERROR
 
 
 def test_an_arm_of_unknown_pose_is_a_warning(bench):
-    bench.node._other.unknown = "where b is, is not known"
+    bench.other.unknown = "where b is, is not known"
     bench.check()
-    assert (bench.node._state.level, bench.node._state.sentence) == (WARN, "where b is, is not known")
+    assert (bench.latest.report.level, bench.latest.report.sentence) == (WARN, "where b is, is not known")
 
 
 def test_an_unexpected_exception_ends_the_process(bench, monkeypatch):
@@ -137,16 +132,35 @@ def test_an_unexpected_exception_ends_the_process(bench, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError
 
-    bench.node._judge.followed = broken
+    bench.judge.followed = broken
     monkeypatch.setattr(neighbour_node.rospy, "Rate", lambda _: None)
     with pytest.raises(ZeroDivisionError):
         bench.node.run()
 
 
-def arm(poses, plans=lambda: ArmPlans(None, 0, None), scene=EMPTY) -> OtherArm:
-    return OtherArm(
-        SimpleNamespace(poses=poses, plans=plans, scene=scene, robot=ROBOT), Neighbour("b", ROBOT, BESIDE, STEP), 0.5
-    )
+def listener(poses, plans=lambda: ArmPlans(None, 0, None), scene=EMPTY) -> SimpleNamespace:
+    return SimpleNamespace(poses=poses, plans=plans, scene=scene, robot=ROBOT)
+
+
+def heard(listens: SimpleNamespace) -> OtherArm:
+    return OtherArm(listens, Neighbour("b", ROBOT, BESIDE, STEP), 0.5)
+
+
+def arm(*known, **more) -> OtherArm:
+    return heard(listener(*known, **more))
+
+
+@pytest.fixture
+def sweeps(monkeypatch) -> list[PathSweep]:
+    """The sweeps that the other arm makes of its paths."""
+    made: list[PathSweep] = []
+
+    def make(*given) -> PathSweep:
+        made.append(PathSweep(*given))
+        return made[-1]
+
+    monkeypatch.setattr(arm_listener, "PathSweep", make)
+    return made
 
 
 def here(*_):
@@ -171,9 +185,10 @@ def test_of_an_arm_whose_pose_or_path_nobody_knows_the_whole_reach_counts(found)
 
 
 def test_an_arm_that_is_found_again_takes_up_where_it_is():
-    found = arm(nowhere)
+    listens = listener(nowhere)
+    found = heard(listens)
     found.occupied()
-    found._listener.poses = here
+    listens.poses = here
     assert len(found.occupied()) > 1 and found.unknown == ""
 
 
@@ -186,24 +201,24 @@ def test_the_reach_holds_what_the_arm_carries():
 LONG = plan(AWAY, AWAY + 0.3, "long", 40.0)
 
 
-def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_after_some_looks():
+def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_after_some_looks(sweeps):
     found = arm(here, lambda: ArmPlans(LONG, 5, None))
     counts = [len(found.occupied(horizon=3.0))]
     assert not found.complete
-    ends = [found._sweeps["long"].fraction * 40.0]
+    ends = [sweeps[0].fraction * 40.0]
     while not found.complete:
         counts.append(len(found.occupied(horizon=3.0)))
-        ends.append(found._sweeps["long"].fraction * 40.0)
+        ends.append(sweeps[0].fraction * 40.0)
     assert ends[0] < 10.0 and all(0.0 < later - sooner <= 5.1 for sooner, later in zip(ends, ends[1:]))
     assert counts == sorted(counts) and found.claim.since == 5
 
 
-def test_the_horizon_goes_with_the_arm():
+def test_the_horizon_goes_with_the_arm(sweeps):
     found = arm(lambda *_: (q, q), lambda: ArmPlans(LONG, 5, None))
     for at in (0.0, 6.0, 11.0, 19.0):
         q = LONG.trajectory.sample_many(np.array([at]))[0][0]
         found.occupied(horizon=9.0)
-        assert found._sweeps["long"].fraction * 40.0 >= at + 9.0
+        assert sweeps[0].fraction * 40.0 >= at + 9.0
 
 
 def test_a_planner_asks_for_the_whole_path():
@@ -212,15 +227,15 @@ def test_a_planner_asks_for_the_whole_path():
     assert found.complete
 
 
-def test_a_path_is_prepared_while_its_plan_waits():
-    found = arm(here, lambda: ArmPlans(None, 0, LONG))
+def test_a_path_is_prepared_while_its_plan_waits(sweeps):
+    listens = listener(here, lambda: ArmPlans(None, 0, LONG))
+    found = heard(listens)
     for _ in range(9):
         assert found.claim is None and found.occupied(horizon=3.0)
-    sweep = found._sweeps["long"]
-    assert sweep.complete
-    found._listener.plans = lambda: ArmPlans(LONG, 5, None)
+    assert sweeps[0].complete
+    listens.plans = lambda: ArmPlans(LONG, 5, None)
     found.occupied(horizon=3.0)
-    assert found._sweeps["long"] is sweep and found.complete
+    assert len(sweeps) == 1 and found.complete
 
 
 @pytest.mark.parametrize("poses", [here, nowhere])

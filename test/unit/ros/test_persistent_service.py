@@ -20,9 +20,12 @@ from construction_twin.ros.shared import operator_client
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.transport.persistent_service import PersistentService
 
-ANSWER = b"\x01" + (lambda body: struct.pack("<I", len(body)) + body)(
-    (lambda out: TriggerResponse(True, "braking").serialize(out) or out.getvalue())(BytesIO())
-)
+
+def answer(success: bool, sentence: str) -> bytes:
+    """Return an answer as it goes over the line."""
+    out = BytesIO()
+    TriggerResponse(success, sentence).serialize(out)
+    return b"\x01" + struct.pack("<I", len(out.getvalue())) + out.getvalue()
 
 
 class Service:
@@ -33,6 +36,7 @@ class Service:
         self.connections: list[socket.socket] = []
         self.calls = 0
         self.ends_before_the_answer = False
+        self.answer = answer(True, "braking")
         self.slow: threading.Event | None = None
         self.called = threading.Event()
         threading.Thread(target=self.accept, daemon=True).start()
@@ -67,7 +71,7 @@ class Service:
                 if self.ends_before_the_answer:
                     self.ends_before_the_answer = False
                     break
-                connection.sendall(ANSWER)
+                connection.sendall(self.answer)
         except OSError:
             pass
         connection.close()
@@ -186,6 +190,6 @@ class TestClient:
 
     def test_a_refusal_is_one(self, world, monkeypatch):
         client = OperatorClient("/kr120", 5.0, "test")
-        monkeypatch.setattr(client, "_stop", lambda: TriggerResponse(False, "no"))
+        world.service.answer = answer(False, "no")
         with pytest.raises(RequestRefused, match="no"):
             client.trigger("stop")

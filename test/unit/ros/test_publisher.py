@@ -56,7 +56,7 @@ def message(number: int, size: int) -> bytes:
 def fill(line: Line, size: int = 1000) -> int:
     """Publish to a subscriber that does not read, until messages are waiting; return how many were published."""
     number = 0
-    while not line.connection._catching_up:
+    while not line.connection.catching_up:
         line.connection.write_data(message(number, size))
         number += 1
     return number

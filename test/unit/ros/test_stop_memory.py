@@ -6,6 +6,8 @@ import threading
 from pathlib import Path
 from xml.etree import ElementTree
 
+from processes import wait_until
+
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 
@@ -29,8 +31,7 @@ class Server:
 
 def keep(memory: StopMemory, session: str, now: int) -> None:
     memory.keep(session, now)
-    if memory._writer is not None:
-        memory._writer.join(10.0)
+    wait_until(lambda: not memory.writing)
 
 
 def test_a_new_launch_begins_without():
@@ -61,7 +62,7 @@ def test_a_slow_master_holds_nobody_up_and_the_newest_is_written_in_the_end():
     memory.keep("s2", 2)
     assert server.written == []
     server.go_on.set()
-    memory._writer.join(10.0)
+    wait_until(lambda: not memory.writing)
     keep(memory, "s2", 3)
     assert server.written == ["s1", "s2"]
 

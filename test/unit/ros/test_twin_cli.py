@@ -49,4 +49,4 @@ def test_an_account_without_a_name_has_a_number(monkeypatch, error):
         raise error("uid not found")
 
     monkeypatch.setattr(twin_cli.getpass, "getuser", nameless)
-    assert twin_cli._user() == f"uid {os.getuid()}"
+    assert twin_cli.account_name() == f"uid {os.getuid()}"

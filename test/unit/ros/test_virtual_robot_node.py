@@ -9,11 +9,12 @@ import rospy
 from construction_twin.msg import Link
 from executor_bench import ROBOT
 
+from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import TWIN_TIMEOUT
 from construction_twin.ros.nodes import virtual_robot as module
 from construction_twin.ros.transport import cycle
-from construction_twin.twin.virtual_robot import SILENCE
+from construction_twin.twin.virtual_robot import SILENCE, VirtualRobot
 
 HOME = ROBOT.home
 MS = NANOSECONDS // 1000
@@ -35,19 +36,18 @@ class World:
         patch(cycle, "time", SimpleNamespace(monotonic_ns=lambda: self.steady, sleep=self.sleep))
         patch(rospy, "is_shutdown", self.is_over)
         patch(rospy, "loginfo", lambda *_: None)
-        patch(module, "Subscriber", lambda *_, **__: None)
-        patch(module, "read_parameters", lambda model: module.Settings(arm="mock"))
-        patch(module, "robot_from_parameters", lambda: ROBOT)
-        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=lambda *_: None))
-        patch(module, "JointSubscriber", lambda *_, **__: None)
-        patch(module, "JointPublisher", lambda *_: SimpleNamespace(publish=self.publish))
-        self.node = module.VirtualRobotNode()
+        self.node = module.VirtualRobotNode(
+            VirtualRobot(None, ROBOT.linear),
+            MotionLimits.of(ROBOT),
+            SimpleNamespace(publish=self.publish),
+            lambda _: SimpleNamespace(refuse=lambda *_: None),
+            SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait),
+        )
         self._woken = False
-        self.node._restarted = SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait)
         # the grid that stamps the commands: nothing disturbs it
         self.offset = self.wall - self.steady
-        self.node._on_link(Link(session="s1", state=Link.ARMED))
-        self.node._on_physical(self.wall, HOME)
+        self.node.on_link(Link(session="s1", state=Link.ARMED))
+        self.node.on_physical(self.wall, HOME)
 
     def publish(self, stamp: int, q) -> None:
         """Take a pose of the twin."""
@@ -86,7 +86,7 @@ class World:
 
     def command(self) -> None:
         """Take a setpoint of the stream."""
-        self.node._on_command((self.steady + self.offset) // CYCLE_NS * CYCLE_NS, HOME)
+        self.node.on_command((self.steady + self.offset) // CYCLE_NS * CYCLE_NS, HOME)
 
     def play(self, duration: int, commands=(), **events) -> int:
         """Run the node for `duration` [ns] with commands in spans [ms], other events at their times [ms]; return the beginning."""
@@ -129,8 +129,8 @@ def test_after_a_silence_the_pose_is_repeated_at_once_and_in_time(world, phase):
 
 def test_a_new_session_wakes_it_up(world):
     restart = {
-        "t1000": lambda: world.node._on_link(Link(session="s2", state=Link.ARMED)),
-        "t1001": lambda: world.node._on_physical(world.wall, HOME),
+        "t1000": lambda: world.node.on_link(Link(session="s2", state=Link.ARMED)),
+        "t1001": lambda: world.node.on_physical(world.wall, HOME),
     }
     began = world.play(NANOSECONDS * 11 // 10, [(0, 990)], **restart)
     assert world.between(began + 1000 * MS, began + 1012 * MS)
@@ -159,8 +159,8 @@ def test_a_wall_clock_that_is_set_is_of_no_account(world, step, session):
         world.wall += round(step * NANOSECONDS)
 
     def begin() -> None:
-        world.node._on_link(Link(session=session, state=Link.ARMED))
-        world.node._on_physical(world.wall, HOME)
+        world.node.on_link(Link(session=session, state=Link.ARMED))
+        world.node.on_physical(world.wall, HOME)
 
     began = world.play(6 * NANOSECONDS, [(0, 2000), (4000, 6000)], t1000=set_clock, t3990=begin)
     times = [at for at, _ in world.published if at >= began]

@@ -17,6 +17,8 @@ from construction_twin.rsi.ethernet_xml import (
     load_ethernet_xml,
     read_ethernet_xml,
 )
+from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
+from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -77,6 +79,24 @@ def test_names_order_and_holdon_are_those_of_the_file():
         holdon=(True, True, False),
     )
     check_gateway(ethernet.layout, ("A1", "A2"), "eth.xml")
+
+
+def test_the_file_of_the_ros_industrial_driver_is_used_as_it_is():
+    outputs = "".join(
+        f'      <ELEMENT TAG="Out.0{number}" TYPE="BOOL" INDX="{number + 6}" HOLDON="1" />\n' for number in range(1, 9)
+    )
+    corrections = "".join(
+        f'      <ELEMENT TAG="AK.A{axis}" TYPE="DOUBLE" INDX="{axis}" HOLDON="1" />\n' for axis in range(1, 7)
+    )
+    start = TEXT.index("<RECEIVE>")
+    text = TEXT[:start] + f"<RECEIVE>\n    <ELEMENTS>\n{corrections}{outputs}    </ELEMENTS></RECEIVE>\n</ROOT>"
+    layout = read_ethernet_xml(text, "ros_rsi_ethernet.xml").layout
+    check_gateway(layout, AXES, "ros_rsi_ethernet.xml")
+    assert layout.receive == RsiLayout.plain(AXES).receive
+    assert layout.not_filled == tuple(f"Out.0{number}" for number in range(1, 9))
+    assert b"Out" not in SensorEncoder.of(layout, AXES).encode((0.0,) * 6, 4)
+    # an output of another type has a meaning that nobody knows here
+    assert refusal(changed('"Out.03" TYPE="BOOL"', '"Out.03" TYPE="LONG"', text)).element == "RECEIVE Out.03"
 
 
 def test_a_track_needs_its_channel_and_its_positions():
@@ -197,3 +217,24 @@ def test_a_mutated_file_is_read_or_refused_and_never_anything_else(data):
     else:
         assert {"AIPos", "ASPos"} <= set(layout.send)
         assert layout.onlysend or {f"AK.{axis}" for axis in AXES} <= set(layout.receive)
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        ("A1", "A2", "A3", "A4"),
+        ("E1", "A1", "A2", "A3", "A4", "A5", "A6"),
+        ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2"),
+    ],
+)
+def test_a_written_file_serves_gateway_and_mock(axes):
+    ethernet = read_ethernet_xml(ethernet_xml_text(axes), "written")
+    check_gateway(ethernet.layout, axes, "written")
+    assert ethernet.layout.receive == ("Stop", *(f"{'EK' if axis[0] == 'E' else 'AK'}.{axis}" for axis in sorted(axes)))
+    assert ("EIPos" in ethernet.layout.send) == ("E1" in axes)
+    assert ethernet.layout.holdon == (False, *(True for _ in axes))
+
+
+def test_a_controller_that_sends_only_is_written_too():
+    layout = read_ethernet_xml(ethernet_xml_text(("A1", "A2"), receives=False), "written").layout
+    assert layout.onlysend and layout.receive == ()

@@ -102,10 +102,76 @@ def test_unknown_elements_white_space_and_root_attribute_do_not_matter():
 
 @pytest.mark.parametrize(
     "number",
-    "nan|inf|-inf|1e-05|1E5|1_0| 1|1 |1 0||-|.|1.|.5|1,5|0x10|--1".split("|") + ["1" * 400],
+    "nan|inf|-inf|1e|1e+|e5|1e5.0|1e 5|1e999|1e-9999|1e100|1_0| 1|1 |1 0||-|.|1.|.5|1,5|0x10|--1".split("|")
+    + ["1" * 400],
 )
-def test_numbers_other_than_plain_decimals_are_refused(number):
+def test_numbers_that_are_no_finite_decimals_are_refused(number):
     assert refused(rob(aipos(A3=number) + "<IPOC>8</IPOC>")) == "number"
+
+
+@pytest.mark.parametrize(
+    "number, value",
+    [
+        ("1e-06", 1e-6),
+        ("-9.0E+01", -90.0),
+        ("1.5e1", 15.0),
+        ("4e-320", 4e-320),
+        ("2e+001", 20.0),
+        ("9e+99", 9e99),
+    ],
+)
+def test_numbers_with_an_exponent_are_read_as_python_senders_write_them(number, value):
+    parsed = parse_robot(rob(aipos(A3=number) + "<IPOC>8</IPOC>"), AXES).measured[2]
+    assert parsed == math.radians(value) and math.isfinite(parsed)
+
+
+@pytest.mark.parametrize("number", ["1e-06", "1E5", "1e0"])
+def test_the_controller_s_side_reads_no_exponent(number):
+    data = f"<Sen Type='ImFree'>{aipos(A3=number).replace('AIPos', 'AK')}<IPOC>8</IPOC></Sen>".encode()
+    with pytest.raises(TelegramError, match="expected a plain decimal number") as caught:
+        parse_sensor(data, "ImFree", AXES)
+    assert caught.value.reason == "number"
+
+
+DECLARATIONS = [
+    b"<?xml version='1.0'?>",
+    b'<?xml version="1.0" encoding="UTF-8"?>\r\n',
+    b"<?xml version='1.0' encoding='utf8'?>\n",
+    b"<?xml version='1.0' encoding='us-ascii' standalone='yes' ?>\n  ",
+    b'<?xml version="1.1" encoding="ISO-8859-1"?>',
+]
+
+
+@pytest.mark.parametrize("declaration", DECLARATIONS)
+def test_an_xml_declaration_is_read_over_from_a_controller(declaration):
+    data = rob(f"{aipos()}<IPOC>8</IPOC>")
+    assert parse_robot(declaration + data, AXES) == parse_robot(data, AXES)
+
+
+@pytest.mark.parametrize("declaration", DECLARATIONS)
+def test_the_controller_s_side_reads_no_declaration(declaration):
+    data = declaration + f"<Sen Type='ImFree'>{aipos().replace('AIPos', 'AK')}<IPOC>8</IPOC></Sen>".encode()
+    with pytest.raises(TelegramError) as caught:
+        parse_sensor(data, "ImFree", AXES)
+    assert caught.value.reason == "markup"
+
+
+@pytest.mark.parametrize(
+    "declaration",
+    [
+        b"<?xml version='1.0' encoding='cp037'?>",
+        b"<?xml version='1.0' encoding='utf-16'?>",
+        b"<?xml version='1.0' encoding='utf-7'?>",
+        b"<?xml encoding='utf-8'?>",
+        b"<?xml version='1.0\"?>",
+        b" <?xml version='1.0'?>",
+        b"<?xml version='1.0'?><?xml version='1.0'?>",
+        b"<?xml version='1.0'?><!DOCTYPE Rob [<!ENTITY a 'b'>]>",
+        b"<?php version='1.0'?>",
+    ],
+)
+def test_other_markup_before_the_telegram_is_refused(declaration):
+    assert refused(declaration + rob(f"{aipos()}<IPOC>8</IPOC>")) == "markup"
 
 
 @pytest.mark.parametrize("number, value", [("+1.25", 1.25), ("-0.0", 0.0), ("007", 7.0), ("1." + 31 * "0" + "1", 1.0)])
@@ -140,7 +206,7 @@ def test_ipoc_must_be_there_once_and_whole(inner):
         (b"<Rob>" + b" " * MAX_TELEGRAM + b"</Rob>", "size"),
         (b"\xff\xfe\x00", "encoding"),
         ("<Rob><X>ä</X><IPOC>4</IPOC></Rob>".encode(), "encoding"),
-        (b"<?xml version='1.0'?><Rob><IPOC>4</IPOC></Rob>", "markup"),
+        (b"<Rob><?xml version='1.0'?><IPOC>4</IPOC></Rob>", "markup"),
         (b"<!DOCTYPE Rob [<!ENTITY a 'b'>]><Rob><IPOC>4</IPOC></Rob>", "markup"),
         (b"<Rob><!-- --><IPOC>4</IPOC></Rob>", "markup"),
         (b"<Rob><![CDATA[x]]><IPOC>4</IPOC></Rob>", "markup"),

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scene_samples import box_triangles, bracket_triangles, kr120, kr120_pairs, random_poses, write_obj, write_stl
+from scipy.spatial import ConvexHull
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain
+from construction_twin.robot.description import RobotModel, load_robot
 from construction_twin.scene.collision_bodies import is_convex, mesh_triangles, scene_geometry
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.self_collision import SelfCollision
 
 HOME = np.array(kr120().home)
 TOOL = Chain(kr120()).forward(HOME).position
@@ -88,8 +91,8 @@ def test_two_meshes_meet(tmp_path):
         checked = world(carried, shelf, padding=padding)
         assert checked.is_free(HOME) is free, (gap, padding, checked.contact(HOME))
         if gap > 0:
-            pair = checked._names.index(("part", "shelf"))
-            assert checked._distances(HOME)[pair] == pytest.approx(gap, abs=1e-6)
+            (pair,) = [pair for pair in checked.distances(HOME) if pair.between == ("part", "shelf")]
+            assert pair.distance == pytest.approx(gap, abs=1e-6)
 
 
 def hanging(triangles: np.ndarray) -> np.ndarray:
@@ -131,3 +134,40 @@ def test_a_file_that_changed_or_holds_no_mesh_is_refused(tmp_path):
     path.write_text("no mesh\n")
     with pytest.raises(SceneError, match="part.stl"):
         world(SceneObject("part", "mesh", mesh=str(path)))
+
+
+def flying_box(reach: float = 0.2) -> RobotModel:
+    """Return a box that three prismatic and three revolute joints take anywhere near the base."""
+    names = ["x", "y", "z", "roll", "pitch", "yaw"]
+    links = "".join(f'<link name="{name}_link"/>' for name in ("base", *names[:-1]))
+    joints = "".join(
+        f'<joint name="{name}" type="{"prismatic" if index < 3 else "revolute"}">'
+        f'<parent link="{parent}_link"/><child link="{name}_link"/>'
+        f'<axis xyz="{" ".join("1" if axis == index % 3 else "0" for axis in range(3))}"/>'
+        f'<limit lower="{-reach if index < 3 else -3.1}" upper="{reach if index < 3 else 3.1}" velocity="1" effort="1"/></joint>'
+        for index, (parent, name) in enumerate(zip(["base", *names], names))
+    )
+    box = '<link name="yaw_link"><collision><geometry><box size="0.2 0.2 0.4"/></geometry></collision></link>'
+    settings = {"sign": 1, "rsi": "A1"}
+    linear = {"home_mm": 0.0, "acceleration_mm_s2": 1.0, "jerk_mm_s3": 1.0, "offset_mm": 0.0}
+    revolute = {"home_deg": 0.0, "acceleration_deg_s2": 1.0, "jerk_deg_s3": 1.0, "offset_deg": 0.0}
+    described = {
+        name: settings | {"rsi": f"A{index + 1}"} | (linear if index < 3 else revolute)
+        for index, name in enumerate(names)
+    }
+    description = {"name": "flying_box", "base_link": "base_link", "tip_link": "yaw_link", "joints": described}
+    return load_robot(f'<robot name="flying_box">{links}{joints}{box}</robot>', description)
+
+
+def test_no_deep_contact_with_a_convex_mesh_is_missed(tmp_path):
+    """Coal's answer without contact points: two of these poses free, 11 cm inside of each other."""
+    points = np.random.default_rng(1).normal(size=(150, 3))
+    points *= 0.1 / np.linalg.norm(points, axis=1, keepdims=True)
+    hull = ConvexHull(points)
+    path = write_stl(tmp_path / "ball.stl", points[hull.simplices])
+    robot = flying_box()
+    ball = SceneObject("ball", "mesh", (1.0, 1.0, 1.0), mesh=path, fixed=True)
+    world = CollisionWorld(robot, Scene((ball,)), SelfCollision({}, ""))
+    free = [q for q in random_poses(robot, 20000, seed=3) if world.is_free(q)]
+    assert 100 < len(free) < 10000
+    assert min(world.clearance(q).distance for q in free) > -1e-5

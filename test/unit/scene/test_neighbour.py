@@ -12,7 +12,6 @@ from neighbour_cell import (
     AWAY,
     BESIDE,
     CLEAR,
-    FAR,
     NEAR,
     STEP,
     STRETCHED,
@@ -30,6 +29,7 @@ from construction_twin.core.motion_errors import CollisionError, NeighbourUnknow
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.scene.cell import load_cell
+from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.neighbour import ROUNDING, Neighbour, key_rows, row_of
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -128,7 +128,7 @@ def test_the_boxes_that_come_first_hide_no_contact():
 
 
 def _measured_free(q, obstacles) -> bool:
-    bodies = Neighbour("own", ROBOT, FAR, STEP)._robot_bodies
+    bodies = RobotBodies(ROBOT)
     data = bodies.model.createData()
     pinocchio.forwardKinematics(bodies.model, data, q)
     for body in bodies.bodies:
@@ -146,7 +146,8 @@ def _measured_free(q, obstacles) -> bool:
 
 def test_an_arm_out_of_reach_costs_nothing():
     obstacles = other("far").along(line(AWAY, TOWARDS)).rest()
-    assert empty_world().with_neighbour(obstacles)._pairs == empty_world()._pairs
+    alone, beside = (one.distances(NEAR) for one in (empty_world(), empty_world().with_neighbour(obstacles)))
+    assert [pair.between for pair in beside] == [pair.between for pair in alone]
 
 
 def test_the_scene_keeps_its_version():

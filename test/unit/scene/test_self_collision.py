@@ -18,10 +18,10 @@ from construction_twin.scene.self_collision import (
     SelfCollision,
     geometry_hash,
     load_self_collision,
-    main,
     read_self_collision,
     sample_self_collision,
 )
+from construction_twin.scene.self_collision_command import main
 
 SHIPPED = ROOT / "config" / "kr120_self_collision.yaml"
 XACRO, ROBOT_YAML = ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"

@@ -38,11 +38,11 @@ class TestSupervisor:
         assert armed.gateway["state"] == "ready" and not armed.gateway.get("fault")
 
     def test_a_lost_end_of_the_session_is_asked_for_again(self, armed):
-        carry_out, armed._carry_out = armed._carry_out, lambda control: None
+        carry_out, armed.carry_out = armed.carry_out, lambda control: None
         armed.supervisor.begin_mirror(armed.now)
         armed.run(1.2)
         assert armed.verbs == ["reset"] * 3
-        armed._carry_out = carry_out
+        armed.carry_out = carry_out
         armed.run(1.0)
         assert len(armed.sent) == 4 and armed.gateway["state"] == "ready"
 

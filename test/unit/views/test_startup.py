@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -57,12 +56,55 @@ def test_advice_fits_what_was_started_here():
     assert "mock_rsi" in first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), HERE).action
 
 
+@pytest.mark.parametrize(
+    "gateway, real, mock",
+    [
+        ("no_controller", "start the RSI program, or cure what is refused", "or what it sends"),
+        ("measuring", "by itself within seconds", "by itself within seconds"),
+        ("other_cycle", "correct RSI_ON", "one rsi_cycle"),
+        ("joined_running", "once RSI has timed out", "by itself"),
+    ],
+)
+def test_without_a_session_the_advice_fits_what_the_gateway_says(gateway, real, mock):
+    why = "the controller's cycle is 12 ms"
+    seen = replace(GOOD, link=Word("NO_CONTROLLER", why, gateway))
+    for deployment, advice in ((CELL, real), (HERE, mock)):
+        missing = first_missing(seen, deployment)
+        assert advice in missing.action and missing.reason == why
+
+
+def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_when_it_is_gone():
+    startup, stopped = StartUp(CELL), replace(GOOD, controller="the controller's program is stopped (STOP)")
+    assert startup.update(GOOD, 1.0)[0].startswith("ready")
+    assert startup.update(stopped, 2.0) == []
+    assert startup.update(stopped, 2.0 + PATIENCE) == ["the controller's program is stopped (STOP)"]
+    assert startup.update(stopped, 9.0) == []
+    # a word of one moment is none
+    assert startup.update(GOOD, 9.1) == startup.update(stopped, 9.2) == startup.update(stopped, 30.0) == []
+    assert startup.update(GOOD, 31.0) == []
+    assert startup.update(GOOD, 31.0 + PATIENCE) == ["the controller reports nothing against a motion any more"]
+
+
 def test_the_port_is_named_where_it_is_known():
     of_the_xml = replace(HERE, rsi="127.0.0.1:0")
     taken = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), of_the_xml).action
     assert "127.0.0.1, PORT of the Ethernet XML taken?" in taken
     elsewhere = first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), CELL).action
     assert "sends to the address given to rsi_gateway --listen" in elsewhere
+
+
+@pytest.mark.parametrize(
+    "state, what, action",
+    [
+        ("GATEWAY_OFFLINE", "the PLC", "`ready`"),
+        ("MISMATCH", "the PLC", "gateway_kind"),
+        ("NO_CONTROLLER", "the PLC's pose", "`state`"),
+        ("NEEDS_RESET", "a person who arms the bare PLC by name", "twin --robot kr120 arm --responsible NAME"),
+    ],
+)
+def test_with_a_bare_plc_it_is_the_plc_and_a_person_that_are_waited_for(state, what, action):
+    missing = first_missing(replace(GOOD, link=Word(state, "")), replace(CELL, gateway_kind="plc"))
+    assert missing.what == what and action in missing.action
 
 
 def test_without_an_arm_nobody_waits_for_a_link():
@@ -127,14 +169,21 @@ FINE = {
         ({"track": "off"}, "track:=off: expected true or false"),
         ({"robot_config": "/nope"}, "robot_config:=/nope: expected the absolute path"),
         ({"robot_config": ""}, "robot_config:='': expected the absolute path"),
-        ({"scene": "/nope"}, "scene:=/nope: expected the absolute path"),
+        ({"scene": "/nope"}, "scene:=/nope: expected the absolute path of a file that can be read, or none"),
         ({"broker_config": "/nope"}, "broker_config:=/nope: expected"),
         ({"rsi_listen": "192.168.1.10", "rsi_controller": ""}, "rsi_controller:='': expected the controller's address"),
         ({"servo": "perfect"}, "servo:=perfect: expected ideal or realistic"),
+        ({"gateway_kind": "bare"}, "gateway_kind:=bare: expected rsi or plc"),
+        ({"gateway_kind": "plc", "track": "true"}, "track:=true with gateway_kind:=plc: "),
     ],
 )
 def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
     assert preflight.problem(FINE | change, "/a".__eq__).startswith(sentence)
+
+
+def test_none_is_no_file_of_a_scene_but_of_nothing_else():
+    assert preflight.problem(FINE | {"scene": "none"}, "/a".__eq__) == ""
+    assert preflight.problem(FINE | {"robot_config": "none"}, "/a".__eq__).startswith("robot_config:=none: expected")
 
 
 def test_arguments_that_can_work_pass():
@@ -143,6 +192,20 @@ def test_arguments_that_can_work_pass():
     for fine in ({"rsi_controller": "krc4"}, {"rsi_listen": "127.0.0.2"}, {"gateway": "false"}, {"arm": "none"}):
         assert preflight.problem(FINE | network | fine, "/a".__eq__) == ""
     assert preflight.problem(FINE | {"broker": "false", "broker_config": "/nope"}, "/a".__eq__) == ""
+
+
+def test_a_bare_plc_needs_neither_gateway_nor_its_account_here():
+    bare = REAL | {"gateway_kind": "plc", "gateway": "true", "gateway_account": "", "rsi_listen": "10.0.0.1"}
+    assert preflight.problem(bare, "/a".__eq__) == ""
+    assert preflight.problem(REAL | {"gateway": "true", "gateway_account": ""}, "/a".__eq__) != ""
+    assert preflight.problem(bare | {"bridge_account": ""}, "/a".__eq__).startswith("bridge_account:='' with arm:=real")
+
+
+def test_a_bare_plc_and_a_real_arm_are_possible_and_said_plainly():
+    (note,) = preflight.notes(REAL | {"gateway_kind": "plc"})
+    for words in ("not checked", "twin arm --responsible NAME", "docs/broker.md", "session, sequence and age"):
+        assert words in note
+    assert preflight.notes(REAL) == preflight.notes(FINE | {"gateway_kind": "plc"}) == []
 
 
 #: A real arm on a site's broker, with the gateway on the cell PC.
@@ -183,30 +246,3 @@ def test_a_real_arm_without_accounts_or_without_a_person_must_be_meant(change, s
 )
 def test_a_real_arm_with_accounts_and_a_person_starts_and_so_does_what_is_meant(change):
     assert preflight.problem(REAL | change, "/a".__eq__, "/a".__eq__) == ""
-
-
-@pytest.mark.parametrize(
-    "text, said",
-    [
-        ("allow_anonymous true\n", True),
-        ("# allow_anonymous true\nallow_anonymous false\n", False),
-        ("listener 8883\n", False),
-        (None, True),
-    ],
-)
-def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_path, capsys, text, said):
-    file, account = tmp_path / "mosquitto.conf", tmp_path / "account.json"
-    account.write_text("{}")
-    if text is not None:
-        file.write_text(text)
-    arguments = ["arm:=real", f"bridge_account:={account}", "gateway:=false", "broker:=true", f"broker_config:={file}"]
-    assert preflight.main(arguments) == said
-    assert ("broker_config" in capsys.readouterr().err) is said
-
-
-def test_preflight_as_a_program(capsys, tmp_path):
-    assert preflight.main(["arm:=mock", f"robot_config:={Path(__file__).resolve()}"]) == 0
-    assert capsys.readouterr().out == "ok\n"
-    assert preflight.main([f"robot_config:={tmp_path}"]) == 1
-    assert preflight.main(["robot_config:=test_startup.py"]) == 1
-    assert capsys.readouterr().err.count("preflight: robot_config:=") == 2

@@ -11,6 +11,7 @@ import rospy
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import check_writable
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -40,6 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + "_evaluation")
     console = Console(highlight=False)
     try:
+        check_writable(directory)
         recording = read_recording(options.bag, options.robot)
         robot = _robot(options, recording.joint_names)
         report = write_report(recording, robot, directory)
@@ -68,10 +70,10 @@ def package_file(relative: str) -> Path:
 
 
 def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotModel:
-    if options.robot_xacro or options.robot_config:
+    if options.robot_xacro or options.robot_config or options.robot_xacro_args:
         files = options.robot_xacro or package_file(ROBOTS[0][0]), options.robot_config or package_file(ROBOTS[0][1])
-        return read_robot_files(*files)
-    robots = [read_robot_files(*map(package_file, files)) for files in ROBOTS]
+        return read_robot_files(*files, options.robot_xacro_args)
+    robots = [read_robot_files(package_file(xacro), package_file(config)) for xacro, config in ROBOTS]
     return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
 
 
@@ -90,5 +92,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="URDF or xacro for figure 8 and units (default: the one here that fits the bag)",
     )
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="robot YAML (default: likewise)")
     return parser

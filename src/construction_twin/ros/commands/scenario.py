@@ -19,8 +19,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import ConstructionTwinError, ScenarioError
+from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import from_wire
+from construction_twin.core.validation import configuration_error
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -28,7 +30,9 @@ from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
+from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
 from construction_twin.scenario.judge import Verdict, judge
@@ -251,6 +255,7 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
     """
     scenario, robot = make_scenario(settings.name, content), robot_from_parameters()
     folder = Path(settings.results_dir).expanduser() / scenario.name
+    check_writable(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for name in (BAG, NOTES, TRACE, VERDICT):
         (folder / name).unlink(missing_ok=True)
@@ -281,6 +286,7 @@ def judge_folder(folder: Path, scenario: Scenario, robot: RobotModel, decimals: 
     ConstructionTwinError
         If it cannot be judged.
     """
+    check_writable(folder)
     run = read_run(folder, namespace)
     verdict = judge(scenario, run, read_trace(str(folder / TRACE)), MotionLimits.of(robot), decimals)
     changes = [asdict(change) | {"at_s": round((change.stamp - run.start) / 1e9, 4)} for change in run.changes]
@@ -311,7 +317,9 @@ def command(arguments: list[str]) -> int:
 
 def _judge(options: argparse.Namespace, console: Console) -> int:
     robot = read_robot_files(
-        options.robot_xacro or package_file(XACRO), options.robot_config or package_file(DESCRIPTION)
+        options.robot_xacro or package_file(XACRO),
+        options.robot_config or package_file(DESCRIPTION),
+        options.robot_xacro_args,
     )
     name = options.judge.resolve().name
     scenario = read_scenario(options.scenario or package_file(f"config/scenarios/{name}.yaml"))
@@ -333,8 +341,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--decimals", type=int, default=3, help="decimals of a degree on the wire [3]")
     parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro (default: {XACRO})")
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")
     return parser
+
+
+def _checked(given: dict) -> ScenarioSettings:
+    try:
+        return ScenarioSettings(**given)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, ScenarioSettings, rospy.get_name()) from error
 
 
 def main() -> int:
@@ -342,14 +358,17 @@ def main() -> int:
     arguments = rospy.myargv()[1:]
     if arguments:
         return command(arguments)
-    rospy.init_node("scenario")
     console = Console(highlight=False, markup=False)
     try:
+        await_master()
+        rospy.init_node("scenario")
         content = rospy.get_param("~", {})
         given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
-        verdict = run_scenario(ScenarioSettings(**given), content, console)
-    except (ConstructionTwinError, rospy.ROSException, OSError, pydantic.ValidationError) as error:
-        rospy.logfatal("scenario: %s", error)
+        verdict = run_scenario(_checked(given), content, console)
+    except (ConstructionTwinError, rospy.ROSException, OSError) as error:
+        print(f"scenario: {error}", file=sys.stderr, flush=True)
+        above = roslaunch_above()
+        say_below(f"scenario: {error}", above[0] if above else None)
         return 1
     print_verdict(verdict, console)
     console.print(f"Written: {Path(given['results_dir']).expanduser() / given['name'] / VERDICT}", soft_wrap=True)

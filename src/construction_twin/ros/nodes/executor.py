@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -24,7 +26,8 @@ from construction_twin.monitor.gate import SyncState
 from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.review.queue import EXECUTOR, Verdict
-from construction_twin.review.record import ReviewLog
+from construction_twin.review.record import Responsibility, ReviewLog
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
@@ -33,7 +36,7 @@ from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
 
@@ -71,57 +74,69 @@ class Said(NamedTuple):
     limit: float
 
 
-class ExecutorNode:
-    """ROS around an Executor."""
+@dataclass(frozen=True)
+class Outputs:
+    """Where the executor publishes.
 
-    def __init__(self):
-        settings = read_parameters(Settings)
-        robot = robot_from_parameters()
+    Attributes
+    ----------
+    next : JointPublisher
+    execution, review : Publisher
+    """
+
+    next: Sink
+    execution: Sink
+    review: Sink
+
+
+class ExecutorNode:
+    """ROS around an Executor; `start` gives it parameters, topics and services.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    executor : Executor
+    limit : SpeedLimit
+    log : ReviewLog
+    outputs : Outputs
+    diagnostics : callable
+        Takes `report`; returns the node's NodeDiagnostics.
+    auto_approve : bool, optional
+        Whether plans are approved without a person.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        executor: Executor,
+        limit: SpeedLimit,
+        log: ReviewLog,
+        outputs: Outputs,
+        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        auto_approve: bool = False,
+    ):
         self._robot = robot
-        self._executor = Executor(robot)
-        self._executor.neighbour = ConflictVerdicts(settings.neighbour)
-        self._limit = SpeedLimit(
-            settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required
-        )
+        self._executor = executor
+        self._limit = limit
         self._limit_state: LimitState | None = None
-        self._log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
+        self._log = log
+        self._outputs = outputs
         self._record_problem = ""
         self._said = DeferredLog()
         self._started = rospy.Time.now()
         self._lock = threading.Lock()
-        self._approval = Approval(self._executor, self._log.append, self._lock)
-        self._auto_approve = settings.auto_approve
+        self._approval = Approval(executor, log.append, self._lock)
+        self._auto_approve = auto_approve
         self._session: str | None = None
         self._sync_at = 0
         self._reported: Said | None = None
         self._told: tuple = ()
-        self._diagnostics = NodeDiagnostics(robot.name, self._report)
-        self._next = JointPublisher("next/joint_states", robot.joint_names)
-        self._execution = Publisher("execution", Execution, queue_size=10, latch=True)
-        self._verdicts = Publisher("review", Review, queue_size=10, latch=True)
-        self._subscribe(robot.joint_names, settings.arm)
-        Service("review_plan", ReviewPlan, self._on_review)
-        Service("stop", Trigger, self._on_stop)
-        Service("pause", Trigger, lambda _: self._on_trigger("pause", lambda: self._executor.pause(now_ns())))
-        Service("resume", Trigger, lambda _: self._on_trigger("resume", self._executor.resume))
-        self._timer = rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), self._on_timer)
-        rospy.on_shutdown(self._write_records)
-        rospy.loginfo("verdicts are recorded in %s (%d so far)", self._log.path, self._log.state.lines)
-        if settings.auto_approve:
-            rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
+        self._diagnostics = diagnostics(self.report)
 
-    def _subscribe(self, joint_names: tuple[str, ...], arm: str) -> None:
-        refuse = self._diagnostics.refuse
-        JointSubscriber("twin/joint_states", joint_names, self._on_twin, refuse, queue_size=1, pause=TWIN_PAUSE)
-        Subscriber("sync", Sync, self._on_sync, refuse, queue_size=50, tcp_nodelay=True)
-        self._scene = Subscriber("scene", Scene, self._on_scene, refuse, queue_size=5)
-        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=5)
-        Subscriber("speed_limit", SpeedLimitMessage, self._on_limit, refuse, queue_size=5, tcp_nodelay=True)
-        if self._executor.neighbour.name:
-            Subscriber("conflict", Conflict, self._on_conflict, refuse, queue_size=20, tcp_nodelay=True)
-        if arm != "none":
-            self._executor.on_link(False, "no report of the link yet")
-            Subscriber("link", Link, self._on_link, refuse, queue_size=5)
+    @property
+    def refuse(self) -> Callable[[str, str], None]:
+        """Counts a refused input; takes reason and sentence."""
+        return self._diagnostics.refuse
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
@@ -135,16 +150,18 @@ class ExecutorNode:
                 self._executor.limit_rate(self._limit.update(now), self._limit.reason)
                 setpoint = self._executor.step(stamp, now)
             if setpoint is not None:
-                self._next.publish(stamp, setpoint)
+                self._outputs.next.publish(stamp, setpoint)
             self._publish_changes()
 
     # -- subscriptions
 
-    def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+    def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Take the twin's pose [rad] with its stamp [ns]."""
         with self._lock:
             self._executor.on_twin(stamp, q, time.monotonic_ns())
 
-    def _on_sync(self, message: Sync) -> None:
+    def on_sync(self, message: Sync) -> None:
+        """Take what the monitor says; what it does not say for `SYNC_TIMEOUT` counts as closed."""
         try:
             state = SyncState(message.state)
         except ValueError:
@@ -155,7 +172,8 @@ class ExecutorNode:
             self._executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
             self._executor.lag = sum(filter(math.isfinite, (message.round_trip, message.servo_lag)))
 
-    def _on_limit(self, message: SpeedLimitMessage) -> None:
+    def on_limit(self, message: SpeedLimitMessage) -> None:
+        """Take a speed limit."""
         source = caller_of(message)
         try:
             with self._lock:
@@ -163,11 +181,13 @@ class ExecutorNode:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 
-    def _on_scene(self, message: Scene) -> None:
+    def on_scene(self, message: Scene) -> None:
+        """Take the scene for which plans may be approved."""
         with self._lock:
             self._executor.on_scene(message.hash)
 
-    def _on_conflict(self, message: Conflict) -> None:
+    def on_conflict(self, message: Conflict) -> None:
+        """Take a verdict on the other arm, with the age that its stamp tells."""
         # by the clock that both nodes have; from here on it grows old by the executor's own
         age = (rospy.Time.now() - message.header.stamp).to_nsec()
         problem = message.reason if message.conflict else ""
@@ -177,7 +197,8 @@ class ExecutorNode:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 
-    def _on_plan(self, message: Plan) -> None:
+    def on_plan(self, message: Plan) -> None:
+        """Take a plan to be reviewed."""
         try:
             plan = plan_from_msg(message)
         except ConstructionTwinError as error:
@@ -193,17 +214,25 @@ class ExecutorNode:
                 self._executor.turn_down(plan, str(error))
                 self._diagnostics.refuse("plan", str(error))
 
-    def _on_link(self, message: Link) -> None:
+    def on_link(self, message: Link) -> None:
+        """Take the link's state; a new session ends what is being executed."""
         with self._lock:
             if message.session and message.session != self._session:
                 if self._session is not None:
                     self._executor.restart("new command session", now_ns())
                 self._session = message.session
             self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
+        before, now = self._log.responsibility, None
+        if message.responsible:
+            now = Responsibility(message.responsible, message.session, tuple(message.not_checked))
+        self._log.responsibility = now
+        if now is not None and now != before:
+            self._log.defer(now)
 
     # -- services
 
-    def _on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
+    def on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
+        """Approve or reject a plan in a person's name."""
         try:
             if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
                 raise ReviewError(
@@ -218,7 +247,8 @@ class ExecutorNode:
         self._publish_verdict(taken.verdict)
         return ReviewPlanResponse(True, taken.sentence)
 
-    def _on_stop(self, _request) -> TriggerResponse:
+    def on_stop(self, _request) -> TriggerResponse:
+        """Brake on the path and drop the plan."""
         with self._lock:
             sentence = self._executor.stop(now_ns())
             braking = self._executor.braking()
@@ -227,6 +257,14 @@ class ExecutorNode:
             sentence = f"{sentence}; {braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)}"
         self._said.add(rospy.logwarn, "stop: %s", sentence)
         return TriggerResponse(True, sentence)
+
+    def on_pause(self, _request) -> TriggerResponse:
+        """Brake on the path and keep the plan."""
+        return self._on_trigger("pause", lambda: self._executor.pause(now_ns()))
+
+    def on_resume(self, _request) -> TriggerResponse:
+        """Go on after a pause."""
+        return self._on_trigger("resume", self._executor.resume)
 
     def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
         try:
@@ -240,15 +278,20 @@ class ExecutorNode:
 
     # -- in the background
 
-    def _on_timer(self, _event) -> None:
-        """Do what may wait. An error would end the timer for good: that of a record is said and tried again, no other can occur.
+    def work_off(self, scene_alive: bool) -> None:
+        """Do what may wait; to be called every `BACKGROUND_PERIOD`.
 
-        Publishing fails only while the node shuts down, where `Publisher` drops the message; a verdict that is refused ends in
-        `Approval`.
+        An error would end the timer for good: that of a record is said and tried again, no other can occur. Publishing fails only
+        while the node shuts down, where `Publisher` drops the message; a verdict that is refused ends in `Approval`.
+
+        Parameters
+        ----------
+        scene_alive : bool
+            Whether there is a node that says which scene is the present one.
         """
-        self._write_records()
+        self.write_records()
         with self._lock:
-            self._executor.queue.scene_alive = self._scene.get_num_connections() > 0
+            self._executor.queue.scene_alive = scene_alive
         if not self._auto_approve:
             return
         try:
@@ -259,7 +302,8 @@ class ExecutorNode:
         if taken is not None:
             self._publish_verdict(taken.verdict)
 
-    def _write_records(self) -> None:
+    def write_records(self) -> None:
+        """Write what is kept to log and record; not for the path of the setpoints."""
         self._said.flush()
         try:
             self._log.flush()
@@ -284,7 +328,7 @@ class ExecutorNode:
             reason=verdict.reason,
         )
         message.header.stamp = rospy.Time.now()
-        self._verdicts.publish(message)
+        self._outputs.review.publish(message)
 
     def _publish_changes(self) -> None:
         """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal."""
@@ -306,7 +350,7 @@ class ExecutorNode:
             stamp = now_ns()
         if said != self._reported:
             self._reported = said
-            self._execution.publish(_execution(said, plan, rate, limit, stamp))
+            self._outputs.execution.publish(_execution(said, plan, rate, limit, stamp))
         for event in events:
             self._log.defer(event)
             if isinstance(event, Verdict):
@@ -319,7 +363,8 @@ class ExecutorNode:
             self._told = told
             self._said.add(rospy.loginfo, "%s: %s", said.state.name, said.reason)
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         executor, log = self._executor, self._log
         values = {
             "outcome of the last plan": executor.outcome,
@@ -355,7 +400,52 @@ def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, 
     return message
 
 
+def start() -> ExecutorNode:
+    """Return the executor with its parameters, topics and services."""
+    settings = read_parameters(Settings)
+    robot = robot_from_parameters()
+    names = robot.joint_names
+    executor = Executor(robot)
+    executor.neighbour = ConflictVerdicts(settings.neighbour)
+    if settings.arm != "none":
+        executor.on_link(False, "no report of the link yet")
+    log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
+    node = ExecutorNode(
+        robot,
+        executor,
+        SpeedLimit(settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required),
+        log,
+        Outputs(
+            JointPublisher("next/joint_states", names),
+            Publisher("execution", Execution, queue_size=10, latch=True),
+            Publisher("review", Review, queue_size=10, latch=True),
+        ),
+        functools.partial(NodeDiagnostics, robot.name),
+        settings.auto_approve,
+    )
+    refuse = node.refuse
+    JointSubscriber("twin/joint_states", names, node.on_twin, refuse, queue_size=1, pause=TWIN_PAUSE)
+    Subscriber("sync", Sync, node.on_sync, refuse, queue_size=50, tcp_nodelay=True)
+    scene = Subscriber("scene", Scene, node.on_scene, refuse, queue_size=5)
+    Subscriber("plan", Plan, node.on_plan, refuse, queue_size=5)
+    Subscriber("speed_limit", SpeedLimitMessage, node.on_limit, refuse, queue_size=5, tcp_nodelay=True)
+    if settings.neighbour:
+        Subscriber("conflict", Conflict, node.on_conflict, refuse, queue_size=20, tcp_nodelay=True)
+    if settings.arm != "none":
+        Subscriber("link", Link, node.on_link, refuse, queue_size=5)
+    Service("review_plan", ReviewPlan, node.on_review)
+    Service("stop", Trigger, node.on_stop)
+    Service("pause", Trigger, node.on_pause)
+    Service("resume", Trigger, node.on_resume)
+    rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), lambda _: node.work_off(scene.get_num_connections() > 0))
+    rospy.on_shutdown(node.write_records)
+    rospy.loginfo("verdicts are recorded in %s (%d so far)", log.path, log.state.lines)
+    if settings.auto_approve:
+        rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
+    return node
+
+
 def main() -> None:
     """Run the node."""
     sys.setswitchinterval(0.001)
-    run_node("executor", ExecutorNode)
+    run_node("executor", start)

@@ -16,23 +16,23 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.core.errors import ConstructionTwinError, FaultError
-from construction_twin.core.units import CYCLE, to_wire
+from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
-from construction_twin.ros.shared.diagnostics import ERROR, OK, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultResponse
 
-#: Cycles between two reports on `~status`, 0.5 s.
-_STATUS_CYCLES = 125
+#: Between two reports on `~status` [s].
+_STATUS_PERIOD = 0.5
 
 
 class MockRsiNode:
-    """ROS around a MockRsi. The 4 ms loop runs in the main thread and hands what is to be published to another one."""
+    """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
     def __init__(self):
         self._settings = read_parameters(MockSettings)
@@ -49,7 +49,8 @@ class MockRsiNode:
         )
         self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0
-        self._reported: tuple[int, bool, int, bool] | None = None
+        self._status_cycles = round(_STATUS_PERIOD / self._controller.config.period)
+        self._reported: tuple[int, bool, int, bool, bool] | None = None
         self._missed = 0
         self._joints = JointPublisher("~joint_states", self._robot.joint_names)
         self._status = Publisher("~status", String, queue_size=5, latch=True)
@@ -77,9 +78,11 @@ class MockRsiNode:
     def _observe(self, mock: MockRsi) -> None:
         missed = self._controller.counters["missed"]
         # the first and the last of replies missed in a row, too
-        state = self._controller.session, self._controller.running, self._mock.faults.changes, missed != self._missed
+        controller = self._controller
+        refuses = bool(controller.refusals.present)
+        state = controller.session, controller.running, self._mock.faults.changes, missed != self._missed, refuses
         self._missed = missed
-        due = self._cycle % _STATUS_CYCLES == 0 or state != self._reported
+        due = self._cycle % self._status_cycles == 0 or state != self._reported
         self._cycle += 1
         self._reported = state
         # a node that reacts to the packet may be quicker than this thread
@@ -91,11 +94,13 @@ class MockRsiNode:
         return {
             "state": "running" if controller.running else "stopped",
             "reason": controller.reason,
+            "last_refusal": controller.refusals.last,
             "flag": controller.flag,
             "session": controller.session,
             "ipoc": controller.ipoc,
             "delay": controller.delay,
             "stat": controller.stat,
+            "controller": controller.status.report(),
             "start_pose_deg": to_wire(controller.start_pose, linear),
             "applied_deg": to_wire(controller.applied, linear),
             "correction_lower_deg": to_wire(controller.correction_lower, linear),
@@ -114,7 +119,10 @@ class MockRsiNode:
         ramp = self._controller.ramp
         if ramp is None:
             return None
-        return {"time": ramp.cycles * CYCLE, "distance_deg": to_wire(ramp.distance, self._robot.linear)}
+        return {
+            "time": ramp.cycles * self._controller.config.period,
+            "distance_deg": to_wire(ramp.distance, self._robot.linear),
+        }
 
     # -- in other threads
 
@@ -126,9 +134,13 @@ class MockRsiNode:
 
     def _report(self) -> Report:
         controller = self._controller
-        if controller.running:
-            return Report(OK, f"RSI session {controller.session} running", self._mock.counters)
-        return Report(ERROR, f"RSI stopped: {controller.reason}", self._mock.counters)
+        values = self._mock.counters | {"last_refusal": controller.refusals.last}
+        if not controller.running:
+            return Report(ERROR, f"RSI stopped: {controller.reason}", values)
+        running, refused = f"RSI session {controller.session} running", controller.refusals.present
+        if refused:
+            return Report(WARN, f"{running}, replies are refused: {refused}", values)
+        return Report(OK, running, values)
 
     def _on_restart(self, _request) -> TriggerResponse:
         def restart() -> str:

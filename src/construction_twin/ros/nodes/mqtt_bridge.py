@@ -12,7 +12,7 @@ import uuid
 import xmlrpc.client
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal
 
 import pydantic
 import rospy
@@ -22,17 +22,21 @@ from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 from construction_twin.core.errors import PayloadError, ReviewError
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.states import LinkState
-from construction_twin.link.status_values import status_values
+from construction_twin.link.status_values import controller_sentence, status_values
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
+    PLC,
     CommandProperties,
     Control,
     StateProperties,
     Topics,
+    no_properties,
+    parse_presence,
     parse_status,
     read_state_properties,
 )
@@ -44,11 +48,17 @@ from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.srv import TakeResponsibility, TakeResponsibilityResponse
 
 #: Period at which the link is polled [s].
 POLL = 0.02
+#: What `halt` answers with a bare PLC, which takes no control message.
+HALTED_PLC = (
+    "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; a person arms "
+    "again, by name"
+)
 #: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
 MIRROR_MODE = "mirror_mode"
 
@@ -56,15 +66,9 @@ MIRROR_MODE = "mirror_mode"
 class Settings(MqttSettings):
     """Private parameters; see config/mqtt_bridge.yaml."""
 
+    gateway_kind: Literal["rsi", "plc"] = "rsi"
     reset_timeout: float = pydantic.Field(gt=0)
     max_state_age: float = pydantic.Field(gt=0)
-
-
-class Sink(Protocol):
-    """A publisher as the bridge uses it."""
-
-    def publish(self, *content) -> None:
-        """Send a message, or what it is made of."""
 
 
 @dataclass(frozen=True)
@@ -122,9 +126,13 @@ class MqttBridge:
         self._settings = settings
         self._codec = codec
         self._outputs = outputs
-        self._properties = config.properties and settings.protocol == "5"
+        bare = settings.gateway_kind == PLC
+        # a bare PLC's strings travel alone
+        self._properties = config.properties and settings.protocol == "5" and not bare
+        self._read_beside = no_properties if bare else read_state_properties
         self._lock = threading.Lock()
-        self._supervisor = LinkSupervisor.of(config, lambda: uuid.uuid4().hex, mirrors)
+        kind = BareSupervisor if bare else LinkSupervisor
+        self._supervisor: LinkSupervisor = kind.of(config, lambda: uuid.uuid4().hex, mirrors)
         self._speed = SpeedForwarder(config.speed_limit_deadline)
         self._sequence = 0
         self._state_check = StateCheck(settings.max_state_age)
@@ -174,7 +182,8 @@ class MqttBridge:
         with self._lock:
             now = time.monotonic_ns()
             control = self._supervisor.poll(now)
-            armed = self._supervisor.session if self._supervisor.state is LinkState.ARMED else ""
+            listens = self._supervisor.state is LinkState.ARMED and self._supervisor.sends_control
+            armed = self._supervisor.session if listens else ""
             limit = self._speed.poll(armed, now)
         if control is not None:
             self._send_control(control)
@@ -249,11 +258,13 @@ class MqttBridge:
                 raise PayloadError("retained", "retained state: its age is unknown")
             q = self._codec.decode(payload)
             # where the link carries properties, a pose without them is not the gateway's
-            properties = read_state_properties(pairs) if pairs or self._properties else None
+            properties = self._read_beside(pairs) if pairs or self._properties else None
             if properties is not None:
                 self._state_check.accept(properties.seq, properties.stamp, now)
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
+            with self._lock:
+                self._supervisor.inputs.on_pose_refused(str(error), now)
             return
         with self._lock:
             self._supervisor.on_pose(q, now)
@@ -266,9 +277,9 @@ class MqttBridge:
         self._outputs.feedback.publish(received, q, seq, command_stamp)
 
     def on_status(self, payload: bytes) -> None:
-        """Take the gateway's status; one that cannot be read is refused as a whole."""
+        """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
         try:
-            status = parse_status(payload)
+            status = parse_presence(payload)
             values = status_values(status)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
@@ -303,31 +314,46 @@ class MqttBridge:
         """Begin a session where nothing needs to move for it."""
         return self._begin_session(self._supervisor.request_arm)
 
+    def on_responsible(self, request) -> TakeResponsibilityResponse:
+        """Arm a bare PLC in a person's name; when that does not succeed in time it is not tried any longer."""
+        answer = self._begin_session(lambda now: self._supervisor.take_responsibility(request.responsible, now))
+        with self._lock:
+            if not answer.success and self._supervisor.state is LinkState.RESYNC:
+                self._supervisor.withdraw_responsibility(answer.message)
+            sentence = self._supervisor.reason if answer.success else answer.message
+        return TakeResponsibilityResponse(answer.success, sentence)
+
     def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
         try:
             with self._lock:
-                request(time.monotonic_ns())
                 before = self._supervisor.session
+                request(time.monotonic_ns())
         except ReviewError as error:
             return TriggerResponse(False, str(error))
         deadline = time.monotonic() + self._settings.reset_timeout
         while time.monotonic() < deadline and not rospy.is_shutdown():
             with self._lock:
                 state, session, reason = self._supervisor.state, self._supervisor.session, self._supervisor.reason
+                refused = self._supervisor.inputs.why_no_pose(time.monotonic_ns())
             if state is LinkState.ARMED and session != before:
                 return TriggerResponse(True, f"armed, session {session}")
             time.sleep(POLL)
-        return TriggerResponse(False, f"not armed within {self._settings.reset_timeout:g} s: {state.name}, {reason}")
+        because = f"{reason}; {refused}" if refused and refused not in reason else reason
+        return TriggerResponse(False, f"not armed within {self._settings.reset_timeout:g} s: {state.name}, {because}")
 
     def on_halt(self, _request) -> TriggerResponse:
         """Stop executor and gateway: the gateway brakes the arm within its limits, and the executor drops its plan."""
         with self._lock:
             control, mirrored = Control(uuid.uuid4().hex, self._supervisor.session, "stop"), self._supervisor.mirrors
+            tells = self._supervisor.sends_control
             # the link is not armed from here on: the executor drops its plan, and no command is sent
-            self._supervisor.halt("stopped at the gateway on request; call reset")
-        self._send_control(control)
+            self._supervisor.halt("stopped at the gateway on request; call reset" if tells else HALTED_PLC)
+        if tells:
+            self._send_control(control)
         if mirrored:
             self._remember_mirror(False)
+        if not tells:
+            return TriggerResponse(True, HALTED_PLC)
         if not self._client.is_connected():
             return TriggerResponse(
                 False,
@@ -358,8 +384,14 @@ class MqttBridge:
 
     def _status_report(self) -> str:
         with self._lock:
-            state, reason, session = self._supervisor.state, self._supervisor.reason, self._supervisor.session
-        return json.dumps({"state": state.name.lower(), "reason": reason, "session": session})
+            supervisor = self._supervisor
+            status = {
+                "state": supervisor.state.name.lower(),
+                "reason": supervisor.reason,
+                "session": supervisor.session,
+            }
+            beside = {"responsible": supervisor.responsible, "not_checked": supervisor.not_checked}
+        return json.dumps(status | beside if beside["not_checked"] else status)
 
     def _publish_link(self) -> None:
         with self._lock:
@@ -378,15 +410,22 @@ class MqttBridge:
             rospy.loginfo("%s: %s", state[0].name, state[1])
 
     def _reason(self) -> str:
-        """Return the supervisor's sentence; without a connection, also why there is none."""
+        """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
         reason, why = self._supervisor.reason, self._connection.sentence
-        return f"{reason}: {why}" if why and self._supervisor.state is LinkState.DISCONNECTED else reason
+        state = self._supervisor.state
+        if state is LinkState.DISCONNECTED:
+            return f"{reason}: {why}" if why else reason
+        # a status of a gateway that is gone says nothing of now
+        said = "" if state is LinkState.GATEWAY_OFFLINE else controller_sentence(self._supervisor.status)
+        return f"{reason}; {said}" if said else reason
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
         # a copy: other threads go on counting
         refused = self._diagnostics.refused
         message = Link(state=state.value, text=state.name, reason=reason, session=session)
         message.header.stamp = rospy.Time.now()
+        message.gateway_kind, message.responsible = self._supervisor.kind, self._supervisor.responsible
+        message.not_checked = list(self._supervisor.not_checked)
         message.gateway_state = str(status.get("state", "offline"))
         message.commands_sent = self._sequence
         message.commands_refused = sum(count for name, count in refused.items() if not name.startswith("stat"))
@@ -409,6 +448,10 @@ class MqttBridge:
             gateway = self._supervisor.status.get("counters", {}) | self._gateway_values
         values = {"session": session, "commands sent": self._sequence, "states received": self._states}
         values |= {f"gateway {key}": value for key, value in sorted(gateway.items())}
+        if self._supervisor.not_checked:
+            values["responsible"] = self._supervisor.responsible or "no person: not armed"
+            parts = [sentence.partition(": ") for sentence in self._supervisor.not_checked]
+            values |= {f"not checked: {topic}": what for topic, _, what in parts}
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
         level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
@@ -419,7 +462,7 @@ def start() -> MqttBridge:
     """Return the bridge with its parameters, topics and services, connecting to the broker."""
     settings = read_parameters(Settings)
     robot = robot_from_parameters()
-    config = config_from_parameters()
+    config = config_from_parameters(needs_xml=settings.gateway_kind != PLC)
     broker = broker_of(settings)
     topics = Topics(settings.prefix, robot.name)
     bridge = MqttBridge(
@@ -442,6 +485,7 @@ def start() -> MqttBridge:
     JointSubscriber("command/joint_states", robot.joint_names, bridge.on_command, bridge.refuse)
     Service("reset", Trigger, bridge.on_reset)
     Service("~arm", Trigger, bridge.on_arm)
+    Service("arm", TakeResponsibility, bridge.on_responsible)
     Service("halt", Trigger, bridge.on_halt)
     Service("mirror", SetBool, bridge.on_mirror)
     Subscriber("speed_limit", SpeedLimit, bridge.on_speed_limit, bridge.refuse, queue_size=5)

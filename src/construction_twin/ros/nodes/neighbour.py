@@ -17,11 +17,17 @@ from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
-from construction_twin.ros.shared.arm_listener import ArmListener, listen_to_other_arm, neighbour_settings
+from construction_twin.ros.shared.arm_listener import (
+    ArmListener,
+    NeighbourSettings,
+    OtherArm,
+    listen_to_other_arm,
+    neighbour_settings,
+)
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import robot_from_parameters
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.publisher import Publisher, Sink
 
 #: From the moment when a verdict counts no longer to the first braking setpoint, and from a pose to its reception, at most
 #: [s]: a few cycles of the executor and the transport of a message, on a busy machine.
@@ -43,29 +49,54 @@ class Said:
     clear: bool
 
 
-class NeighbourNode:
-    """Two arms' topics in, verdicts on our plans out."""
+@dataclass
+class Latest:
+    """The node's state as it was put last. The topics, which count what they refuse, are there before the node.
 
-    def __init__(self):
-        settings = neighbour_settings()
-        if settings is None:
-            raise ConfigurationError(
-                rospy.resolve_name("neighbour"), None, "config/neighbour.yaml, as launch/twin.launch loads it"
-            )
-        robot = robot_from_parameters()
+    Attributes
+    ----------
+    report : Report
+    """
+
+    report: Report = Report(WARN, "nothing to watch yet")
+
+
+class NeighbourNode:
+    """Two arms' topics in, verdicts on our plans out; `start` gives it parameters and topics.
+
+    Parameters
+    ----------
+    settings : NeighbourSettings
+    own : ArmListener
+    other : OtherArm
+    judge : PathJudge
+    horizon : float
+        How far ahead a conflict is acted upon [s].
+    conflict : Publisher
+    latest : Latest
+        Where the state is put for `/diagnostics`.
+    """
+
+    def __init__(
+        self,
+        settings: NeighbourSettings,
+        own: ArmListener,
+        other: OtherArm,
+        judge: PathJudge,
+        horizon: float,
+        conflict: Sink,
+        latest: Latest,
+    ):
         self._settings = settings
-        self._state = Report(WARN, "nothing to watch yet")
+        self._own = own
+        self._other = other
+        self._judge = judge
+        self._horizon = horizon
+        self._publisher = conflict
+        self._latest = latest
         self._checks, self._longest = 0, 0.0
         self._failure = ""
         self._said: dict[str, Said] = {}
-        self._diagnostics = NodeDiagnostics(robot.name, lambda: self._state)
-        self._other = listen_to_other_arm(robot.name, settings, self._diagnostics.refuse, streams=True)
-        self._own = ArmListener(robot, self._diagnostics.refuse, streams=True)
-        timeout = VERDICT_TIMEOUT / NANOSECONDS
-        self._horizon = braking_horizon(robot, self._other.robot, settings.max_pose_age, timeout, DELAY)
-        self._judge = PathJudge(robot, settings.name, settings.watch_padding, settings.own_step, self._horizon)
-        self._publisher = Publisher("conflict", ConflictMsg, queue_size=10)
-        rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, self._horizon)
 
     def run(self) -> None:
         """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
@@ -166,9 +197,28 @@ class NeighbourNode:
 
     def _report(self, level: int, sentence: str, values: dict) -> None:
         known = {"checks": self._checks, "longest check": f"{self._longest:.4f}", "horizon": f"{self._horizon:.2f}"}
-        self._state = Report(level, sentence, known | values)
+        self._latest.report = Report(level, sentence, known | values)
+
+
+def start() -> NeighbourNode:
+    """Return the watch with its parameters and topics."""
+    settings = neighbour_settings()
+    if settings is None:
+        expected = "config/neighbour.yaml, as launch/twin.launch loads it"
+        raise ConfigurationError(rospy.resolve_name("neighbour"), None, expected)
+    robot = robot_from_parameters()
+    latest = Latest()
+    diagnostics = NodeDiagnostics(robot.name, lambda: latest.report)
+    other = listen_to_other_arm(robot.name, settings, diagnostics.refuse, streams=True)
+    own = ArmListener(robot, diagnostics.refuse, streams=True)
+    timeout = VERDICT_TIMEOUT / NANOSECONDS
+    horizon = braking_horizon(robot, other.robot, settings.max_pose_age, timeout, DELAY)
+    judge = PathJudge(robot, settings.name, settings.watch_padding, settings.own_step, horizon)
+    conflict = Publisher("conflict", ConflictMsg, queue_size=10)
+    rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, horizon)
+    return NeighbourNode(settings, own, other, judge, horizon, conflict, latest)
 
 
 def main() -> None:
     """Run the node until shutdown."""
-    run_node("neighbour", NeighbourNode)
+    run_node("neighbour", start)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 import threading
 import time
 from collections import deque
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import pydantic
@@ -34,9 +36,15 @@ from construction_twin.ros.transport.joint_stream import (
     now_ns,
     to_time,
 )
-from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import ConfigureGate, ConfigureGateRequest, ConfigureGateResponse, PlanToJoints
+from construction_twin.srv import (
+    ConfigureGate,
+    ConfigureGateRequest,
+    ConfigureGateResponse,
+    PlanToJoints,
+    PlanToJointsResponse,
+)
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
@@ -53,89 +61,121 @@ class Settings(NodeSettings, Behaviour):
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
 
 
-class PcaMonitorNode:
-    """ROS around a Gate."""
+@dataclass(frozen=True)
+class Outputs:
+    """What the monitor says, and to whom.
 
-    def __init__(self):
-        settings = read_parameters(Settings)
-        self._robot = robot_from_parameters()
-        names = self._robot.joint_names
-        self._compares = settings.arm != "none"
-        self._gate = Gate(
-            MotionLimits.of(self._robot),
-            JointStringCodec.of(self._robot, settings.decimals),
-            settings.gate_settings(self._compares),
-            time.monotonic_ns(),
-        )
+    Attributes
+    ----------
+    command : JointPublisher
+    sync : Publisher
+    transitions : TransitionReport
+    plan_to_joints : callable
+        The planner's service; takes the fields of its request as keywords.
+    remember : callable
+        Keeps the session in which the gate is STOPPED beyond this process; takes "" when it is not.
+    """
+
+    command: Sink
+    sync: Sink
+    transitions: TransitionReport
+    plan_to_joints: Callable[..., PlanToJointsResponse]
+    remember: Callable[[str], None]
+
+
+class PcaMonitorNode:
+    """ROS around a Gate; `start` gives it parameters, topics and services.
+
+    Parameters
+    ----------
+    gate : Gate
+    behaviour : Behaviour
+        What the gate was given.
+    names : tuple of str
+        Joint names.
+    compares : bool
+        Whether there is a physical arm.
+    sync_rate : float
+        How often `sync` is published while nothing changes [Hz].
+    outputs : Outputs
+    diagnostics : callable
+        Takes `report`; returns the node's NodeDiagnostics.
+    stopped_in : str, optional
+        The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another session.
+    """
+
+    def __init__(
+        self,
+        gate: Gate,
+        behaviour: Behaviour,
+        names: tuple[str, ...],
+        compares: bool,
+        sync_rate: float,
+        outputs: Outputs,
+        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        stopped_in: str = "",
+    ):
+        self._gate = gate
+        self._behaviour = behaviour
+        self._names = names
+        self._compares = compares
+        self._outputs = outputs
         self._lock = threading.Lock()
         self._heard = 0
         self._session: str | None = None
-        self._stopped = self._stopped_before()
-        self._sync_period = round(NANOSECONDS / settings.sync_rate)
+        self._stopped = StopMemory(stopped_in, outputs.remember)
+        if stopped_in:
+            self._session = stopped_in
+            gate.stay_stopped(
+                f"a monitor before this one was STOPPED in session {stopped_in}; see to the arm, then call reset",
+                time.monotonic_ns(),
+            )
+        self._sync_period = round(NANOSECONDS / sync_rate)
         self._sync_at = 0
         self._reported: tuple = ()
         self._goals = ReplanGoals()
         self._changes: deque[Transition] = deque()
         # each from making a message until it is out: several threads publish, and the newest state must be the last one heard
         self._syncing, self._reporting = threading.Lock(), threading.Lock()
-        self._transitions = TransitionReport(settings.transition_file, names)
-        self._diagnostics = NodeDiagnostics(self._robot.name, self._report)
-        self._command = JointPublisher("command/joint_states", names)
-        self._sync = Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True)
-        self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
-        self._behaviour = Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields)))
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
-        Service("configure_gate", ConfigureGate, self._on_configure)
-        self._subscribe(names)
-        self._watch = rospy.Timer(rospy.Duration(1 / settings.sync_rate), self._on_timer)
+        self._diagnostics = diagnostics(self.report)
 
-    def _subscribe(self, names: tuple[str, ...]) -> None:
-        refuse = self._diagnostics.refuse
-        JointSubscriber("twin/joint_states", names, self._on_twin, refuse)
-        JointSubscriber("physical/feedback", names, self._on_feedback, refuse, queue_size=FEEDBACK_KEPT, kind=Feedback)
-        JointSubscriber("next/joint_states", names, self._on_next, refuse, SETPOINTS_KEPT)
-        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=5)
-        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=5)
-        Subscriber("link", Link, self._on_link, refuse, queue_size=5)
-
-    def _stopped_before(self) -> StopMemory:
-        """Begin in STOPPED where a monitor before this one was, until the link tells of another session."""
-        session = rospy.get_param(PARAMETER, "") if self._compares else ""
-        if session:
-            self._session = session
-            self._gate.stay_stopped(
-                f"a monitor before this one was STOPPED in session {session}; see to the arm, then call reset",
-                time.monotonic_ns(),
-            )
-        return StopMemory(session, lambda value: rospy.set_param(PARAMETER, value))
+    @property
+    def refuse(self) -> Callable[[str, str], None]:
+        """Counts a refused input; takes reason and sentence."""
+        return self._diagnostics.refuse
 
     # -- the path; all times but those of stamps and reports are monotonic
 
-    def _on_next(self, stamp: int, theta_next: tuple[float, ...]) -> None:
+    def on_next(self, stamp: int, theta_next: tuple[float, ...]) -> None:
+        """Let a setpoint [rad] with its stamp [ns] pass, or hold."""
         now = time.monotonic_ns()
         with self._lock:
             command = self._gate.pass_next(stamp, theta_next, now)
             self._note_changes()
         if command is not None:
-            self._command.publish(stamp, command)
+            self._outputs.command.publish(stamp, command)
         self._publish(now)
 
-    def _on_timer(self, _event) -> None:
+    def watch(self) -> None:
+        """Notice what did not come, and do what may wait; to be called at `sync_rate`."""
         now = time.monotonic_ns()
         with self._lock:
             self._gate.watch(now)
             self._note_changes()
             stopped = self._gate.state is SyncState.STOPPED
         self._publish(now)
-        self._transitions.flush()
+        self._outputs.transitions.flush()
         self._stopped.keep((self._session or "") if stopped else "", now)
 
-    def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+    def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Take the twin's pose [rad] with its stamp [ns]."""
         with self._lock:
             self._gate.on_twin(stamp, q)
 
-    def _on_feedback(self, received: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
+    def on_feedback(self, received: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
+        """Take the arm's pose [rad], when the bridge received it and which command it answers [ns]."""
         now = time.monotonic_ns()
         # what waited in a queue is not fresh because it is read now. Both stamps are taken moments apart: a clock that is
         # set makes a single pose look old, never the ones before it
@@ -146,7 +186,8 @@ class PcaMonitorNode:
         if self._changes:
             self._publish(now)
 
-    def _on_link(self, message: Link) -> None:
+    def on_link(self, message: Link) -> None:
+        """Take the link's state; a new session restarts the gate."""
         now = time.monotonic_ns()
         with self._lock:
             self._gate.mirror(message.state == Link.MIRROR, now)
@@ -156,7 +197,8 @@ class PcaMonitorNode:
                 self._session = message.session
             self._note_changes()
 
-    def _on_configure(self, request: ConfigureGateRequest) -> ConfigureGateResponse:
+    def on_configure(self, request: ConfigureGateRequest) -> ConfigureGateResponse:
+        """Change settings of the gate, at rest only."""
         now = time.monotonic_ns()
         try:
             with self._lock:
@@ -184,14 +226,16 @@ class PcaMonitorNode:
 
     # -- the re-plan
 
-    def _on_plan(self, message: Plan) -> None:
+    def on_plan(self, message: Plan) -> None:
+        """Note where a plan ends, for a re-plan."""
         if not message.trajectory.points:
             self._diagnostics.refuse("plan", f"plan {message.id} has no points; expected at least a start and a goal")
             return
         goal = message.trajectory.points[-1].positions
         self._goals.on_plan(message.id, goal, message.velocity_use, message.acceleration_use)
 
-    def _on_execution(self, message: Execution) -> None:
+    def on_execution(self, message: Execution) -> None:
+        """Note which plan is played."""
         active = message.state not in (Execution.WAITING, Execution.IDLE)
         self._executing = f"plan {message.plan_id} is {message.text}" if active else ""
         self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, from_time(message.header.stamp))
@@ -223,7 +267,7 @@ class PcaMonitorNode:
 
     def _request_plan(self, held: tuple[float, ...], wanted: ReplanGoal, cause: str, violation: int) -> None:
         try:
-            answer = self._plan_to_joints(
+            answer = self._outputs.plan_to_joints(
                 goal=wanted.goal,
                 start=held,
                 speed_scale=wanted.speed_scale,
@@ -258,7 +302,7 @@ class PcaMonitorNode:
         if self._changes:
             with self._reporting:
                 while self._changes:
-                    self._transitions.report(self._changes.popleft())
+                    self._outputs.transitions.report(self._changes.popleft())
 
     def _publish_sync(self, now: int) -> None:
         with self._syncing:
@@ -269,7 +313,7 @@ class PcaMonitorNode:
                     return
                 self._reported, self._sync_at = state, now
                 message = self._sync_message(*state)
-            self._sync.publish(message)
+            self._outputs.sync.publish(message)
 
     def _sync_message(self, state: SyncState, reason: str, agreed: bool) -> Sync:
         gate = self._gate
@@ -287,11 +331,12 @@ class PcaMonitorNode:
         last = gate.comparison.last
         if last is not None:
             message.comparison, message.round_trip, message.servo_lag = last.mode, last.round_trip, last.servo_lag
-            message.name, message.error, message.threshold = self._robot.joint_names, last.error, last.threshold
+            message.name, message.error, message.threshold = self._names, last.error, last.threshold
         return message
 
-    def _report(self) -> Report:
-        gate, problem = self._gate, self._transitions.problem or self._stopped.problem
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        gate, problem = self._gate, self._outputs.transitions.problem or self._stopped.problem
         last = gate.comparison.last
         values = {
             "policy": gate.policy,
@@ -302,10 +347,46 @@ class PcaMonitorNode:
         }
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
         sentence = f"{gate.state.name}: {gate.reason}" + (f"; {problem}" if problem else "")
-        return Report(ERROR if problem else level, sentence, values | self._transitions.values())
+        return Report(ERROR if problem else level, sentence, values | self._outputs.transitions.values())
+
+
+def start() -> PcaMonitorNode:
+    """Return the monitor with its parameters, topics and services."""
+    settings = read_parameters(Settings)
+    robot = robot_from_parameters()
+    names = robot.joint_names
+    compares = settings.arm != "none"
+    gate_settings = settings.gate_settings(compares)
+    codec = JointStringCodec.of(robot, settings.decimals)
+    monitor = PcaMonitorNode(
+        Gate(MotionLimits.of(robot), codec, gate_settings, time.monotonic_ns()),
+        Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields))),
+        names,
+        compares,
+        settings.sync_rate,
+        Outputs(
+            JointPublisher("command/joint_states", names),
+            Publisher("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),
+            TransitionReport(settings.transition_file, names),
+            rospy.ServiceProxy("plan_to_joints", PlanToJoints),
+            functools.partial(rospy.set_param, PARAMETER),
+        ),
+        functools.partial(NodeDiagnostics, robot.name),
+        rospy.get_param(PARAMETER, "") if compares else "",
+    )
+    Service("configure_gate", ConfigureGate, monitor.on_configure)
+    refuse = monitor.refuse
+    JointSubscriber("twin/joint_states", names, monitor.on_twin, refuse)
+    JointSubscriber("physical/feedback", names, monitor.on_feedback, refuse, queue_size=FEEDBACK_KEPT, kind=Feedback)
+    JointSubscriber("next/joint_states", names, monitor.on_next, refuse, SETPOINTS_KEPT)
+    Subscriber("plan", Plan, monitor.on_plan, refuse, queue_size=5)
+    Subscriber("execution", Execution, monitor.on_execution, refuse, queue_size=5)
+    Subscriber("link", Link, monitor.on_link, refuse, queue_size=5)
+    rospy.Timer(rospy.Duration(1 / settings.sync_rate), lambda _: monitor.watch())
+    return monitor
 
 
 def main() -> None:
     """Run the node."""
     sys.setswitchinterval(0.001)
-    run_node("pca_monitor", PcaMonitorNode)
+    run_node("pca_monitor", start)

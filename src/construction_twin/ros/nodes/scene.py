@@ -27,6 +27,7 @@ from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
+from construction_twin.scene.lasting_contacts import lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -51,7 +52,7 @@ class Settings(pydantic.BaseModel):
     Attributes
     ----------
     scene : str
-        YAML of the scene at the start; empty: no objects, no padding.
+        YAML of the scene at the start; ``none`` or empty: no objects, no padding.
     self_collision : str
         YAML of the link pairs that are not checked.
     tf_prefix : str
@@ -79,7 +80,7 @@ class SceneNode:
         self._robot = robot_from_parameters()
         self._prefix = settings.tf_prefix.rstrip("/")
         self._base_frame = tf_frame(self._prefix, self._robot.base_link)
-        start = read_scene(settings.scene) if settings.scene else Scene()
+        start = read_scene(settings.scene)
         self._file = _scene_file(start)
         scene = self._file.load()
         if scene.hash != start.hash:
@@ -88,6 +89,7 @@ class SceneNode:
         # one edit or check at a time: the world works in buffers of its own
         self._busy = threading.Lock()
         self._touching: dict[tuple[str, str], None] = {}
+        self._lasting: list[str] = []
         self._shown: set[str] = set()
         self._state = Report(WARN, "the twin's present pose is not known yet")
         self._edits = 0
@@ -98,6 +100,8 @@ class SceneNode:
         self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
         with self._busy:
+            for sentence in self._new_lasting_contacts():
+                rospy.logwarn("%s", sentence)
             self._publish_scene()
         Service("add_object", AddObject, self._on_add)
         Service("remove_object", RemoveObject, self._on_remove)
@@ -168,12 +172,19 @@ class SceneNode:
                 self._diagnostics.refuse(type(error).__name__, str(error))
                 return response(success=False, message=str(error), hash=self._world.scene.hash)
             self._edits += 1
+            lasting = self._new_lasting_contacts()
             self._find_contacts()
             self._publish_scene()
             if self._touching:
                 sentence += f"; in contact (padding included) at the present pose: {self._contact_text()}"
+            sentence = "; ".join([sentence, *lasting])
             rospy.loginfo("scene %s: %s", scene.hash[:12], sentence)
             return response(success=True, message=sentence, hash=scene.hash)
+
+    def _new_lasting_contacts(self) -> list[str]:
+        """Look for contacts that no motion of the arm ends; return what there is to say about those that are new."""
+        before, self._lasting = self._lasting, [str(contact) for contact in lasting_contacts(self._world)]
+        return [sentence for sentence in self._lasting if sentence not in before]
 
     def _base_T(self, frame: str) -> Pose:
         """Return the latest pose of a tf frame in the base_link."""
@@ -195,6 +206,7 @@ class SceneNode:
     def _find_contacts(self) -> None:
         """Find what touches at the present pose, and what to say about it."""
         values = {"scene": self._world.scene.hash, "objects": len(self._world.scene.objects), "edits": self._edits}
+        values |= {f"lasting contact {number}": sentence for number, sentence in enumerate(self._lasting, 1)}
         self._touching = {}
         try:
             q = self._twin.pose(_PATIENCE)
@@ -208,6 +220,8 @@ class SceneNode:
             self._state = Report(
                 WARN, f"in contact (padding included) at the present pose: {self._contact_text()}", values
             )
+        elif self._lasting:
+            self._state = Report(WARN, self._lasting[0], values)
         else:
             self._state = Report(OK, "the present pose is free of contact", values)
 

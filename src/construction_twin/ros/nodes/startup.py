@@ -10,6 +10,7 @@ import pydantic
 import rospy
 
 from construction_twin.msg import Feedback, Scene
+from construction_twin.robot.other_joints import other_joints_text
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -30,6 +31,7 @@ class Settings(pydantic.BaseModel):
     broker: str
     rsi: str
     gateway: bool
+    gateway_kind: Literal["rsi", "plc"] = "rsi"
 
 
 class StartupNode:
@@ -41,6 +43,9 @@ class StartupNode:
         self._startup = StartUp(Deployment(namespace=namespace, **settings.model_dump()))
         self._came: set[str] = set()
         robot = robot_from_parameters()
+        others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
+        if others:
+            rospy.loginfo("%s", others)
         self._diagnostics = NodeDiagnostics(robot.name, self._report)
         self._listener = RobotListener(namespace, robot)
         self._once = {
@@ -63,11 +68,11 @@ class StartupNode:
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
         # a node that fell silent is not there
         words = {
-            name: Word(facts.text, facts.reason)
+            name: Word(facts.text, facts.reason, getattr(facts, "gateway_state", ""))
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        came = self._came
+        came, link = self._came, snapshot.link
         seen = Seen(
             link=words.get("link"),
             sync=words.get("sync"),
@@ -75,6 +80,7 @@ class StartupNode:
             feedback="feedback" in came,
             twin="twin" in came,
             scene="scene" in came,
+            controller=link.counters.get("controller_sentence", "") if link is not None and "link" in words else "",
         )
         for line in self._startup.update(seen, time.monotonic()):
             waits = self._startup.missing is not None

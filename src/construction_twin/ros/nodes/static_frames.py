@@ -1,4 +1,4 @@
-"""static_frames: where the robot stands; world -> its base, once for twin, physical arm and preview, all the same place."""
+"""static_frames: where the robot stands, the same place for twin, physical arm and preview; and what no joint state moves."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from tf2_ros import StaticTransformBroadcaster
 
 from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.other_frames import other_frames
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.scene_convert import tf_frame
@@ -21,13 +22,15 @@ class Settings(pydantic.BaseModel):
     """Private parameters, given in the launch file.
 
     Frame that the robot stands in, and tf prefixes of its copies. Where it stands in it, the parameter ``cell`` says; without
-    one at its origin.
+    one at its origin. Of the copies in `chain_only` the joint states hold the joints of the chain alone, so that the frames of the
+    others come from here.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     parent: str = "world"
     prefixes: list[str]
+    chain_only: list[str]
 
 
 class StaticFramesNode:
@@ -41,8 +44,13 @@ class StaticFramesNode:
         self._broadcaster = StaticTransformBroadcaster()
         # the URDF's root, which need not be the base of the chain: any other link has a parent already
         base = parse_urdf(robot.urdf).get_root()
-        frames = [tf_frame(prefix, base) for prefix in settings.prefixes]
-        self._broadcaster.sendTransform([self._transform(settings.parent, frame, place) for frame in frames])
+        transforms = [self._transform(settings.parent, tf_frame(prefix, base), place) for prefix in settings.prefixes]
+        transforms += [
+            self._transform(tf_frame(prefix, frame.parent), tf_frame(prefix, frame.child), frame.pose)
+            for prefix in settings.chain_only
+            for frame in other_frames(robot)
+        ]
+        self._broadcaster.sendTransform(transforms)
 
     @staticmethod
     def _transform(parent: str, child: str, place: Pose) -> TransformStamped:

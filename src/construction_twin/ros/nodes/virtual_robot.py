@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 import threading
+from collections.abc import Callable
 from typing import Literal
 
 import rospy
@@ -16,6 +18,7 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, now_ns
+from construction_twin.ros.transport.publisher import Sink
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.twin.virtual_robot import TwinClock, VirtualRobot
 
@@ -30,29 +33,47 @@ class Settings(NodeSettings):
 
 
 class VirtualRobotNode:
-    """ROS around a VirtualRobot and its TwinClock."""
+    """ROS around a VirtualRobot and its TwinClock; `start` gives it parameters and topics.
 
-    def __init__(self):
-        settings = read_parameters(Settings)
-        robot = robot_from_parameters()
-        self._robot = VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear)
+    Parameters
+    ----------
+    robot : VirtualRobot
+    limits : MotionLimits
+        Within which it follows the physical arm.
+    twin : JointPublisher
+        For its pose.
+    diagnostics : callable
+        Takes `report`; returns the node's NodeDiagnostics.
+    restarted : threading.Event
+        Ends the wait of `run` for a silence.
+    """
+
+    def __init__(
+        self,
+        robot: VirtualRobot,
+        limits: MotionLimits,
+        twin: Sink,
+        diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
+        restarted: threading.Event,
+    ):
+        self._robot = robot
+        self._limits = limits
+        self._twin = twin
         self._lock = threading.Lock()
         self._cycles = Cycles()
         self._clock = TwinClock()
-        self._limits = MotionLimits.of(robot)
         self._session: str | None = None
         self._leads = False
-        self._restarted = threading.Event()
+        self._restarted = restarted
         # the twin needs the arm's poses: it has none of its own, or follows
         self._needs_arm = threading.Event()
         self._needs_arm.set()
-        self._diagnostics = NodeDiagnostics(robot.name, self._report)
-        self._twin = JointPublisher("twin/joint_states", robot.joint_names)
-        names, refuse = robot.joint_names, self._diagnostics.refuse
-        JointSubscriber("command/joint_states", names, self._on_command, refuse)
-        if settings.arm != "none":
-            Subscriber("link", Link, self._on_link, refuse, queue_size=5)
-            JointSubscriber("physical/joint_states", names, self._on_physical, refuse)
+        self._diagnostics = diagnostics(self.report)
+
+    @property
+    def refuse(self) -> Callable[[str, str], None]:
+        """Counts a refused input; takes reason and sentence."""
+        return self._diagnostics.refuse
 
     def run(self) -> None:
         """Publish the held pose while no commands come, until shutdown."""
@@ -67,7 +88,8 @@ class VirtualRobotNode:
                 self._restarted.wait(idle / NANOSECONDS)
                 self._cycles.skip()
 
-    def _on_command(self, stamp: int, q: tuple[float, ...]) -> None:
+    def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Execute a command [rad] with its stamp [ns]."""
         with self._lock:
             if self._robot.execute(stamp, q):
                 if self._clock.on_command(stamp, self._cycles.reach(stamp)):
@@ -77,7 +99,8 @@ class VirtualRobotNode:
             "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
         )
 
-    def _on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
+    def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Take the arm's pose [rad] with its stamp [ns]; waits while the twin needs none."""
         with self._lock:
             if self._robot.mirrors:
                 follows = self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp))
@@ -93,7 +116,8 @@ class VirtualRobotNode:
         if now_ns() - stamp < CYCLE_NS:
             self._needs_arm.wait(PAUSE)
 
-    def _on_link(self, message: Link) -> None:
+    def on_link(self, message: Link) -> None:
+        """Take the link's state: a new session begins at the arm's pose, in mirror mode the arm leads."""
         leads = message.state == Link.MIRROR
         with self._lock:
             begins = bool(message.session) and message.session != self._session
@@ -115,13 +139,33 @@ class VirtualRobotNode:
                 self._robot.end_mirror()
         rospy.loginfo("follows the physical arm" if leads else "executes commands")
 
-    def _report(self) -> Report:
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
         if self._robot.pose is None:
             return Report(WARN, "waiting for the physical arm's pose")
         return Report(OK, "following the physical arm" if self._robot.mirrors else "executing")
 
 
+def start() -> VirtualRobotNode:
+    """Return the twin with its parameters and topics."""
+    settings = read_parameters(Settings)
+    robot = robot_from_parameters()
+    names = robot.joint_names
+    node = VirtualRobotNode(
+        VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear),
+        MotionLimits.of(robot),
+        JointPublisher("twin/joint_states", names),
+        functools.partial(NodeDiagnostics, robot.name),
+        threading.Event(),
+    )
+    JointSubscriber("command/joint_states", names, node.on_command, node.refuse)
+    if settings.arm != "none":
+        Subscriber("link", Link, node.on_link, node.refuse, queue_size=5)
+        JointSubscriber("physical/joint_states", names, node.on_physical, node.refuse)
+    return node
+
+
 def main() -> None:
     """Run the node."""
     sys.setswitchinterval(0.001)
-    run_node("virtual_robot", VirtualRobotNode)
+    run_node("virtual_robot", start)

@@ -40,9 +40,14 @@ class StopMemory:
         self._writer: threading.Thread | None = None
         self._tried: int | None = None
 
+    @property
+    def writing(self) -> bool:
+        """Whether a session is being written now."""
+        return self._writer is not None and self._writer.is_alive()
+
     def keep(self, session: str, now: int) -> None:
         """Keep a session, empty for none; returns at once. To be called again and again, from one thread, `now` in ns."""
-        if session == self._written or (self._writer is not None and self._writer.is_alive()):
+        if session == self._written or self.writing:
             return
         if self._tried is not None and self.problem and now - self._tried < _AGAIN:
             return

@@ -5,9 +5,17 @@ from __future__ import annotations
 import socket
 import threading
 from collections import deque
+from typing import Protocol
 
 import rospy
 from rospy.exceptions import TransportException, TransportTerminated
+
+
+class Sink(Protocol):
+    """A publisher as nodes use it."""
+
+    def publish(self, *content) -> None:
+        """Send a message, or what it is made of."""
 
 
 class Publisher(rospy.Publisher):
@@ -45,13 +53,18 @@ class DirectConnection:
     connection : rospy.impl.transport.Transport
     queue_size : int
         Messages kept for a subscriber that is busy; of more the oldest are dropped.
+
+    Attributes
+    ----------
+    catching_up : bool
+        Whether messages wait for a subscriber that is too slow.
     """
 
     def __init__(self, connection, queue_size: int):
         self._connection = connection
         self._lock = threading.Lock()
         self._queue: deque[bytes] = deque(maxlen=queue_size)
-        self._catching_up = False
+        self.catching_up = False
         self._error: TransportException | OSError | None = None
 
     def __getattr__(self, name: str):
@@ -68,12 +81,12 @@ class DirectConnection:
         with self._lock:
             if self._error is not None:
                 raise self._error
-            if self._catching_up:
+            if self.catching_up:
                 self._queue.append(data)
                 return True
             sent = self._send(data)
             if sent < len(data):
-                self._catching_up = True
+                self.catching_up = True
                 threading.Thread(target=self._catch_up, args=(data[sent:],), daemon=True).start()
         return True
 
@@ -99,7 +112,7 @@ class DirectConnection:
                 self._connection.write_data(rest)
                 with self._lock:
                     rest = self._queue.popleft() if self._queue else b""
-                    self._catching_up = bool(rest)
+                    self.catching_up = bool(rest)
         except (TransportException, OSError) as error:
             with self._lock:
                 self._error = error

@@ -1,0 +1,119 @@
+"""The controller's clock as its telegrams show it: the step of IPOC, the time between telegrams, and the one against the other.
+
+Motion is played, limited and braked per cycle, so a controller with another cycle must be named before it is commanded: limits and
+watchdogs would mean something else. Only medians are judged: lost telegrams, stalls of either machine and jitter shift single steps
+and times by any amount, but not half of them. Standard library only; IPOC in ms, times of arrival in ns.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+
+from construction_twin.gateway.rsi_session import IPOC_NS
+
+#: A session is measured for this long before it is first judged [ms of IPOC, at the expected cycle].
+FIRST = 400
+#: A clock that seems to run at another rate is judged only after so long [ms]: so does one on a machine that is just disturbed.
+PATIENT = 4000
+#: Distance of the two telegrams that a rate is taken from [ms]: long against the jitter, short against the time between two stalls.
+BASE = 200
+#: The rate may differ from 1 by this much: more than any clock's error, and ten times what the playout follows in motion.
+TOLERANCE = 0.05
+#: Beyond this the time between telegrams does not bear out what IPOC says of the cycle: then it is not called a cycle.
+FAR_OFF = 0.25
+#: Telegrams that the figures of the status are taken from.
+SHOWN = 250
+#: Names of the cycles in KRL (docs/rsi.md, section 1).
+_MODES = {4: "#IPO_FAST", 12: "#IPO"}
+
+
+class ControllerClock:
+    """What one RSI session shows of its controller's clock.
+
+    Parameters
+    ----------
+    cycle_ms : int
+        The cycle that is expected [ms].
+    """
+
+    def __init__(self, cycle_ms: int):
+        self._cycle = cycle_ms
+        self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
+        self._heard: deque[tuple[int, int]] = deque(maxlen=self._patient)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with another session."""
+        self._heard.clear()
+        self._to_judge = self._first
+
+    def note(self, ipoc: int, arrived: int) -> None:
+        """Take a telegram, also one that is not answered.
+
+        Parameters
+        ----------
+        ipoc : int
+            [ms]
+        arrived : int
+            Time of arrival on any clock that runs in real time [ns].
+        """
+        heard = self._heard
+        if heard:
+            step = ipoc - heard[-1][0]
+            if not 0 < step <= PATIENT:
+                if -PATIENT <= step <= 0:
+                    # came twice, or behind a newer one
+                    return
+                self.restart()
+        heard.append((ipoc, arrived))
+        self._to_judge -= 1
+
+    def judge(self) -> str | None:
+        """Return in one sentence what is wrong with the clock, "" when nothing is; None when there is nothing new to say.
+
+        It takes as long as an answer, and is due every 0.4 s at most: call it when nothing waits for it.
+        """
+        if self._to_judge > 0:
+            return None
+        self._to_judge = self._first
+        step, rate = self._figures(self._patient)
+        in_time = abs(rate - 1.0) <= TOLERANCE
+        if step != self._cycle:
+            return self._sentence(step, rate)
+        if in_time:
+            return ""
+        return self._sentence(step, rate) if len(self._heard) == self._patient else None
+
+    def report(self) -> dict:
+        """Return what the status says: ms, and the controller's time per real time; None where it is not known yet."""
+        if len(self._heard) <= self._base:
+            return {"expected_ms": self._cycle, "ipoc_step_ms": None, "telegram_ms": None, "rate": None}
+        step, rate = self._figures(SHOWN)
+        return {
+            "expected_ms": self._cycle,
+            "ipoc_step_ms": step,
+            "telegram_ms": round(step / rate, 3) if rate else None,
+            "rate": round(rate, 4),
+        }
+
+    def _figures(self, count: int) -> tuple[float, float]:
+        """Return the step of IPOC [ms] and the rate of the clock, from the last `count` telegrams."""
+        heard = list(self._heard)[-count:]
+        step = median([later[0] - earlier[0] for earlier, later in zip(heard, heard[1:])])
+        pace = median(
+            [(later[1] - earlier[1]) / (later[0] - earlier[0]) for earlier, later in zip(heard, heard[self._base :])]
+        )
+        return step, IPOC_NS / pace if pace > 0.0 else 0.0
+
+    def _sentence(self, step: float, rate: float) -> str:
+        cycle, mode = self._cycle, _MODES[self._cycle]
+        if step != cycle and abs(rate - 1.0) <= FAR_OFF:
+            other = f"; or set the gateway's cycle to {step:g} (rsi_cycle:={step:g})" if step in _MODES else ""
+            found = f"the controller's cycle is {step:g} ms (IPOC steps of {step:g})"
+            return f"{found}; expected {cycle} ms: RSI_ON(..., {mode}){other}"
+        every = f", a telegram every {step / rate:.1f} ms" if rate else ""
+        return (
+            f"the controller's clock runs {rate:.2f} times as fast as real time (IPOC steps of {step:g}{every}); expected IPOC to "
+            f"count milliseconds, {cycle} per telegram: what sends is no controller in real time"
+        )

@@ -1,0 +1,160 @@
+"""Bare mode: the link to a PLC that knows only the joint string, armed by a person who takes the responsibility by name.
+
+Pure; time is an argument [ns]. The PLC says two words, `ready` and `offline`, and its pose; it is asked nothing. So no rule of this
+side arms it, and everything that a gateway would have checked or told stands in `NOT_CHECKED`, for `link`, record and documents.
+"""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import ReviewError
+from construction_twin.link.observations import FRESH, LinkObservations
+from construction_twin.link.states import BARE_ROWS, Action, LinkEvent, LinkState
+from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.mqtt.messages import OFFLINE, PLC
+
+#: What is not checked with a bare PLC, one sentence each; `docs/broker.md` says what follows from it.
+NOT_CHECKED = (
+    "configuration: whether the PLC has the same joint ranges, speeds and accelerations, is not compared",
+    "session: the PLC takes strings from every client that may write on `command`",
+    "sequence: strings that are lost, doubled or reordered are not noticed, in neither direction",
+    "age: a string that travelled too long counts as new, in both directions",
+    "answers: a stop is not confirmed; why the PLC stopped, and how far the arm goes on, is not known",
+    "speed limit: it is not sent to the PLC; the executor alone obeys it",
+    "controller: what stands behind the PLC (RSI, servo, brakes) is not known",
+    "comparison: the gate compares at the present moment, so the whole round trip counts as lag",
+)
+#: How a person arms; the robot's own namespace is the command's default.
+ARM_COMMAND = "rosrun construction_twin twin arm --responsible NAME"
+#: Longest name of a person.
+_LONGEST_NAME = 64
+
+
+class BareObservations(LinkObservations):
+    """What is known of broker, bare PLC, arm and command stream."""
+
+    #: Whether `offline` was said since this was set to False.
+    offline_heard = False
+
+    def on_status(self, status: dict, now: int) -> None:
+        """Take what was said on `status`; an `offline` counts, however soon `ready` follows: the PLC has stopped."""
+        super().on_status(status, now)
+        self.offline_heard |= self.gateway == OFFLINE
+
+    def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
+        """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
+        if not self._connected:
+            return LinkEvent.BROKER_LOST, "not connected to the broker"
+        if self.status.get("kind", PLC) != PLC and self.gateway != OFFLINE:
+            return (
+                LinkEvent.MISMATCHED,
+                "rsi_gateway answers on the broker, no bare PLC: start with gateway_kind:=rsi, or stop that gateway",
+            )
+        if not self.status:
+            return LinkEvent.GATEWAY_LOST, "no PLC has said `ready` on its `status` topic, retained"
+        if self.offline_heard or self.gateway == OFFLINE:
+            return LinkEvent.GATEWAY_LOST, "the PLC says `offline`: it takes no strings; see to the PLC"
+        if self._pose is None or now - self._pose_at >= FRESH:
+            why = self.why_no_pose(now) or "no joint string comes on its `state` topic"
+            return LinkEvent.CONTROLLER_LOST, f"the PLC says `ready`, but {why}"
+        return None
+
+
+class BareSupervisor(LinkSupervisor):
+    """Decides by `states.BARE_TABLE`; takes no configuration's hash into account, because a bare PLC tells none."""
+
+    kind, sends_control = PLC, False
+    not_checked = NOT_CHECKED
+    inputs: BareObservations
+    _observations = BareObservations
+    _rows = BARE_ROWS
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        # the first one that is armed must be another, so that twin and gate start over with it
+        self.session = self._new_id()
+        self._actions |= {
+            Action.BEGIN_NAMED_SESSION: lambda reason, now: self._begin_session(reason),
+            Action.NOTE_RESPONSIBLE: lambda reason, now: self._responsible_sentence,
+            Action.TELL_PERSON: lambda reason, now: f"a bare PLC is armed by a person, by name: {ARM_COMMAND}",
+        }
+
+    def poll(self, now: int) -> None:
+        """Update the state; there is never anything to send."""
+        super().poll(now)
+        self.inputs.offline_heard = False
+
+    def take(self, event: LinkEvent, now: int, reason: str = "") -> None:
+        """Carry out the table's row; the responsibility ends with the session."""
+        super().take(event, now, reason)
+        if self.state not in (LinkState.RESYNC, LinkState.ARMED):
+            self.responsible = ""
+
+    def take_responsibility(self, name: str, now: int) -> None:
+        """Begin a session in the name of the person who is responsible for what is not checked.
+
+        Parameters
+        ----------
+        name : str
+            Not empty, printable, at most 64 characters.
+
+        Raises
+        ------
+        ReviewError
+            Without a name, while it is armed or there is no PLC, or when twin and arm are not at rest.
+        """
+        name = name.strip()
+        if not name or len(name) > _LONGEST_NAME or not name.isprintable():
+            raise ReviewError(
+                f"a bare PLC is armed in a person's name, {name[:_LONGEST_NAME]!r} is none: {ARM_COMMAND} (at most {_LONGEST_NAME} "
+                "characters in one line)"
+            )
+        if self.state in (LinkState.RESYNC, LinkState.ARMED):
+            raise ReviewError(f"{self.responsible} is responsible already: {self.reason}; halt ends it")
+        if self.state is not LinkState.NEEDS_RESET:
+            raise ReviewError(f"cannot arm: {self.state.name}, {self.reason}")
+        unrest = self.inputs.why_not_at_rest(now)
+        if unrest:
+            raise ReviewError(f"cannot arm: {unrest}")
+        self.responsible = name
+        self.take(
+            LinkEvent.RESPONSIBILITY_TAKEN, now, f"{name} has taken the responsibility; twin and arm take the same pose"
+        )
+
+    def withdraw_responsibility(self, reason: str) -> None:
+        """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
+        self.halt(reason)
+
+    def request_reset(self, now: int) -> None:
+        """Refuse: a person's name is needed.
+
+        Raises
+        ------
+        ReviewError
+            Always; it says why nothing could be armed either.
+        """
+        self._refuse("reset", now)
+
+    def request_arm(self, now: int) -> None:
+        """Refuse, as `request_reset`."""
+        self._refuse("arm", now)
+
+    def end_mirror(self, now: int) -> str:
+        """Stop following the arm, on a person's request. Return one sentence; ReviewError as `LinkSupervisor.end_mirror`."""
+        if not self._mirror.active:
+            raise ReviewError(f"the arm does not lead: {self.state.name}, {self.reason}")
+        self._mirror.end(now)
+        return f"mirror mode has ended; a person arms the PLC again: {ARM_COMMAND}"
+
+    def _refuse(self, verb: str, now: int) -> None:
+        without_name = f"cannot {verb} a bare PLC without a name: {ARM_COMMAND}"
+        if self.state in (LinkState.RESYNC, LinkState.ARMED):
+            raise ReviewError(f"{without_name}; first end what {self.responsible} has armed, with halt")
+        problem = self.inputs.why_no_pose(now)
+        if self.state is not LinkState.NEEDS_RESET:
+            problem = self.reason
+        raise ReviewError(f"{without_name}{f'; now it could not either: {problem}' if problem else ''}")
+
+    @property
+    def _responsible_sentence(self) -> str:
+        topics = ", ".join(sentence.partition(":")[0] for sentence in self.not_checked)
+        return f"bare PLC, session {self.session}; {self.responsible} is responsible for what is not checked: {topics}"

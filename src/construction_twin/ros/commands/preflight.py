@@ -1,0 +1,353 @@
+"""`preflight`: whether a start can work, before anything starts: one sentence, or nothing.
+
+Called by bringup.launch, while roslaunch reads it, as ``preflight --for-roslaunch name:=value ...``; by hand without the option. It
+looks at the arguments, at what is in the files they name, at the nodes that run on the master, and at the ports. It changes
+nothing.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import pydantic
+import rosgraph
+import rospkg
+import yaml
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import check_writable
+from construction_twin.core.network import port_is_free
+from construction_twin.core.validation import configuration_error
+from construction_twin.mqtt.account import load_account
+from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
+from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
+from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.shared.master import running
+from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
+from construction_twin.rsi.ethernet_xml import load_ethernet_xml
+from construction_twin.scenario.definition import read_scenario
+from construction_twin.scene.cell import load_cell
+from construction_twin.scene.scene_yaml import read_scene
+from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.views.preflight import has_gateway_here, is_bare, is_true, notes, problem
+from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
+
+#: Nodes of one robot, in its namespace: a second one of a name would end the first.
+ROBOT_NODES = (
+    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mock_rsi", "planner", "scene", "neighbour",
+    "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "joint_state_publisher",
+    "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
+    "plc",
+)  # fmt: skip
+#: What parses launch files without the master that ROS_MASTER_URI names.
+_WITHOUT_MASTER = ("rostest", "roslaunch-check")
+
+Given = Mapping[str, str]
+
+
+# -- what is in the files
+
+
+def _read_robot(given: Given) -> RobotModel:
+    """Return the robot as launch/robot.launch and launch/bringup.launch describe it."""
+    description = _mapping(given["robot_config"], "the robot's keys")
+    urdf = expand_xacro(given["robot_xacro"], xacro_arguments(given.get("robot_xacro_args", "")))
+    return load_robot(urdf, description | {"name": given["robot"]})
+
+
+def _check_estimates(given: Given, robot: RobotModel) -> None:
+    """Refuse to move a real arm by values that nobody has looked up."""
+    if given.get("arm") == "real" and robot.estimates:
+        keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
+        raise ConfigurationError(
+            "estimates",
+            list(robot.estimates),
+            f"none with arm:=real: put in the right values of {keys}, then take the words out",
+        )
+
+
+def _check_self_collision(given: Given, robot: RobotModel) -> None:
+    read_self_collision(given["self_collision"], robot)
+
+
+def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
+    """Check it as gateway and bridge do: axes, channels, and a format that can carry the robot's ranges."""
+    if given.get("arm") == "none" or is_bare(given):
+        return
+    path = given["ethernet_xml"]
+    load_ethernet_xml(path)
+    settings = _mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
+    cycle = int(given.get("rsi_cycle", "4"))
+    given_here = {"decimals": int(given["decimals"]), "cycle": cycle, "ethernet_xml": read_text(path)}
+    gateway_config(robot, settings | given_here)
+
+
+def _check_scene(given: Given, _robot: RobotModel) -> None:
+    read_scene(given["scene"])
+
+
+def _check_cell(given: Given, robot: RobotModel) -> None:
+    if given["cell"]:
+        cell = load_cell(_mapping(given["cell"], "the places of robots"))
+        for name in filter(None, (robot.name, given.get("neighbour"))):
+            cell.world_T_root(name)
+
+
+def _check_account(name: str) -> Callable[[Given, RobotModel], None]:
+    def check(given: Given, _robot: RobotModel) -> None:
+        if not given[name] or given.get("arm") == "none":
+            return
+        account = load_account(given[name])
+        if account.password_file:
+            account.password()
+        if account.ca_file:
+            account.context()
+
+    return check
+
+
+def _check_task(given: Given, robot: RobotModel) -> None:
+    """Check the task of experiment.launch as its node does: what it leaves out is config/experiment.yaml's."""
+    shipped = _mapping(str(_package() / "config" / "experiment.yaml"), "a task")
+    task = shipped | _mapping(given["task"], "a task") | {"results_dir": "/"}
+    try:
+        settings = ExperimentSettings.model_validate(task)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, ExperimentSettings, given["task"]) from error
+    check_goals(settings, robot)
+
+
+def _check_scenario(given: Given, _robot: RobotModel) -> None:
+    read_scenario(Path(given["scenario"]))
+
+
+def _check_folder_of(name: str) -> Callable[[Given, RobotModel], None]:
+    """Return the check of a file that is written: its folder is relative to ROS_HOME."""
+    return lambda given, _: check_writable((ros_home() / given[name]).parent)
+
+
+def _check_results(given: Given, _robot: RobotModel) -> None:
+    check_writable(Path(given["results_dir"]).expanduser())
+
+
+#: What is checked of a file's contents, by the argument that names it, in this order; each raises a ConstructionTwinError.
+CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
+    ("robot_config", _check_estimates),
+    ("self_collision", _check_self_collision),
+    ("ethernet_xml", _check_ethernet_xml),
+    ("scene", _check_scene),
+    ("cell", _check_cell),
+    ("bridge_account", _check_account("bridge_account")),
+    ("gateway_account", _check_account("gateway_account")),
+    ("task", _check_task),
+    ("scenario", _check_scenario),
+    ("results_dir", _check_results),
+    ("review_file", _check_folder_of("review_file")),
+    ("transition_file", _check_folder_of("transition_file")),
+)
+
+
+def contents_problem(given: Given) -> str:
+    """Return a sentence about the first file whose contents do not fit; empty when there is none.
+
+    Parameters
+    ----------
+    given : Mapping of str to str
+        Launch arguments. Without the robot's files nothing is checked, and a file that is not named is not either.
+    """
+    if not {"robot", "robot_xacro", "robot_config"} <= set(given):
+        return ""
+    try:
+        robot = _read_robot(given)
+    except ConstructionTwinError as error:
+        return f"robot_config:={given['robot_config']} with robot_xacro:={given['robot_xacro']}: {error}"
+    for name, check in CONTENTS:
+        if name not in given:
+            continue
+        try:
+            check(given, robot)
+        except ConstructionTwinError as error:
+            path = given[name]
+            # most of these sentences begin with the file
+            return f"{name}:={path}: {str(error).removeprefix(path).lstrip(': ')}"
+    return ""
+
+
+def _mapping(path: str, what: str) -> dict:
+    try:
+        content = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise ConfigurationError(path, " ".join(str(error).split()), "a YAML file") from error
+    if not isinstance(content, dict):
+        raise ConfigurationError(path, content, f"a mapping: {what}")
+    return content
+
+
+def _package() -> Path:
+    return Path(rospkg.RosPack().get_path("construction_twin"))
+
+
+# -- what runs already
+
+
+def running_problem(given: Given, uri: str) -> str:
+    """Return a sentence when this robot, or the window on it, runs already on a master; empty when it does not.
+
+    Parameters
+    ----------
+    given : Mapping of str to str
+        Launch arguments.
+    uri : str
+        Of the master.
+    """
+    robot = given.get("robot", "")
+    nodes = running([f"/{robot}/{name}" for name in ROBOT_NODES], uri) if robot else []
+    if nodes:
+        others = f" and {len(nodes) - 1} more nodes" if len(nodes) > 1 else ""
+        return (
+            f"robot:={robot}: it runs already on {uri}: {nodes[0]}{others}; a second start would end them one by one. End that "
+            f"launch first, or give this robot a name of its own, e.g. robot:={robot}_2"
+        )
+    windows = running(["/view"], uri) if is_true(given, "gui") else []
+    if windows:
+        return f"gui:=true: rviz runs already on {uri}: {windows[0]}; a second one would end it. Use view.launch, or leave it out"
+    return ""
+
+
+def port_problem(given: Given) -> str:
+    """Return a sentence about the first port on this machine that another program holds; empty when all are free."""
+    port = given.get("broker_port", "")
+    # the listeners of a site's configuration are the broker's own matter
+    listens = is_true(given, "broker") and "listener" not in _words(given.get("broker_config", ""))
+    if listens and port and not port_is_free(socket.SOCK_STREAM, int(port)):
+        return (
+            f"broker_port:={port}: TCP port {port} on 127.0.0.1 is taken, probably by another MQTT broker; use it with "
+            f"broker:=false, or give a free one, e.g. broker_port:={int(port) + 10}"
+        )
+    if given.get("arm") == "none" or not has_gateway_here(given) or "ethernet_xml" not in given:
+        return ""
+    port = given.get("rsi_port", "0")
+    number = int(port) or load_ethernet_xml(given["ethernet_xml"]).layout.port
+    host = given.get("rsi_listen", "127.0.0.1")
+    if not port_is_free(socket.SOCK_DGRAM, number, host):
+        return (
+            f"rsi_port:={port}: UDP port {number} on {host} is taken, or {host} is no address of this machine; probably another "
+            f"rsi_gateway or KUKA's TestServer runs: end it, or give rsi_listen and a free rsi_port, e.g. rsi_port:={number + 10}"
+        )
+    return ""
+
+
+def _words(path: str) -> list[str]:
+    """Return the first word of each line of a mosquitto configuration."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return []
+    return [words[0] for line in lines if (words := line.split())]
+
+
+# -- the whole
+
+
+def call_problem(call: RoslaunchCall) -> str:
+    """Return a sentence about an argument on roslaunch's command line that no launch file reads; empty when there is none."""
+    files = [name for name in call.files if name.endswith((".launch", ".xml")) or "/" in name]
+    if len(files) != 1:
+        return ""
+    path = Path(files[0])
+    if len(call.files) == 2:
+        package = _find_package(call.files[0])
+        if package is None:
+            return ""
+        path = next((found for found in (Path(package, "launch", path), Path(package, path)) if found.is_file()), path)
+    known = known_arguments(path, _find_package)
+    return "" if known is None else argument_problem(call.given, known, path.name)
+
+
+def _find_package(name: str) -> str | None:
+    try:
+        return rospkg.RosPack().get_path(name)
+    except rospkg.ResourceNotFound:
+        return None
+
+
+def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
+    """Return why a start would not work; empty when nothing is known against it.
+
+    Parameters
+    ----------
+    given : Mapping of str to str
+        Launch arguments, with defaults.
+    call : RoslaunchCall or None
+        How roslaunch was called, when it was.
+    uri : str
+        Of the master; empty: it is not known, and nothing that runs is looked at.
+    """
+    sentence = call_problem(call) if call is not None else ""
+    sentence = sentence or problem(given, readable, lets_in_everybody) or contents_problem(given)
+    if sentence or not uri:
+        return sentence
+    return running_problem(given, uri) or (port_problem(given) if call is not None else "")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check ``name:=value`` arguments; print "ok", or a sentence on standard error and return 1.
+
+    With ``--for-roslaunch`` the result is what standard output says, ``true`` or ``refused``, and the exit code is 0: roslaunch
+    would print the whole command again. The sentence then stands below roslaunch's last line, too.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    for_roslaunch = "--for-roslaunch" in words
+    above = roslaunch_above() if for_roslaunch else None
+    pid, call = above if above is not None else (None, None)
+    given = dict(word.split(":=", 1) for word in words if ":=" in word)
+    sentence = refusal(given, call, _master(call))
+    if sentence:
+        print(f"preflight: {sentence}", file=sys.stderr, flush=True)
+        say_below(f"preflight: {sentence}", pid)
+        if for_roslaunch:
+            print("refused")
+        return 0 if for_roslaunch else 1
+    for note in notes(given):
+        print(f"preflight: {note}", file=sys.stderr, flush=True)
+    print("true" if for_roslaunch else "ok")
+    return 0
+
+
+def _master(call: RoslaunchCall | None) -> str:
+    """Return the URI of the master that the nodes will use; empty when none will start, or it cannot be told."""
+    if call is None:
+        programs = {Path(word).name for _, words in command_lines() for word in words[:2]}
+        return "" if programs & set(_WITHOUT_MASTER) else rosgraph.get_master_uri()
+    if not call.starts:
+        return ""
+    if call.port.isdecimal():
+        return rosgraph.network.create_local_xmlrpc_uri(int(call.port))
+    return rosgraph.get_master_uri()
+
+
+def readable(path: str) -> bool:
+    """Return whether a path is absolute, and that of a file that can be read."""
+    if not path.startswith("/"):
+        return False
+    try:
+        with Path(path).open("rb"):
+            return True
+    except OSError:
+        return False
+
+
+def lets_in_everybody(path: str) -> bool:
+    """Return whether a mosquitto configuration permits clients without an account; one that cannot be read is taken to."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return True
+    # of several lines the last one counts; without one mosquitto 2 refuses clients without an account
+    permitted = [line.split()[1:] for line in lines if line.split()[:1] == ["allow_anonymous"]]
+    return bool(permitted) and permitted[-1] == ["true"]

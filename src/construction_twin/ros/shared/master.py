@@ -1,0 +1,157 @@
+"""The ROS master, and the nodes that run on it, asked in bounded time: a master that does not answer is one sentence."""
+
+from __future__ import annotations
+
+import http.client
+import sys
+import time
+import urllib.parse
+import xmlrpc.client
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import rosgraph
+
+from construction_twin.core.errors import ConfigurationError, SilenceError
+
+#: How long a command waits for the master [s].
+TIMEOUT = 5.0
+#: How long a node may take to say that it lives [s].
+NODE_TIMEOUT = 2.0
+#: What to do when there is none.
+TO_DO = "start bringup, or set ROS_MASTER_URI"
+#: How often a master that does not answer is asked again [s].
+_POLL = 0.5
+_CALLER = "/construction_twin"
+#: What a call may end with when there is no master, or another program on its port.
+_FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
+
+
+@dataclass(frozen=True)
+class RunningNode:
+    """A node that is registered, and was not found to have ended.
+
+    Attributes
+    ----------
+    name : str
+    host : str
+    pid : int or None
+        None: it is registered, but does not answer.
+    """
+
+    name: str
+    host: str
+    pid: int | None
+
+    def __str__(self) -> str:
+        if self.pid is None:
+            return f"{self.name} on {self.host} (does not answer; if it has ended, `rosnode cleanup` removes it)"
+        return f"{self.name} on {self.host}, process {self.pid}"
+
+
+class _Transport(xmlrpc.client.Transport):
+    """XML-RPC that gives up."""
+
+    def __init__(self, timeout: float):
+        super().__init__()
+        self._timeout = timeout
+
+    def make_connection(self, host) -> http.client.HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = self._timeout
+        return connection
+
+
+def _ask(uri: str, timeout: float, question: str, *words: str) -> tuple[int, Any]:
+    """Return code and value of a call of ROS's XML-RPC interfaces; raises one of `_FAILURES`."""
+    with xmlrpc.client.ServerProxy(uri, transport=_Transport(timeout)) as proxy:
+        answer: Any = getattr(proxy, question)(_CALLER, *words)
+    if not isinstance(answer, list) or len(answer) != 3:
+        raise ValueError(f"{uri} answers {question} with {answer!r:.60}, which is not ROS")
+    code, _, value = answer
+    return code, value
+
+
+def await_master(timeout: float = TIMEOUT) -> None:
+    """Return when the master of ROS_MASTER_URI has answered.
+
+    Parameters
+    ----------
+    timeout : float
+        [s]
+
+    Raises
+    ------
+    ConfigurationError
+        When ROS_MASTER_URI is no address.
+    SilenceError
+        When no master answers there.
+    """
+    uri = rosgraph.get_master_uri()
+    address = urllib.parse.urlsplit(uri)
+    if address.scheme != "http" or not address.hostname:
+        raise ConfigurationError("ROS_MASTER_URI", uri, "http://HOST:PORT")
+    try:
+        _ask(uri, timeout, "getPid")
+    except _FAILURES as error:
+        problem = f"no ROS master answers ({error})"
+        raise SilenceError(uri, problem, TO_DO) from error
+
+
+def wait_for_master(name: str) -> None:
+    """Return when the master of ROS_MASTER_URI answers; say once when that takes longer.
+
+    A node that starts while the master is away (it was killed, or starts later) waits, as ROS has it, but in one line.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+
+    Raises
+    ------
+    ConfigurationError
+        When ROS_MASTER_URI is no address.
+    """
+    said = False
+    while True:
+        try:
+            return await_master()
+        except SilenceError as error:
+            if not said:
+                print(f"{name} waits: {error}", file=sys.stderr, flush=True)
+            said = True
+        time.sleep(_POLL)
+
+
+def running(names: Iterable[str], uri: str) -> list[RunningNode]:
+    """Return which nodes run now; none when there is no master.
+
+    A node that was killed stays registered: whether it lives, it is asked itself. One whose machine refuses the connection has
+    ended; one that keeps silent may live.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Absolute.
+    uri : str
+        Of the master.
+    """
+    try:
+        found = {name: _ask(uri, TIMEOUT, "lookupNode", name) for name in names}
+    except _FAILURES:
+        return []
+    nodes = (_asked(name, str(address)) for name, (code, address) in found.items() if code == 1)
+    return [node for node in nodes if node is not None]
+
+
+def _asked(name: str, address: str) -> RunningNode | None:
+    host = urllib.parse.urlsplit(address).hostname or address
+    try:
+        _, pid = _ask(address, NODE_TIMEOUT, "getPid")
+    except ConnectionRefusedError:
+        return None
+    except _FAILURES:
+        return RunningNode(name, host, None)
+    return RunningNode(name, host, int(pid))

@@ -1,0 +1,151 @@
+"""The optional channels by which a controller says why its arm may not move: `Mode`, `ProgStatus`, `OvPro`.
+
+None of them is built in: somebody wires an object STATUS or OV_PRO to a channel of SEND and names it (docs/rsi.md, sections 2 and
+9). Read beside the telegram and after it, so that a file without them costs nothing, and one that cannot be read ends no answers.
+Standard library only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from construction_twin.rsi.telegram import is_number_in_bytes
+
+#: Operating modes, as the STATUS object's type Mode_Op numbers them.
+MODES = {1: "T1", 2: "T2", 3: "AUT", 4: "EXT"}
+#: States of the robot interpreter, as its type ProState_R numbers them.
+PROGRAM_STATES = {1: "FREE", 2: "RESET", 3: "ACTIVE", 4: "STOP", 5: "END"}
+#: The channels' names, and what attribute a dotted TAG has: `ProgStatus.S` would be the submit interpreter's.
+NAMES = ("Mode", "ProgStatus", "OvPro")
+ATTRIBUTE = "R"
+
+_KEYS = "enabling switch and start key are held"
+_MODE_SENTENCES = {
+    1: f"the controller is in T1: the arm moves only while {_KEYS}, and slowly",
+    2: f"the controller is in T2: the arm moves only while {_KEYS}",
+}
+_PROGRAM_SENTENCES = {
+    1: "no program is selected on the controller (FREE): select and start the RSI program",
+    2: "the controller's program is at its beginning (RESET): start it",
+    4: "the controller's program is stopped (STOP): press start on the pendant",
+    5: "the controller's program has ended (END): reset and start it",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerStatus:
+    """What a controller says of itself.
+
+    Attributes
+    ----------
+    mode : int or None
+        Operating mode, see `MODES`; None when it is not told, or cannot be read.
+    program : int or None
+        State of the robot interpreter, see `PROGRAM_STATES`.
+    override : float or None
+        Program override, `$OV_PRO` [percent].
+    """
+
+    mode: int | None = None
+    program: int | None = None
+    override: float | None = None
+
+    def report(self) -> dict[str, str | float]:
+        """Return what is known, in words, and one sentence on why the arm may not move; "" for no reason."""
+        found: dict[str, str | float] = {}
+        if self.mode is not None:
+            found["mode"] = MODES.get(self.mode, f"number {self.mode}")
+        if self.program is not None:
+            found["program"] = PROGRAM_STATES.get(self.program, f"number {self.program}")
+        if self.override is not None:
+            found["override_percent"] = self.override
+        return found | {"sentence": self.sentence} if found else {}
+
+    @property
+    def sentence(self) -> str:
+        """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
+        parts = [_MODE_SENTENCES.get(self.mode or 0, ""), _PROGRAM_SENTENCES.get(self.program or 0, "")]
+        if self.override is not None and self.override < 100.0:
+            slow = "whether corrections act then is not known, set it to 100 %"
+            slower = "the controller's own motions are slower by that, corrections are not"
+            parts.append(f"the override is {self.override:g} %: {slower if self.override > 0.0 else slow}")
+        return "; ".join(part for part in parts if part)
+
+
+def status_channels(send: Sequence[str]) -> tuple[str, ...]:
+    """Return the TAGs among those of an Ethernet XML's SEND that are optional channels, e.g. ``ProgStatus.R``, in order."""
+    return tuple(tag for tag in send if _name_of(tag))
+
+
+def doubled_channel(send: Sequence[str]) -> str:
+    """Return the second TAG of an optional channel that is declared twice, plain and dotted; "" for none."""
+    seen: set[str] = set()
+    for tag in status_channels(send):
+        if _name_of(tag) in seen:
+            return tag
+        seen.add(_name_of(tag))
+    return ""
+
+
+def _name_of(tag: str) -> str:
+    """Return the channel that a TAG stands for; "" when it is none."""
+    name, dot, attribute = tag.partition(".")
+    return name if name in NAMES and (not dot or attribute == ATTRIBUTE) else ""
+
+
+class StatusReader:
+    """Reads the optional channels of one Ethernet XML.
+
+    Parameters
+    ----------
+    channels : sequence of str
+        See `status_channels`.
+    """
+
+    def __init__(self, channels: Sequence[str]):
+        found: dict[str, Callable] = {_name_of(tag): _pattern(tag) for tag in channels}
+        self._searches = [found.get(name) for name in NAMES]
+        self._count = len(found)
+        self._texts: list[bytes | None] = []
+        self._status = ControllerStatus()
+        self._unreadable = 0
+
+    def read(self, data: bytes) -> tuple[ControllerStatus, int]:
+        """Read what a telegram says that was read as one before.
+
+        Returns
+        -------
+        status : ControllerStatus
+        unreadable : int
+            How many declared channels are missing, or are no number of the kind.
+        """
+        texts = [None if search is None else _text(search(data)) for search in self._searches]
+        if texts != self._texts:
+            # the same for minutes
+            self._texts = texts
+            mode, program, override = [None if text is None else float(text) for text in texts]
+            self._status = ControllerStatus(_whole(mode), _whole(program), _percentage(override))
+            told = (self._status.mode, self._status.program, self._status.override)
+            self._unreadable = self._count - sum(value is not None for value in told)
+        return self._status, self._unreadable
+
+
+def _pattern(tag: str) -> Callable:
+    name, dot, attribute = tag.encode().partition(b".")
+    if dot:
+        return re.compile(rb"<%b\s(?:[^<>]*\s)?%b\s*=\s*[\"']([^\"'<>]{1,32})[\"']" % (name, attribute)).search
+    return re.compile(rb"<%b\s*>\s*([^<>\s]{1,32})\s*</%b\s*>" % (name, name)).search
+
+
+def _text(match: re.Match[bytes] | None) -> bytes | None:
+    return match[1] if match is not None and is_number_in_bytes(match[1]) else None
+
+
+def _whole(value: float | None) -> int | None:
+    return int(value) if value is not None and value.is_integer() and 0 <= value < 1000 else None
+
+
+def _percentage(value: float | None) -> float | None:
+    return value if value is not None and 0.0 <= value <= 100.0 else None

@@ -1,0 +1,208 @@
+"""An arm of a package that lies elsewhere: `$(find ...)`, arguments and package:// meshes, by library and launch files."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from foreign_packages import BOXES, JOINTS, lay_out, robot_yaml
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.mock import program as mock_program
+from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.urdf import expand_xacro, xacro_arguments
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.collision_world import CollisionWorld, Contact
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.self_collision import SelfCollision
+from construction_twin.scene.self_collision_command import main as self_collision
+
+
+@pytest.fixture
+def xacro(tmp_path, monkeypatch):
+    """The arm's xacro; its workspace is in ROS_PACKAGE_PATH ahead of what was there."""
+    path = lay_out(tmp_path)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'src'}{os.pathsep}{os.environ['ROS_PACKAGE_PATH']}")
+    return path
+
+
+def movable(urdf: str) -> list[str]:
+    robot = ElementTree.fromstring(urdf)
+    return [joint.get("name") for joint in robot.iter("joint") if joint.get("type") == "revolute"]
+
+
+def refused(*arguments) -> ConfigurationError:
+    with pytest.raises(ConfigurationError) as caught:
+        expand_xacro(*arguments)
+    return caught.value
+
+
+def test_macros_of_other_packages_are_found_by_rospack(xacro):
+    urdf = expand_xacro(xacro)
+    assert movable(urdf) == list(JOINTS)
+    robot = ElementTree.fromstring(urdf)
+    assert {color.get("rgba") for color in robot.iter("color")} == {"1 0.36 0.13 1"}
+    assert float(robot.find("joint/limit").get("upper")) == pytest.approx(np.radians(185))
+
+
+def test_find_leaves_nothing_behind_for_who_asks_ament(xacro):
+    expand_xacro(xacro)
+    assert "ament_index_python.packages" not in sys.modules
+
+
+def test_a_package_has_the_name_of_its_manifest_whatever_its_folder_is_called(xacro, tmp_path):
+    folder = tmp_path / "src" / "kuka_experimental" / "kuka_resources"
+    folder.rename(folder.with_name("resources-melodic-devel"))
+    assert movable(expand_xacro(xacro)) == list(JOINTS)
+
+
+def test_a_package_that_is_not_there_is_named_with_the_file_that_asks_and_where_it_was_sought(xacro, tmp_path):
+    folder = tmp_path / "src" / "kuka_experimental" / "kuka_resources"
+    folder.rename(tmp_path / "elsewhere")
+    error = refused(xacro)
+    assert error.where == f"{xacro.with_name('kr210l150_macro.xacro')} $(find kuka_resources)"
+    assert error.value == "no ROS package 'kuka_resources'"
+    assert str(tmp_path / "src") in error.expected and "source the workspace that holds it" in error.expected
+
+
+def test_a_broken_manifest_on_the_way_is_a_sentence(xacro, tmp_path):
+    (tmp_path / "src" / "kuka_experimental" / "kuka_resources" / "package.xml").write_text("<package>")
+    assert "package.xml that cannot be read" in str(refused(xacro))
+
+
+def test_arguments_reach_the_xacro(xacro, tmp_path):
+    urdf = expand_xacro(xacro, xacro_arguments("prefix:=left_ reach=1.5"))
+    assert movable(urdf) == [f"left_{name}" for name in JOINTS]
+    short = read_robot_files(xacro, robot_yaml(tmp_path))
+    long = read_robot_files(xacro, robot_yaml(tmp_path, "left_"), "prefix=left_ reach=1.5")
+    assert long.tip_link == "left_tool0"
+    assert Chain(long).reach - Chain(short).reach == pytest.approx(0.4, abs=1e-3)
+
+
+def test_an_argument_that_the_xacro_does_not_have_is_refused_with_those_it_has(xacro):
+    error = refused(xacro, {"prefx": "left_"})
+    assert (error.where, error.value) == (f"{xacro} argument", "prefx")
+    assert "['prefix', 'reach']" in error.expected
+
+
+def test_an_argument_without_a_value_says_how_to_give_one(xacro):
+    text = xacro.read_text().replace('<xacro:arg name="reach" default="1.1"/>', "")
+    xacro.write_text(text)
+    error = refused(xacro)
+    assert str(error) == f"{xacro} $(arg reach): found 'no value', expected one in robot_xacro_args, e.g. reach=..."
+
+
+@pytest.mark.parametrize("text", ["prefix", "=left_", "prefix='left_"])
+def test_what_is_no_argument_is_refused(text):
+    with pytest.raises(ConfigurationError, match="robot_xacro_args: .*name=value"):
+        xacro_arguments(text)
+
+
+@pytest.mark.parametrize(
+    "text, arguments",
+    [
+        ("", {}),
+        ("a=1  b:=2", {"a": "1", "b": "2"}),
+        ("tool='my tool' file=/a=b.yaml", {"tool": "my tool", "file": "/a=b.yaml"}),
+        ("prefix=", {"prefix": ""}),
+    ],
+)
+def test_arguments_are_words_quoted_as_in_a_shell(text, arguments):
+    assert xacro_arguments(text) == arguments
+
+
+def test_meshes_of_nested_packages_are_collision_shapes(xacro, tmp_path):
+    robot = read_robot_files(xacro, robot_yaml(tmp_path))
+    assert [body.link for body in RobotBodies(robot).bodies] == list(BOXES)
+    wall = SceneObject("wall", "box", (0.1, 2.0, 2.0), (2.0, 0.0, 1.0))
+    world = CollisionWorld(robot, Scene((wall,)), SelfCollision({}, ""))
+    assert Contact(("link_3", "wall")) in world.contacts((0.0, -0.1, 0.1, 0.0, 0.0, 0.0))
+    assert Contact(("link_3", "wall")) not in world.contacts(robot.home)
+    # rviz finds the pictures' meshes itself, wherever it runs
+    assert "package://kuka_kr210_support/meshes" in robot.urdf
+
+
+@pytest.mark.parametrize(
+    "uri, expected",
+    [
+        ("package://kuka_kr210_support/none.stl", "a file; there is no {src}/kuka_experimental/kuka_kr210_support/none.stl"),
+        ("package://kuka_other/link_1.stl", "one below a folder of ROS_PACKAGE_PATH ("),
+        ("meshes/link_1.stl", "package://<package>/<path>, file:///<path> or an absolute path"),
+        ("http://somewhere/link_1.stl", "package://<package>/<path>, file:///<path> or an absolute path"),
+    ],
+)  # fmt: skip
+def test_a_mesh_that_is_not_there_names_its_link(xacro, tmp_path, uri, expected):
+    macro = xacro.with_name("kr210l150_macro.xacro")
+    text = macro.read_text().replace(
+        '<collision><geometry><mesh filename="package://kuka_kr210_support/meshes/kr210l150/collision/link_1.stl"',
+        f'<collision><geometry><mesh filename="{uri}"',
+    )
+    assert text != macro.read_text()
+    macro.write_text(text)
+    robot = read_robot_files(xacro, robot_yaml(tmp_path))
+    with pytest.raises(ConfigurationError) as caught:
+        RobotBodies(robot)
+    assert caught.value.where.startswith("robot_description link link_1 collision mesh")
+    assert caught.value.expected.startswith(expected.format(src=tmp_path / "src"))
+
+
+@pytest.mark.parametrize("scheme", ["file://", ""])
+def test_meshes_may_be_named_by_absolute_paths(xacro, tmp_path, scheme):
+    macro = xacro.with_name("kr210l150_macro.xacro")
+    here = f"{scheme}{tmp_path}/src/kuka_experimental/kuka_kr210_support/"
+    macro.write_text(macro.read_text().replace("package://kuka_kr210_support/", here))
+    assert len(RobotBodies(read_robot_files(xacro, robot_yaml(tmp_path))).bodies) == len(BOXES)
+
+
+def test_self_collision_takes_the_arguments(xacro, tmp_path, capsys):
+    output = tmp_path / "pairs.yaml"
+    arguments = [str(xacro), str(robot_yaml(tmp_path, "left_")), str(output), "--samples", "50"]
+    self_collision([*arguments, "--robot-xacro-args", "prefix=left_"])
+    links = {link for pair in yaml.safe_load(output.read_text())["ignored"] for link in pair[:2]}
+    assert links and all(link.startswith("left_") for link in links)
+
+
+def test_other_programs_take_the_arguments(xacro, tmp_path, caplog, capsys):
+    files = ["--robot-xacro", str(xacro), "--robot-config", str(robot_yaml(tmp_path)), "--robot-xacro-args", "prefx=x"]
+    assert mock_program.main(files) == 2
+    assert "argument: found 'prefx', expected one of" in caplog.text
+
+
+def test_the_launch_file_loads_the_arm_with_its_arguments(xacro, tmp_path):
+    description = robot_yaml(tmp_path, "left_")
+    run = subprocess.run(
+        ["roslaunch", "--dump-params", "construction_twin", "robot.launch", f"robot_xacro:={xacro}",
+         f"robot_config:={description}", "robot_xacro_args:=prefix=left_ reach=1.5"],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert movable(yaml.safe_load(run.stdout)["/robot_description"]) == [f"left_{name}" for name in JOINTS]
+
+
+@pytest.mark.parametrize("file", ["bringup", "experiment"])
+def test_bringup_passes_the_arguments_on(xacro, tmp_path, file):
+    description, pairs = str(robot_yaml(tmp_path, "left_")), str(tmp_path / "pairs.yaml")
+    self_collision([str(xacro), description, pairs, "--samples", "20", "--robot-xacro-args", "prefix=left_"])
+    run = subprocess.run(
+        ["roslaunch", "--dump-params", "construction_twin", f"{file}.launch", f"robot_xacro:={xacro}",
+         f"robot_config:={description}", f"self_collision:={pairs}", "robot_xacro_args:=prefix='left_'", "robot:=kr210"],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert movable(yaml.safe_load(run.stdout)["/kr210/robot_description"]) == [f"left_{name}" for name in JOINTS]
+
+
+def test_the_launch_says_what_is_wrong_with_the_arm(xacro):
+    run = subprocess.run(
+        ["roslaunch", "--dump-params", "construction_twin", "robot.launch", f"robot_xacro:={xacro}", "robot_xacro_args:=prefx=x"],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert run.returncode != 0 or "Invalid" in run.stderr
+    assert f"robot_xacro: {xacro} argument: found 'prefx', expected one of" in run.stderr
+    assert "Traceback" not in run.stderr

@@ -1,0 +1,228 @@
+"""Joints outside of the chain: where they stand, what is said of them, and what they carry in frames and collision checks."""
+
+from __future__ import annotations
+
+import math
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio
+import pytest
+import yaml
+from scene_samples import ROOT, ur_like
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.other_frames import other_frames
+from construction_twin.robot.description import RobotModel, home_positions, load_robot, read_robot_files
+from construction_twin.robot.other_joints import OtherJoint, other_joints_text
+from construction_twin.robot.urdf import expand_xacro
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.collision_world import CollisionWorld, Contact
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.self_collision import SelfCollision, geometry_hash, sample_self_collision
+
+DATA = ROOT / "test" / "data"
+XACRO, YAML = DATA / "ur_like_gripper.urdf.xacro", DATA / "ur_like_gripper.yaml"
+URDF, DESCRIPTION = expand_xacro(XACRO), yaml.safe_load(YAML.read_text())
+NONE = SelfCollision({}, "")
+
+
+def gripper(urdf: str = URDF, **positions: float) -> RobotModel:
+    return load_robot(urdf, DESCRIPTION | {"other_joints": positions})
+
+
+def text(robot: RobotModel) -> str:
+    return other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
+
+
+def changed(name: str, **attributes) -> str:
+    """Return the URDF with another joint type, or without its limit."""
+    robot = ElementTree.fromstring(URDF)
+    joint = robot.find(f"joint[@name='{name}']")
+    for key, value in attributes.items():
+        if value is None:
+            joint.remove(joint.find(key))
+        elif key == "type":
+            joint.set("type", value)
+        else:
+            ElementTree.SubElement(joint, key, value)
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def refused(urdf: str = URDF, **positions) -> ConfigurationError:
+    with pytest.raises(ConfigurationError) as caught:
+        gripper(urdf, **positions)
+    return caught.value
+
+
+def test_an_arm_without_any_has_none():
+    assert ur_like().other_joints == ()
+    assert text(ur_like()) == ""
+
+
+def test_they_stand_where_the_yaml_says_and_the_mimic_follows():
+    robot = read_robot_files(XACRO, YAML)
+    assert robot.other_joints == (
+        OtherJoint("slide_left", "prismatic", 0.03, ""),
+        OtherJoint("slide_right", "prismatic", 0.03, "slide_left"),
+        OtherJoint("hinge", "revolute", pytest.approx(0.4), ""),
+    )
+    assert robot.joint_names == ur_like().joint_names
+
+
+def test_they_are_said_in_one_sentence():
+    assert text(read_robot_files(XACRO, YAML)) == (
+        "joints outside of the chain from base_link to tool0 stand still: slide_left (prismatic, at 0.03 m), "
+        "slide_right (prismatic, at 0.03 m, follows slide_left), hinge (revolute, at 0.4 rad); `other_joints` of the robot YAML "
+        "says where"
+    )
+
+
+def test_without_a_value_they_stand_at_zero_or_where_that_is_out_of_range_in_the_middle():
+    assert {joint.name: joint.position for joint in gripper().other_joints} == {
+        "slide_left": 0.0, "slide_right": 0.0, "hinge": pytest.approx(0.4),
+    }  # fmt: skip
+
+
+def test_a_mimic_joint_has_its_factor_and_offset_and_may_follow_a_follower():
+    urdf = changed("hinge", mimic={"joint": "slide_right", "multiplier": "-10", "offset": "0.5"})
+    joints = {joint.name: joint for joint in gripper(urdf, slide_left=0.02).other_joints}
+    assert joints["hinge"].position == pytest.approx(0.3)
+    assert joints["hinge"].follows == "slide_right"
+
+
+@pytest.mark.parametrize(
+    "positions, where, expected",
+    [
+        ({"slide_left": 0.07}, "robot/other_joints/slide_left", "0 to 0.06 [m]"),
+        ({"hinge": 0.0}, "robot/other_joints/hinge", "0.2 to 0.6 [rad]"),
+        ({"slide_right": 0.01}, "robot/other_joints/slide_right", "no value: it follows slide_left"),
+        ({"pan": 0.0}, "robot/other_joints/pan", "take a value: ['slide_left', 'hinge']"),
+        ({"nobody": 0.0}, "robot/other_joints/nobody", "take a value: ['slide_left', 'hinge']"),
+        ({"slide_left": math.nan}, "robot/other_joints/slide_left", "finite"),
+        ({"slide_left": "open"}, "robot/other_joints/slide_left", "number"),
+    ],
+)
+def test_a_wrong_value_is_named(positions, where, expected):
+    error = refused(**positions)
+    assert error.where == where
+    assert expected in error.expected
+
+
+def test_limits_and_leaders_that_are_missing_are_named():
+    assert refused(changed("hinge", limit=None)).where == "robot_description joint hinge limit"
+    assert "found 'nobody'" in str(refused(changed("hinge", mimic={"joint": "nobody"})))
+    both = changed("slide_left", mimic={"joint": "slide_right"})
+    assert "a joint that does not follow it" in str(refused(both))
+
+
+def test_a_continuous_joint_needs_no_limits_and_a_floating_one_takes_no_value():
+    assert gripper(changed("hinge", type="continuous", limit=None), hinge=7.0).other_joints[2].position == 7.0
+    floating = changed("hinge", type="floating", limit=None)
+    assert gripper(floating).other_joints[2] == OtherJoint("hinge", "floating", 0.0, "")
+    assert refused(floating, hinge=0.1).expected == "no value: a floating joint stands at zero"
+
+
+def test_home_pose_of_the_yaml_names_them_for_the_twin_s_frames():
+    assert home_positions(YAML) == dict(zip(ur_like().joint_names, ur_like().home)) | {"slide_left": 0.03}
+
+
+def test_their_frames_are_where_they_stand():
+    frames = {frame.child: frame for frame in other_frames(read_robot_files(XACRO, YAML))}
+    assert set(frames) == {"finger_left", "finger_right", "camera"}
+    assert frames["finger_right"].parent == "palm"
+    pose = frames["finger_right"].pose
+    np.testing.assert_allclose(pose.position, (-0.03, 0.0, 0.06), atol=1e-12)
+    np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-12)
+    turned = frames["camera"].pose.rotation
+    np.testing.assert_allclose(turned @ (0.0, 1.0, 0.0), (0.0, math.cos(0.4), math.sin(0.4)), atol=1e-12)
+
+
+def test_a_follower_of_the_chain_has_no_frame_of_its_own():
+    """robot_state_publisher moves it with its leader."""
+    robot = gripper(without_shapes(changed("hinge", mimic={"joint": "wrist_3"}), "camera"))
+    assert robot.other_joints[2] == OtherJoint("hinge", "revolute", None, "wrist_3")
+    assert {frame.child for frame in other_frames(robot)} == {"finger_left", "finger_right"}
+    assert "hinge (revolute, moves with wrist_3)" in text(robot)
+    RobotBodies(robot)
+
+
+def without_shapes(urdf: str, link: str) -> str:
+    robot = ElementTree.fromstring(urdf)
+    element = robot.find(f"link[@name='{link}']")
+    for shape in element.findall("collision"):
+        element.remove(shape)
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def test_shapes_that_follow_the_chain_are_refused_because_their_motion_is_not_checked():
+    with pytest.raises(ConfigurationError) as caught:
+        RobotBodies(gripper(changed("hinge", mimic={"joint": "wrist_3"})))
+    assert caught.value.where == "robot_description joint hinge"
+    assert "camera" in str(caught.value) and "follows wrist_3" in str(caught.value)
+
+
+def test_fingers_are_bodies_of_the_last_link_at_their_pose():
+    bodies = RobotBodies(read_robot_files(XACRO, YAML))
+    named = {body.link: body for body in bodies.bodies}
+    assert {"palm", "finger_left", "finger_right", "camera"} <= set(named)
+    assert named["finger_left"].joint == named["palm"].joint == bodies.link_joints["tool0"]
+    palm, left, right = (named[link].placement for link in ("palm", "finger_left", "finger_right"))
+    np.testing.assert_allclose(palm.actInv(left.translation) - palm.actInv(right.translation), (0.08, 0, 0), atol=1e-9)
+    chain = Chain(bodies.robot)
+    tool = chain.forward(bodies.robot.home)
+    finger = bodies.link_pose(bodies.robot.home, "finger_left")
+    np.testing.assert_allclose(finger.position, tool.position + tool.rotation @ (0.03, 0.0, 0.06), atol=1e-9)
+
+
+def test_open_fingers_touch_what_closed_ones_do_not():
+    robot = gripper()
+    tool = Chain(robot).forward(robot.home)
+    beside = tool.position + tool.rotation @ (0.065, 0.0, 0.10)
+    quaternion = tuple(map(float, pinocchio.Quaternion(tool.rotation).coeffs()))
+    part = SceneObject("part", "box", (0.02, 0.02, 0.02), tuple(beside), quaternion)
+    closed = CollisionWorld(robot, Scene((part,)), NONE)
+    wide = CollisionWorld(gripper(slide_left=0.05), Scene((part,)), NONE)
+    pair = Contact(("finger_left", "part"))
+    assert pair not in closed.contacts(robot.home)
+    assert pair in wide.contacts(robot.home)
+
+
+def test_fingers_are_among_the_pairs_of_the_arm_with_itself():
+    robot = read_robot_files(XACRO, YAML)
+    links = {link for pair in sample_self_collision(robot, samples=200).ignored for link in pair}
+    world = CollisionWorld(robot, Scene(), sample_self_collision(robot, samples=200))
+    touched = {link for q in poses(robot, 400) for contact in world.contacts(q) for link in contact.between}
+    assert {"finger_left", "finger_right"} <= links | touched
+    assert {"finger_left", "finger_right"} & touched
+
+
+def poses(robot: RobotModel, count: int) -> np.ndarray:
+    return np.random.default_rng(1).uniform(robot.lower, robot.upper, (count, len(robot.lower)))
+
+
+def test_another_pose_of_the_fingers_is_another_geometry():
+    hashes = {geometry_hash(RobotBodies(gripper(slide_left=value))) for value in (0.0, 0.03, 0.05)}
+    assert len(hashes) == 3
+
+
+def test_a_continuous_joint_turns_what_it_carries():
+    urdf = changed("hinge", type="continuous", limit=None)
+    camera = {
+        value: next(body for body in RobotBodies(gripper(urdf, hinge=value)).bodies if body.link == "camera")
+        for value in (0.0, math.pi / 2)
+    }
+    shift = camera[math.pi / 2].placement.translation - camera[0.0].placement.translation
+    assert np.linalg.norm(shift) == pytest.approx(0.05 * math.sqrt(2), abs=1e-9)
+
+
+def test_a_joint_below_the_base_moves_the_base_in_the_world():
+    urdf = expand_xacro(DATA / "ur_like.urdf").replace(
+        '<link name="base_link"/>',
+        '<link name="base_link"/><link name="lift_foot"/><joint name="lift_column" type="prismatic"><parent link="lift_foot"/>'
+        '<child link="base_link"/><axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>',
+    )
+    description = yaml.safe_load((DATA / "ur_like.yaml").read_text())
+    robot = load_robot(urdf, description | {"other_joints": {"lift_column": 0.7}})
+    np.testing.assert_allclose(RobotBodies(robot).root_T_base.translation, (0.0, 0.0, 0.7), atol=1e-12)

@@ -1,0 +1,313 @@
+"""What a start is refused for before anything starts: contents of files, a robot that runs already, ports; and how it is said."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from xml.etree import ElementTree
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+import rosgraph
+import yaml
+from rosmaster.master import Master
+
+from construction_twin.ros.commands import preflight
+from construction_twin.views.roslaunch_call import RoslaunchCall
+
+ROOT = Path(__file__).resolve().parents[3]
+KR120 = {
+    "robot": "kr120",
+    "arm": "mock",
+    "decimals": "3",
+    "robot_xacro": f"{ROOT}/urdf/kr120r2500.urdf.xacro",
+    "robot_config": f"{ROOT}/config/kr120.yaml",
+    "self_collision": f"{ROOT}/config/kr120_self_collision.yaml",
+    "ethernet_xml": f"{ROOT}/krl/ethernet/ctwin_ethernet.xml",
+    "scene": f"{ROOT}/config/scene.yaml",
+    "cell": "",
+    "neighbour": "",
+    "bridge_account": "",
+    "gateway_account": "",
+}
+TRACK = KR120 | {
+    "robot_xacro": f"{ROOT}/urdf/kr120_track.urdf.xacro",
+    "robot_config": f"{ROOT}/config/kr120_track.yaml",
+    "self_collision": f"{ROOT}/config/kr120_track_self_collision.yaml",
+    "ethernet_xml": f"{ROOT}/krl/ethernet/ctwin_e1_ethernet.xml",
+}
+
+
+# -- contents
+
+
+@pytest.mark.parametrize(
+    "given", [KR120, TRACK, KR120 | {"arm": "none", "ethernet_xml": TRACK["ethernet_xml"]}, {"arm": "mock"}]
+)
+def test_files_that_fit_pass(given):
+    assert preflight.contents_problem(given) == ""
+
+
+@pytest.mark.parametrize("name", ["self_collision", "ethernet_xml", "robot_config"])
+def test_a_file_of_another_arm_is_refused_by_the_argument_that_names_it(name):
+    said = preflight.contents_problem(KR120 | {name: TRACK[name]})
+    assert said.startswith(f"{name}:={TRACK[name]}") and "expected " in said
+    assert said.count(TRACK[name]) == (2 if name == "self_collision" else 1)  # in the command that makes it again
+
+
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("robot_xacro", "<robot"),
+        ("robot_xacro", "<robot/>"),
+        ("robot_config", "joints: ["),
+        ("robot_config", "- 1"),
+        ("self_collision", "ignored: ["),
+        ("self_collision", "ignored: []"),
+        ("ethernet_xml", "<ROOT><CONFIG>"),
+        ("scene", "objects: {wall: {shape: "),
+        ("scene", "padding: -1"),
+        ("cell", "kr120: {"),
+        ("cell", "kr120: {xyz: [0, 0]}"),
+        ("cell", "another: {xyz: [0.0, 0.0, 0.0], rpy_deg: [0.0, 0.0, 0.0]}"),
+        ("bridge_account", "{"),
+        ("gateway_account", '{"user": "a"}'),
+    ],
+)
+def test_broken_contents_are_one_sentence_with_the_file_and_what_was_expected(tmp_path, name, text):
+    file = tmp_path / "broken"
+    file.write_text(text)
+    said = preflight.contents_problem(KR120 | {name: str(file)})
+    assert f"{name}:={file}" in said and "expected" in said
+    assert "\n" not in said and "Traceback" not in said
+
+
+@pytest.mark.parametrize("words", [["accelerations"], ["accelerations", "axes"]])
+def test_a_real_arm_does_not_move_by_estimates(tmp_path, words):
+    described = yaml.safe_load(Path(KR120["robot_config"]).read_text()) | {"estimates": words}
+    file = tmp_path / "estimated.yaml"
+    file.write_text(yaml.safe_dump(described))
+    given = KR120 | {"robot_config": str(file)}
+    assert preflight.contents_problem(given | {"arm": "mock"}) == ""
+    assert preflight.contents_problem(given | {"arm": "none"}) == ""
+    said = preflight.contents_problem(given | {"arm": "real"})
+    assert said.startswith(
+        f"robot_config:={file}: estimates: found {words}, expected none with arm:=real: put in the right"
+    )
+    assert "acceleration_deg_s2" in said and ("rsi, sign" in said) == ("axes" in words)
+
+
+def test_a_range_that_the_wire_cannot_carry_is_refused(tmp_path):
+    described = yaml.safe_load(Path(TRACK["robot_config"]).read_text())
+    described["joints"]["track"]["offset_mm"] = 99_000.0
+    file = tmp_path / "far.yaml"
+    file.write_text(yaml.safe_dump(described))
+    assert "the wire can carry" in preflight.contents_problem(TRACK | {"robot_config": str(file)})
+
+
+@pytest.mark.parametrize(
+    "name, text, sentence",
+    [
+        ("task", "goals_deg: [[0.0, -90.0]]", "a goal in ~goals_deg has 2 values; kr120 has 6 joints"),
+        ("task", "goals_deg: [[0.0, -90.0, 990.0, 0.0, 90.0, 0.0]]", "joint_a3"),
+        ("task", "durations: 3.0", "durations: found 3.0, expected no such key; did you mean duration?"),
+        ("task", "duration: [", "expected a YAML file"),
+        ("scenario", "scenario: {title: t}", "steps: found nothing, expected a list with 1 or more entries"),
+        ("scenario", "steps: []", "expected the key `scenario`"),
+        ("results_dir", "", "expected a folder that files can be written into"),
+        ("review_file", "", "expected a folder that files can be written into"),
+    ],
+)
+def test_what_an_experiment_would_end_with_is_found_before_it_starts(tmp_path, name, text, sentence):
+    """A folder that is a file takes no results."""
+    file = tmp_path / "given.yaml"
+    file.write_text(text)
+    given = f"{file}/reviews.jsonl" if name == "review_file" else str(file)
+    said = preflight.contents_problem(KR120 | {name: given})
+    assert said.startswith(f"{name}:={given}: ") and sentence in said
+
+
+def test_what_the_package_ships_is_fine(tmp_path):
+    for file in sorted((ROOT / "config" / "scenarios").glob("*.yaml")):
+        assert preflight.contents_problem(KR120 | {"scenario": str(file)}) == ""
+    assert (
+        preflight.contents_problem(
+            KR120 | {"task": f"{ROOT}/config/experiment.yaml", "results_dir": f"{tmp_path}/new/folder"}
+        )
+        == ""
+    )
+    assert preflight.contents_problem(TRACK | {"task": f"{ROOT}/config/experiment_track.yaml"}) == ""
+    assert not (tmp_path / "new").exists()
+
+
+# -- what runs already
+
+
+class Node:
+    """A process that has registered as a node: it answers `getPid`, like every node."""
+
+    def __init__(self, master: str, name: str):
+        self.server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        self.server.register_function(lambda _caller: (1, "", 4711), "getPid")
+        self._thread = threading.Thread(target=self.server.serve_forever, args=(0.01,))
+        self._thread.start()
+        uri = f"http://127.0.0.1:{self.server.server_address[1]}"
+        rosgraph.Master(name, master).registerPublisher("/t", "std_msgs/String", uri)
+
+    def end(self) -> None:
+        self.server.shutdown()
+        self._thread.join()
+        self.server.server_close()
+
+
+@pytest.fixture
+def master(monkeypatch):
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    running = Master(port=port)
+    running.start()
+    yield running.uri
+    running.stop()
+
+
+def test_a_robot_that_runs_already_is_refused_with_who_runs_it(master):
+    nodes = [Node(master, "/kr120/executor"), Node(master, "/kr120/pca_monitor")]
+    said = preflight.running_problem({"robot": "kr120"}, master)
+    for node in nodes:
+        node.end()
+    assert said.startswith(
+        f"robot:=kr120: it runs already on {master}: /kr120/executor on 127.0.0.1, process 4711 and 1 more nodes"
+    )
+    assert "End that launch first, or give this robot a name of its own, e.g. robot:=kr120_2" in said
+
+
+def test_another_robot_on_the_same_master_may_start(master):
+    node = Node(master, "/kr120_1/executor")
+    assert preflight.running_problem({"robot": "kr120_2"}, master) == ""
+    node.end()
+
+
+def test_a_node_that_was_killed_and_is_still_registered_is_no_running_one(master):
+    Node(master, "/kr120/executor").end()
+    assert preflight.running_problem({"robot": "kr120"}, master) == ""
+
+
+def test_a_node_that_does_not_answer_may_live(master, monkeypatch):
+    monkeypatch.setattr("construction_twin.ros.shared.master.NODE_TIMEOUT", 0.2)
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        uri = f"http://127.0.0.1:{mute.getsockname()[1]}"
+        rosgraph.Master("/kr120/executor", master).registerPublisher("/t", "std_msgs/String", uri)
+        said = preflight.running_problem({"robot": "kr120"}, master)
+    assert "/kr120/executor on 127.0.0.1 (does not answer; if it has ended, `rosnode cleanup` removes it)" in said
+
+
+def test_a_second_rviz_would_end_the_first(master):
+    node = Node(master, "/view")
+    assert preflight.running_problem({"robot": "kr120", "gui": "true"}, master).startswith(
+        "gui:=true: rviz runs already"
+    )
+    assert preflight.running_problem({"robot": "kr120", "gui": "false"}, master) == ""
+    node.end()
+
+
+def test_no_master_is_nothing_that_runs():
+    assert preflight.running_problem({"robot": "kr120"}, "http://127.0.0.1:1/") == ""
+
+
+def test_every_node_of_a_robot_is_looked_for():
+    """Those of bringup.launch in its group, and of the files it includes there."""
+    trees = [ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link")]
+    names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view"}
+    assert set(preflight.ROBOT_NODES) == names
+
+
+# -- ports
+
+
+def test_a_taken_port_is_refused_before_anything_starts():
+    with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        tcp.bind(("127.0.0.1", 0))
+        tcp.listen()
+        udp.bind(("127.0.0.1", 0))
+        broker, rsi = tcp.getsockname()[1], udp.getsockname()[1]
+        here = KR120 | {"broker": "true", "broker_port": str(broker), "gateway": "true", "rsi_port": str(rsi)}
+        assert preflight.port_problem(here).startswith(
+            f"broker_port:={broker}: TCP port {broker} on 127.0.0.1 is taken"
+        )
+        elsewhere = here | {"broker": "false"}
+        assert preflight.port_problem(elsewhere).startswith(f"rsi_port:={rsi}: UDP port {rsi} on 127.0.0.1 is taken")
+        assert preflight.port_problem(elsewhere | {"gateway": "false"}) == ""
+        assert preflight.port_problem(elsewhere | {"arm": "none"}) == ""
+    assert preflight.port_problem(here) == ""
+
+
+# -- arguments that nothing reads
+
+
+def test_a_misspelt_argument_of_the_call_is_refused_before_anything_else():
+    call = RoslaunchCall(("construction_twin", "bringup.launch"), {"robott": "kr120_2"}, {})
+    said = preflight.refusal(KR120 | {"arm": "foo"}, call, "")
+    assert said.startswith("robott:=kr120_2: bringup.launch has no such argument; did you mean robot:=kr120_2?")
+    path = RoslaunchCall((str(ROOT / "launch" / "experiment.launch"),), {"quick": "true"}, {})
+    assert preflight.call_problem(path) == ""
+
+
+# -- the program
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("allow_anonymous true\n", True),
+        ("# allow_anonymous true\nallow_anonymous false\n", False),
+        ("listener 8883\n", False),
+        (None, True),
+    ],
+)
+def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_path, capsys, text, said):
+    file, account = tmp_path / "mosquitto.conf", tmp_path / "account.json"
+    account.write_text("{}")
+    if text is not None:
+        file.write_text(text)
+    arguments = ["arm:=real", f"bridge_account:={account}", "gateway:=false", "broker:=true", f"broker_config:={file}"]
+    assert preflight.main(arguments) == said
+    assert ("broker_config" in capsys.readouterr().err) is said
+
+
+def test_preflight_by_hand(capsys, tmp_path):
+    assert preflight.main([f"{name}:={value}" for name, value in KR120.items() if name != "robot"]) == 0
+    assert capsys.readouterr().out == "ok\n"
+    assert preflight.main([f"robot_config:={tmp_path}"]) == 1
+    assert preflight.main(["robot_config:=test_startup.py"]) == 1
+    assert capsys.readouterr().err.count("preflight: robot_config:=") == 2
+
+
+def test_for_roslaunch_the_result_is_on_standard_output(capsys):
+    assert preflight.main(["--for-roslaunch", "arm:=foo"]) == 0
+    said = capsys.readouterr()
+    assert said.out == "refused\n" and said.err == "preflight: arm:=foo: expected mock, real or none\n"
+    assert preflight.main(["--for-roslaunch", "arm:=mock"]) == 0
+    assert capsys.readouterr().out == "true\n"
+
+
+def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_for():
+    """As with roslaunch: it starts the one that refuses, reads its output, and then prints lines of its own."""
+    child = (
+        "import os; from construction_twin.ros.shared.roslaunch_above import say_below; "
+        "say_below('the sentence', os.getppid()); print('refused')"
+    )
+    parent = (
+        f"import subprocess, sys; run = subprocess.run([sys.executable, '-c', {child!r}], stdout=subprocess.PIPE); "
+        "print(run.stdout.decode(), 'and much more', file=sys.stderr)"
+    )
+    run = subprocess.run([sys.executable, "-c", parent], capture_output=True, text=True, timeout=60, env=os.environ)
+    lines = run.stderr.splitlines()
+    assert lines == ["refused", " and much more", "the sentence"]

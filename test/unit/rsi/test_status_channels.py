@@ -1,0 +1,274 @@
+"""The optional channels Mode, ProgStatus and OvPro: read where the Ethernet XML has them, from mock to gateway status."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+
+import pytest
+from gateway_cell import CONFIG, RUN, START
+from hypothesis import given
+from hypothesis import strategies as st
+from mock_cell import Cell as MockCell
+from processes import ROOT
+
+from construction_twin.core.errors import EthernetXmlError, FaultError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.gateway import Gateway
+from construction_twin.gateway.inbox import TelegramInbox
+from construction_twin.gateway.states import State
+from construction_twin.mock.faults import Fault, FaultBoard
+from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
+from construction_twin.rsi.gateway_codec import RobotDecoder, RobotEncoder, parse_robot
+from construction_twin.rsi.layout import RsiLayout
+from construction_twin.rsi.status_channels import ControllerStatus, StatusReader, status_channels
+
+POSE = (0.0,) * 6
+BLOCKS = ("AIPos", "ASPos", "Delay")
+PLAIN = ("Mode", "ProgStatus", "OvPro")
+DOTTED = ("Mode.R", "ProgStatus.R", "OvPro.R")
+T1 = "the controller is in T1: the arm moves only while enabling switch and start key are held, and slowly"
+STOPPED = "the controller's program is stopped (STOP): press start on the pendant"
+ETHERNET = (ROOT / "krl/ethernet/ctwin_ethernet.xml").read_text()
+FITTING = [(PLAIN, (*BLOCKS, *PLAIN)), (DOTTED, (*DOTTED, *BLOCKS)), (PLAIN, ("AIPos", *PLAIN, "ASPos", "Delay"))]
+
+
+def telegram(send, status, ipoc=1000):
+    return RobotEncoder(CONFIG.axes, 6, send).encode(ipoc, START, START, POSE, POSE, 0, status)
+
+
+@pytest.mark.parametrize(("channels", "send"), FITTING)
+@given(
+    mode=st.sampled_from([1, 2, 3, 4]),
+    program=st.sampled_from([1, 2, 3, 4, 5]),
+    override=st.one_of(st.integers(0, 100), st.just(12.5)),
+)
+def test_what_a_controller_says_is_read_in_any_order_plain_and_dotted(channels, send, mode, program, override):
+    status = ControllerStatus(mode, program, override)
+    assert StatusReader(channels).read(telegram(send, status)) == (status, 0)
+
+
+@pytest.mark.parametrize(("channels", "send"), FITTING)
+def test_the_codec_reads_such_telegrams_as_any_other_and_learns_their_shape(channels, send):
+    decoder = RobotDecoder(CONFIG.axes)
+    for k, mode in enumerate((3, 3, 3, 1, 1)):
+        read = decoder.parse(telegram(send, ControllerStatus(mode, 3, 100), 1000 + 4 * k))
+        assert (read.ipoc, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
+
+
+def test_only_the_channels_that_the_file_declares_are_read():
+    assert status_channels(("RIst", "Mode", "GearTorque.A1", "ProgStatus.S", "OvPro.R", "Modes")) == ("Mode", "OvPro.R")
+    data = telegram((*BLOCKS, *PLAIN), ControllerStatus(1, 4, 30))
+    assert StatusReader(("ProgStatus",)).read(data) == (ControllerStatus(program=4), 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "unreadable"),
+    [
+        (b"<Mode></Mode><OvPro>50</OvPro>", 1),
+        (b"<OvPro>50</OvPro>", 1),
+        (b"<Mode>T1</Mode><OvPro>50</OvPro>", 1),
+        (b"<Mode>1.5</Mode><OvPro>50</OvPro>", 1),
+        (b"<Mode>-1</Mode><OvPro>50</OvPro>", 1),
+        (b"<Mode>nan</Mode><OvPro>50</OvPro>", 1),
+        (b"<Mode>99999999999</Mode><OvPro>50</OvPro>", 1),
+        (b'<Mode R="1"/><OvPro>50</OvPro>', 1),
+        (b"<Mode>1</Mode><OvPro>101</OvPro>", 1),
+        (b"<Mode>1</Mode><OvPro>-1</OvPro>", 1),
+        (b"<Mode>1.0000</Mode><OvPro> 50.00 </OvPro>", 0),
+    ],
+)
+def test_what_is_no_number_of_the_kind_is_not_known_and_counted(text, unreadable):
+    status, count = StatusReader(("Mode", "OvPro")).read(b'<Rob Type="KUKA">' + text + b"<IPOC>4</IPOC></Rob>")
+    assert count == unreadable
+    assert status == ControllerStatus(
+        1 if b"Mode>1<" in text or b"1.0000" in text else None, None, 50.0 if b"50" in text else None
+    )
+
+
+def test_a_reader_follows_every_change():
+    reader = StatusReader(PLAIN)
+    said = [
+        ControllerStatus(3, 3, 100),
+        ControllerStatus(1, 3, 100),
+        ControllerStatus(1, 4, 100),
+        ControllerStatus(1, 4, 5),
+    ]
+    assert [reader.read(telegram((*BLOCKS, *PLAIN), status))[0] for status in said] == said
+    assert reader.read(b"<Rob/>") == (ControllerStatus(), 3)
+
+
+@pytest.mark.parametrize(
+    ("status", "sentence"),
+    [
+        (ControllerStatus(), ""),
+        (ControllerStatus(3, 3, 100.0), ""),
+        (ControllerStatus(4, 3, 100.0), ""),
+        (ControllerStatus(1, 3, 100.0), T1),
+        (
+            ControllerStatus(mode=2),
+            "the controller is in T2: the arm moves only while enabling switch and start key are held",
+        ),
+        (ControllerStatus(program=4), STOPPED),
+        (ControllerStatus(1, 4, 100.0), f"{T1}; {STOPPED}"),
+        (ControllerStatus(program=5), "the controller's program has ended (END): reset and start it"),
+        (ControllerStatus(program=2), "the controller's program is at its beginning (RESET): start it"),
+        (
+            ControllerStatus(program=1),
+            "no program is selected on the controller (FREE): select and start the RSI program",
+        ),
+        (
+            ControllerStatus(override=12.5),
+            "the override is 12.5 %: the controller's own motions are slower by that, corrections are not",
+        ),
+        (
+            ControllerStatus(override=0.0),
+            "the override is 0 %: whether corrections act then is not known, set it to 100 %",
+        ),
+    ],
+)
+def test_what_speaks_against_a_motion_is_a_sentence(status, sentence):
+    assert status.sentence == sentence
+
+
+def test_unknown_numbers_are_shown_as_numbers():
+    assert ControllerStatus(7, 9, 50.0).report() == {
+        "mode": "number 7", "program": "number 9", "override_percent": 50.0,
+        "sentence": "the override is 50 %: the controller's own motions are slower by that, corrections are not",
+    }  # fmt: skip
+    assert ControllerStatus().report() == {}
+
+
+def test_a_channel_that_is_declared_plain_and_dotted_is_refused():
+    text = ETHERNET.replace(
+        "</ELEMENTS>\n  </SEND>",
+        '<ELEMENT TAG="Mode" TYPE="LONG" INDX="1"/><ELEMENT TAG="Mode.R" TYPE="LONG" INDX="2"/></ELEMENTS></SEND>',
+    )
+    axes = ("A1", "A2", "A3", "A4", "A5", "A6")
+    with pytest.raises(
+        EthernetXmlError, match=r"SEND Mode.R: found 'a second channel for Mode', expected one: Mode or Mode.R"
+    ):
+        check_gateway(read_ethernet_xml(text, "eth.xml").layout, axes, "eth.xml")
+    check_gateway(read_ethernet_xml(text.replace("Mode.R", "ProgStatus.R"), "eth.xml").layout, axes, "eth.xml")
+
+
+# -- the gateway -------------------------------------------------------------------------------------------------------
+
+
+class Chain:
+    """A gateway with its inbox; telegrams come from a list."""
+
+    def __init__(self, send):
+        layout = dataclasses.replace(RsiLayout.plain(CONFIG.axes), send=send)
+        self.gateway = Gateway(dataclasses.replace(CONFIG, layout=layout), RUN)
+        self._waiting: deque[bytes] = deque()
+        self._now = NANOSECONDS
+        self._inbox = TelegramInbox(self.gateway, self._receive, lambda: self._now)
+
+    def _receive(self):
+        if not self._waiting:
+            raise BlockingIOError
+        return self._waiting.popleft(), self._now, ("192.168.1.20", 49152)
+
+    def hear(self, data):
+        """Take a telegram; return the corrections of the answer."""
+        self._now += 4_000_000
+        self._waiting.append(data)
+        arrival = self._inbox.newest()
+        return self.gateway.on_telegram(arrival.telegram, arrival.source, self._now)
+
+    def silence(self):
+        self._now += NANOSECONDS
+        self.gateway.poll(self._now)
+
+
+def test_the_status_says_what_the_controller_says():
+    chain = Chain((*BLOCKS, *DOTTED))
+    chain.hear(telegram((*BLOCKS, *DOTTED), ControllerStatus(1, 4, 100)))
+    assert chain.gateway.status()["controller"] == {
+        "mode": "T1", "program": "STOP", "override_percent": 100.0, "sentence": f"{T1}; {STOPPED}",
+    }  # fmt: skip
+    chain.hear(telegram((*BLOCKS, *DOTTED), ControllerStatus(3, 3, 100), 1004))
+    assert chain.gateway.status()["controller"]["sentence"] == ""
+
+
+def test_without_such_channels_the_status_says_nothing_of_it():
+    chain = Chain(BLOCKS)
+    chain.hear(telegram((*BLOCKS, *DOTTED), ControllerStatus(1, 4, 100)))
+    assert chain.gateway.status()["controller"] == {}
+
+
+def test_a_channel_that_cannot_be_read_ends_no_answers_and_is_counted():
+    chain = Chain((*BLOCKS, *DOTTED))
+    for k in range(3):
+        assert chain.hear(telegram(BLOCKS, ControllerStatus(), 1000 + 4 * k)) == (0.0, 0.0)
+    assert chain.gateway.counters["status_channels_unreadable"] == 9
+    assert chain.gateway.counters["telegrams"] == 3 and chain.gateway.status()["controller"] == {}
+
+
+def test_when_telegrams_cease_the_reason_holds_the_last_words():
+    chain = Chain((*BLOCKS, *PLAIN))
+    chain.hear(telegram((*BLOCKS, *PLAIN), ControllerStatus(3, 4, 100)))
+    chain.silence()
+    assert chain.gateway.state is State.NO_CONTROLLER
+    assert chain.gateway.reason == f"no telegram for {CONFIG.timeout:g} s; the last one said: {STOPPED}"
+    # a controller that is gone is in no mode
+    assert chain.gateway.status()["controller"] == {}
+
+
+# -- the mock ----------------------------------------------------------------------------------------------------------
+
+
+def mock(channels=PLAIN):
+    plain = RsiLayout.plain(("A1", "A2", "A3", "A4", "A5", "A6"))
+    cell = MockCell(layout=dataclasses.replace(plain, send=(*plain.send, *channels)))
+    return cell, FaultBoard(cell.mock, 0)
+
+
+def said(cell, channels=PLAIN):
+    data = cell.mock.begin_cycle()
+    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).ipoc))
+    return StatusReader(channels).read(data)[0]
+
+
+@pytest.mark.parametrize("channels", [PLAIN, DOTTED])
+def test_the_mock_says_aut_active_and_full_override_unless_it_is_told_otherwise(channels):
+    cell, faults = mock(channels)
+    assert said(cell, channels) == ControllerStatus(3, 3, 100.0)
+    for fault, expected in (
+        (Fault("program", values=(4.0,)), ControllerStatus(3, 4, 100.0)),
+        (Fault("mode", values=(2.0,)), ControllerStatus(2, 4, 100.0)),
+        (Fault("override", values=(0.0,)), ControllerStatus(2, 4, 0.0)),
+    ):
+        faults.inject(fault)
+        assert said(cell, channels) == expected
+    for name in ("program", "mode", "override"):
+        faults.end(Fault(name))
+    assert said(cell, channels) == ControllerStatus(3, 3, 100.0)
+    assert cell.mock.running and cell.mock.counters["missed"] == 0
+
+
+def test_the_mock_in_t1_says_so():
+    cell, faults = mock()
+    faults.inject(Fault("t1"))
+    assert said(cell).mode == 1
+    faults.inject(Fault("mode", values=(4.0,), duration=0.1))
+    assert said(cell).mode == 4
+    for _ in range(26):
+        faults.tick()
+    assert said(cell).mode == 1
+    faults.end(Fault("t1"))
+    assert said(cell).mode == 3
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [Fault("mode", values=(5.0,)), Fault("mode", values=(0.0,)), Fault("mode", values=(1.5,)), Fault("mode"),
+     Fault("program", values=(6.0,)), Fault("override", values=(-1.0,)), Fault("override", values=(101.0,)),
+     Fault("override", "A1", (50.0,))],
+)  # fmt: skip
+def test_what_no_channel_can_say_is_refused(fault):
+    _, faults = mock()
+    with pytest.raises(FaultError):
+        faults.inject(fault)
+    assert not faults.active

@@ -1,0 +1,160 @@
+"""scene.pair_sampling and the command: the same answers as asking everything, on any number of processes, and what is shown."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import os
+import pty
+import sys
+from functools import cache
+from pathlib import Path
+
+import pinocchio
+import pytest
+from mesh_arm import write_mesh_arm
+from scene_samples import ROOT, kr120, random_poses, track7, ur_like
+
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.pair_sampling import OpenPairs, PairSampler, sample_pairs
+from construction_twin.scene.self_collision_command import main, progress
+
+SAMPLES, SEED, NEAR = 600, 3, 0.05
+
+
+def pairs(robot: RobotModel) -> list[tuple[str, str]]:
+    links = dict.fromkeys(body.link for body in RobotBodies(robot).bodies)
+    joints = {body.link: body.joint for body in RobotBodies(robot).bodies}
+    return [pair for pair in itertools.combinations(links, 2) if joints[pair[0]] != joints[pair[1]]]
+
+
+@cache
+def measured(robot: RobotModel, samples: int) -> dict[tuple[str, str], list[float]]:
+    """Return the distance of every pair of links in every pose, each measured by itself."""
+    bodies = RobotBodies(robot)
+    geometry = pinocchio.GeometryModel()
+    for index, body in enumerate(bodies.bodies):
+        geometry.addGeometryObject(pinocchio.GeometryObject(str(index), body.joint, body.placement, body.geometry))
+    wanted, owners = set(pairs(robot)), []
+    for second, first in ((second, first) for second in range(len(bodies.bodies)) for first in range(second)):
+        owner = bodies.bodies[first].link, bodies.bodies[second].link
+        if owner in wanted:
+            geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
+            owners.append(owner)
+    data, shapes = bodies.model.createData(), geometry.createData()
+    distances: dict[tuple[str, str], list[float]] = {pair: [] for pair in wanted}
+    for pose in [robot.home, *random_poses(robot, samples - 1, SEED)]:
+        q = pinocchio.neutral(bodies.model)
+        q[bodies.order] = pose
+        pinocchio.computeDistances(bodies.model, data, geometry, shapes, q)
+        closest = dict.fromkeys(wanted, float("inf"))
+        for owner, result in zip(owners, shapes.distanceResults):
+            closest[owner] = min(closest[owner], result.min_distance)
+        for owner, distance in closest.items():
+            distances[owner].append(distance)
+    return distances
+
+
+@pytest.mark.parametrize("robot", [kr120(), ur_like(), track7()], ids=lambda robot: robot.name)
+def test_leaving_out_what_is_decided_changes_no_answer(robot):
+    found = sample_pairs(robot, pairs(robot), NEAR, SAMPLES, SEED)
+    distances = measured(robot, SAMPLES)
+    assert found.always == {pair for pair, values in distances.items() if max(values) <= 0}
+    assert found.never == {pair for pair, values in distances.items() if min(values) > NEAR}
+    assert found.always and (found.never or robot is ur_like())
+
+
+def test_the_number_of_processes_changes_no_answer():
+    alone, others = [], []
+    one = sample_pairs(kr120(), pairs(kr120()), NEAR, 1500, SEED, 1, lambda *said: alone.append(said))
+    two = sample_pairs(kr120(), pairs(kr120()), NEAR, 1500, SEED, 2, lambda *said: others.append(said), worth=0.0)
+    assert one == two
+    # every pose was reported as done, none twice, on both ways
+    for said in (alone, others):
+        poses, left = zip(*said)
+        assert poses[-1] == 1500 and list(poses) == sorted(poses)
+        assert left[-1] == one.count and list(left) == sorted(left, reverse=True)
+
+
+def test_a_pair_is_not_asked_again_when_its_answer_is_known():
+    sampler = PairSampler(ur_like(), pairs(ur_like()), NEAR, SAMPLES, SEED)
+    everything = OpenPairs(frozenset(pairs(ur_like())), frozenset(pairs(ur_like())))
+    first = sampler.ask(0, 300, everything)
+    assert first.count < everything.count
+    # only what is open is answered at all
+    assert sampler.ask(300, SAMPLES, OpenPairs(frozenset(), frozenset())) == OpenPairs(frozenset(), frozenset())
+    assert first & sampler.ask(300, SAMPLES, everything) == sampler.ask(300, SAMPLES, first)
+
+
+def test_other_processes_are_not_started_for_what_this_one_does_at_once():
+    """A clock that stands still: no work seems left, so that a wrong number of processes would not matter."""
+    found = sample_pairs(ur_like(), pairs(ur_like()), NEAR, SAMPLES, SEED, 1000, clock=lambda: 0.0)
+    assert found == sample_pairs(ur_like(), pairs(ur_like()), NEAR, SAMPLES, SEED)
+
+
+def write_robot_yaml(folder: Path) -> Path:
+    path = folder / "mesh_arm.yaml"
+    path.write_text((ROOT / "test/data/ur_like.yaml").read_text().replace("name: ur_like", "name: mesh_arm"))
+    return path
+
+
+def test_a_mesh_arm_with_its_proposal_of_hulls_beside_the_file(tmp_path, capsys):
+    urdf, robot_yaml, output = write_mesh_arm(tmp_path), write_robot_yaml(tmp_path), tmp_path / "my_self_collision.yaml"
+    main([str(urdf), str(robot_yaml), str(output), "--samples", "2000"])
+    said = capsys.readouterr()
+    assert said.out.startswith(f"{output}: 6 pairs left out, geometry ")
+    proposal = tmp_path / "my_hulls" / "robot.urdf"
+    assert f"{proposal}: a proposal, convex hulls in place of 5 meshes" in said.out
+    assert all(f"\n  {link} " in said.out for link in ("shoulder", "upper_arm", "forearm", "wrist_a", "wrist_b"))
+    assert said.err.splitlines()[-1] == "sampling: 2000 of 2000 poses, 0 pairs not decided"
+    # it is a URDF that every command takes; what was found for the meshes does not hold for it
+    assert read_robot_files(proposal, robot_yaml).joint_names == read_robot_files(urdf, robot_yaml).joint_names
+    main([str(proposal), str(robot_yaml), "-", "--samples", "300"])
+    assert "geometry: " + output.read_text().split("geometry: ")[1][:64] not in capsys.readouterr().out
+
+
+def test_an_arm_of_simple_shapes_gets_no_proposal(tmp_path, capsys):
+    output = tmp_path / "pairs.yaml"
+    main([str(ROOT / "test/data/ur_like.urdf"), str(ROOT / "test/data/ur_like.yaml"), str(output), "--samples", "300"])
+    assert len(capsys.readouterr().out.splitlines()) == 1 and list(tmp_path.iterdir()) == [output]
+
+
+def test_hulls_can_be_left_out(tmp_path, capsys):
+    urdf, robot_yaml = write_mesh_arm(tmp_path), write_robot_yaml(tmp_path)
+    main([str(urdf), str(robot_yaml), str(tmp_path / "pairs.yaml"), "--samples", "300", "--no-hulls"])
+    assert len(capsys.readouterr().out.splitlines()) == 1 and not (tmp_path / "pairs_hulls").exists()
+
+
+def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed(tmp_path, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["/nowhere.urdf", "/nowhere.yaml", str(tmp_path / "none" / "pairs.yaml")])
+    assert "none/pairs.yaml: found 'not writable', expected a file in a folder that exists" in caught.value.code
+
+
+def test_without_a_terminal_a_line_per_quarter():
+    error = io.StringIO()
+    before, sys.stderr = sys.stderr, error
+    try:
+        with progress(1000) as report:
+            for done in range(0, 1001, 50):
+                report(done, 7)
+            report(1000, 7)
+    finally:
+        sys.stderr = before
+    assert error.getvalue().splitlines() == [
+        f"sampling: {done} of 1000 poses, 7 pairs not decided" for done in (250, 500, 750, 1000)
+    ]
+
+
+def test_on_a_terminal_a_bar(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    reader, writer = pty.openpty()
+    with os.fdopen(writer, "w") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        with progress(1000) as report:
+            report(500, 7)
+        os.set_blocking(reader, False)
+        shown = os.read(reader, 65536).decode()
+    os.close(reader)
+    assert "7 pairs not decided" in shown and "50%" in shown and "━" in shown

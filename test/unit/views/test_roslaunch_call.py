@@ -1,0 +1,95 @@
+"""Arguments on roslaunch's command line that no launch file reads, told with the name that was probably meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from construction_twin.views.roslaunch_call import argument_problem, known_arguments, roslaunch_call
+
+ROOT = Path(__file__).resolve().parents[3]
+LAUNCH = ROOT / "launch"
+
+
+def find(package: str) -> str | None:
+    return str(ROOT) if package == "construction_twin" else None
+
+
+def problem(file: str, **given: str) -> str:
+    known = known_arguments(LAUNCH / file, find)
+    assert known is not None
+    return argument_problem(given, known, file)
+
+
+def test_the_command_line_is_read_with_its_options():
+    call = roslaunch_call(
+        ["/usr/bin/python3", "/usr/bin/roslaunch", "-p", "11399", "--screen", "construction_twin", "bringup.launch", "arm:=none",
+         "--pid=/tmp/x", "__ns:=/a", "robot:=kr120_2"]
+    )  # fmt: skip
+    assert call is not None
+    assert call.files == ("construction_twin", "bringup.launch")
+    assert call.given == {"arm": "none", "robot": "kr120_2"}
+    assert call.port == "11399" and call.starts
+    assert call.options == {"-p": "11399", "--screen": "", "--pid": "/tmp/x"}
+
+
+@pytest.mark.parametrize("option", ["--nodes", "--ros-args", "--dump-params", "--files", "--args=/x", "--find-node=/x"])
+def test_a_call_that_only_prints_starts_nothing(option):
+    call = roslaunch_call(["roslaunch", option, "a.launch"])
+    assert call is not None and not call.starts and call.files == ("a.launch",)
+
+
+@pytest.mark.parametrize(
+    "words", [["rostest", "x.test"], ["/usr/bin/python3", "-m", "pytest"], ["roslaunch-check", "a"], []]
+)
+def test_another_program_is_none(words):
+    assert roslaunch_call(words) is None
+
+
+@pytest.mark.parametrize("port", [["-p", "5"], ["-p5"], ["--port", "5"], ["--port=5"]])
+def test_the_port_in_every_spelling(port):
+    call = roslaunch_call(["roslaunch", *port, "a.launch"])
+    assert call is not None and call.port == "5" and call.files == ("a.launch",)
+
+
+def test_a_misspelt_argument_is_named_with_the_one_that_was_probably_meant():
+    assert problem("bringup.launch", auto_aprove="true") == (
+        "auto_aprove:=true: bringup.launch has no such argument; did you mean auto_approve:=true? `roslaunch --ros-args` lists them"
+    )
+    assert problem("bringup.launch", zzz="1") == (
+        "zzz:=1: bringup.launch has no such argument; `roslaunch --ros-args` lists them"
+    )
+
+
+def test_what_a_file_hands_on_is_known_and_what_it_sets_itself_is_not():
+    assert problem("two_robots.launch", decimals="6") == ""
+    said = problem("two_robots.launch", rsi_port="5")
+    assert said.startswith("rsi_port:=5: two_robots.launch has no such argument; did you mean rsi_port_")
+    assert problem("experiment.launch", quick="true", frame_rate="25") == ""
+
+
+def test_an_empty_value_that_roslaunch_drops_is_told_where_the_default_is_another():
+    assert problem("bringup.launch", broker_host="").startswith("broker_host:='': roslaunch drops an empty value, and ")
+    assert problem("bringup.launch", scene="").endswith("; give scene:=none for nothing, a value, or leave it out")
+    assert problem("bringup.launch", bridge_account="") == ""
+
+
+def test_a_file_of_the_user_with_its_own_arguments(tmp_path):
+    file = tmp_path / "my.launch"
+    file.write_text(
+        '<launch><arg name="mine" default="1"/><group><arg name="inner" default="2"/></group><arg name="fixed" value="3"/>'
+        '<include file="$(find construction_twin)/launch/bringup.launch" pass_all_args="true">'
+        '<arg name="arm" value="none"/></include>'
+        '<include file="$(dirname)/other.launch"><arg name="theirs" value="1"/></include></launch>'
+    )
+    known = known_arguments(file, find)
+    assert known is not None
+    assert {"mine", "inner", "robot"} <= set(known) and not {"fixed", "arm", "theirs"} & set(known)
+
+
+@pytest.mark.parametrize("name", ["$(arg which)", "$(find no_such_package)/a.launch", "/no/such.launch", ""])
+def test_what_cannot_be_told_in_advance_is_not_guessed(tmp_path, name):
+    file = tmp_path / "my.launch"
+    file.write_text(f'<launch><include file="{name}" pass_all_args="true"/></launch>')
+    assert known_arguments(file, find) is None
