@@ -18,6 +18,12 @@ fail() {
   exit 1
 }
 
+check_path() {
+  case "$root" in
+    *[[:space:]]*) fail "the path $root holds a space, and catkin, which builds ROS packages, cannot build there. Move the repository to a path without one." ;;
+  esac
+}
+
 check_system() {
   local id="" version=""
   if [ -r /etc/os-release ]; then
@@ -113,6 +119,7 @@ EOF
   mv "$work/env.bash.new" "$work/env.bash"
 }
 
+check_path
 check_system
 install_packages
 make_venv

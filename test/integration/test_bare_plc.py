@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A bare PLC: armed by a person's name, a plan reviewed and executed, halted in mid-motion, and what is not checked written down."""
+"""A bare PLC: armed by a person's name, a plan executed, halted in mid-motion, and what is not checked is recorded."""
 
 import json
 import subprocess
@@ -39,7 +39,9 @@ class BarePlcTest(RobotTest):
 
     def test_a_person_arms_by_name_plans_are_executed_and_a_halt_stops(self):
         client = self.client
-        client.wait(lambda: client.link and client.link.state == Link.NEEDS_RESET, "a PLC that waits for a person", 60.0)
+        client.wait(
+            lambda: client.link and client.link.state == Link.NEEDS_RESET, "a PLC that waits for a person", 60.0
+        )
         self.assertIn("twin arm --responsible NAME", client.link.reason)
         self.refused_without_a_name()
         self.arm("Ada")
