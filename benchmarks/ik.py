@@ -11,11 +11,9 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
-import math
 import platform
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -25,11 +23,16 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import KinematicsError
-from construction_twin.kinematics.chain import Chain, Pose, to_frame
-from construction_twin.kinematics.inverse import IkSettings, InverseKinematics, inverse_kinematics
-from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.solution import refine, residual
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.figures import (
+    Problem,
+    brute_force,
+    deep_search,
+    measure,
+    problems,
+    share_of_nearest,
+)
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.robot.description import RobotModel, read_robot_files
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -37,58 +40,16 @@ ROBOTS = {
     "kr120": ("urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"),
     "ur_like": ("test/data/ur_like.urdf", "test/data/ur_like.yaml"),
     "track7": ("urdf/kr120_track.urdf.xacro", "config/kr120_track.yaml"),
+    "panda_like": ("test/data/panda_like.urdf", "test/data/panda_like.yaml"),
 }
 #: A call that takes longer has not solved its task; what the search may take of it leaves room for its last step [s].
 LIMIT_S, BUDGET_S = 0.05, 0.04
-TOLERANCE = 1e-6
 #: TRAC-IK's error bound per component of the twist, and its time [s].
 TRACIK_EPSILON, TRACIK_TIMEOUT = 1e-6, 0.05
-#: A solution counts as the nearest unless the brute force finds one nearer by more than this: KDL's solver leaves that much
-#: in the joints where the wrist is almost singular [rad].
-NEARER = 1e-4
-#: What a solution of the brute force may miss the pose by [m], [rad].
-EXACT = 1e-11
 #: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this fraction of poses.
 RESTARTS = 150
 DEEP_S, DEEP_SHARE = 1.0, 0.1
-PACKAGES = ("numpy", "scipy", "py-opw-kinematics", "pytracik")
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """One target and the seed posture to solve it from."""
-
-    pose: Pose
-    seed: np.ndarray
-
-
-def problems(robot: RobotModel, chain: Chain, count: int, seed: int) -> list[Problem]:
-    """Return reachable targets, the same for the same seed."""
-    rng = np.random.default_rng(seed)
-    draws = rng.uniform(robot.lower, robot.upper, (count, 2, len(robot.lower)))
-    return [Problem(chain.forward(q), near) for q, near in draws]
-
-
-def measure(inverse: InverseKinematics, tasks: Sequence[Problem]) -> tuple[dict, list[float]]:
-    """Return the figures of `nearest` over all tasks, and each solution's distance from its seed (nan: not solved)."""
-    times, distances = [], []
-    worst_m = worst_rad = 0.0
-    for task in tasks:
-        began = time.perf_counter()
-        try:
-            found = inverse.nearest(task.pose, task.seed)
-        except KinematicsError:
-            found = None
-        times.append(time.perf_counter() - began)
-        distances.append(math.nan)
-        if found is not None and times[-1] <= LIMIT_S:
-            inverse.chain.robot.check_range(found.q)
-            error_m, error_rad = residual(inverse.chain, found.q, task.pose)
-            worst_m, worst_rad = max(worst_m, error_m), max(worst_rad, error_rad)
-            if max(error_m, error_rad) <= TOLERANCE:
-                distances[-1] = float(np.linalg.norm(found.q - task.seed))
-    figures = {"poses": len(tasks), "solved": float(np.isfinite(distances).mean()), **_spread(times)}
-    return figures | {"residual_m": worst_m, "residual_rad": worst_rad}, distances
+PACKAGES = ("numpy", "scipy", "py-opw-kinematics", "eaik", "pytracik")
 
 
 def measure_tracik(robot: RobotModel, tasks: Sequence[Problem]) -> dict:
@@ -110,78 +71,26 @@ def measure_tracik(robot: RobotModel, tasks: Sequence[Problem]) -> dict:
     return {"solved": solved / len(tasks), **_spread(times)}
 
 
-def share_of_nearest(
-    distances: Sequence[float], tasks: Sequence[Problem], brute_force: Callable[[Problem], float]
-) -> float:
-    """Return the fraction of solved tasks for which a brute force finds nothing nearer; nan without any."""
-    solved = [(distance, task) for distance, task in zip(distances, tasks) if math.isfinite(distance)]
-    nearest = [distance <= brute_force(task) + NEARER for distance, task in solved]
-    return float(np.mean(nearest)) if nearest else math.nan
-
-
-def brute_force(chain: Chain, rng: np.random.Generator) -> Callable[[Problem], float]:
-    """Return a search for the distance of the nearest solution: KDL's solver from many postures, with every whole turn.
-
-    Shares with the closed form KDL's forward kinematics and Jacobian, `refine`, which takes the last Newton steps to an exact
-    solution, and `residual`, which confirms it. Where solutions are, it finds out by itself.
-    """
-    robot = chain.robot
-    lower, upper = np.array(robot.lower), np.array(robot.upper)
-    solver = PyKDL.ChainIkSolverPos_LMA(chain.kdl, 1e-10, 200, 1e-14)
-    start, end = PyKDL.JntArray(len(lower)), PyKDL.JntArray(len(lower))
-    turns = 2.0 * math.pi * np.arange(-3, 4)[:, None]
-
-    def search(task: Problem) -> float:
-        target, best = to_frame(task.pose), math.inf
-        for posture in [task.seed, *rng.uniform(lower, upper, (RESTARTS, len(lower)))]:
-            for joint, value in enumerate(posture.tolist()):
-                start[joint] = value
-            solver.CartToJnt(start, target, end)
-            q = np.array([end[joint] for joint in range(len(lower))])
-            q = q - 2.0 * math.pi * np.rint(q / (2.0 * math.pi))
-            choices = q + turns
-            apart = np.abs(choices - task.seed)
-            apart[(choices < lower) | (choices > upper)] = math.inf
-            if np.linalg.norm(apart.min(axis=0)) < best:
-                # within the tolerance of an almost singular pose there are joint values far from any exact solution
-                q = refine(chain, np.take_along_axis(choices, apart.argmin(axis=0)[None], axis=0)[0], task.pose)
-                if max(residual(chain, q, task.pose)) <= EXACT:
-                    best = min(best, float(np.linalg.norm(q - task.seed)))
-        return best
-
-    return search
-
-
-def deep_search(chain: Chain, rng: np.random.Generator) -> Callable[[Problem], float]:
-    """Return the same for a redundant arm: KDL's solver and steps along the self-motion, for a long time on each pose."""
-    settings = IkSettings(seeds=100_000, budget_s=DEEP_S, patience=100_000)
-    inverse = NumericInverse(chain, settings, rng, time.perf_counter)
-
-    def search(task: Problem) -> float:
-        try:
-            return inverse.nearest(task.pose, task.seed).distance
-        except KinematicsError:
-            return math.inf
-
-    return search
-
-
 def run(poses: int, seed: int, checks: int, tracik: bool) -> dict:
     """Measure all robots and return the contents of the file."""
     result = {}
     for name, (urdf, description) in ROBOTS.items():
         robot = read_robot_files(ROOT / urdf, ROOT / description)
         chain = Chain(robot)
-        tasks = problems(robot, chain, poses, seed)
+        tasks = problems(chain, poses, seed)
         inverse = inverse_kinematics(
             chain, IkSettings(budget_s=BUDGET_S), np.random.default_rng(seed), time.perf_counter
         )
-        measure(inverse, tasks[:20])  # the first calls are slower: code and data are not in the caches yet
-        figures, distances = measure(inverse, tasks)
+        # the first calls are slower: code and data are not in the caches yet
+        measure(inverse, tasks[:20], time.perf_counter)
+        found = measure(inverse, tasks, time.perf_counter, LIMIT_S)
         redundant = len(robot.joint_names) > 6
         some = max(1, round(checks * DEEP_SHARE)) if redundant else checks
-        search = (deep_search if redundant else brute_force)(chain, np.random.default_rng(seed + 1))
-        figures["nearest"] = share_of_nearest(distances[:some], tasks[:some], search)
+        rng = np.random.default_rng(seed + 1)
+        search = deep_search(chain, rng, time.perf_counter, DEEP_S) if redundant else brute_force(chain, rng, RESTARTS)
+        figures = {"kind": inverse.kind.name, "poses": len(tasks), "solved": found.solved, **_spread(found.times)}
+        figures |= {"residual_m": found.residual_m, "residual_rad": found.residual_rad}
+        figures["nearest"] = share_of_nearest(found.distances[:some], tasks[:some], search)
         result[name] = figures
         if name == "kr120" and tracik:
             result["tracik_speed"] = measure_tracik(robot, tasks)
@@ -195,7 +104,7 @@ def environment(seed: int, checks: int) -> dict:
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in PACKAGES} | {"pykdl": PyKDL.__version__},
         "seed": seed,
-        "nearest_checked": {"kr120": checks, "ur_like": checks, "track7": max(1, round(checks * DEEP_SHARE))},
+        "nearest_checked": {"6 joints": checks, "7 joints": max(1, round(checks * DEEP_SHARE))},
         "tracik": {"solver": "Speed", "epsilon": TRACIK_EPSILON, "timeout_s": TRACIK_TIMEOUT},
     }
 

@@ -18,6 +18,12 @@ fail() {
   exit 1
 }
 
+check_path() {
+  case "$root" in
+    *[[:space:]]*) fail "the path $root holds a space, and catkin, which builds ROS packages, cannot build there. Move the repository to a path without one." ;;
+  esac
+}
+
 check_system() {
   local id="" version=""
   if [ -r /etc/os-release ]; then
@@ -53,12 +59,15 @@ install_packages() {
 
 make_venv() {
   local stamp="$venv/.requirements" want
-  want=$(cat "$root/setup/requirements.txt" <("$python" --version))
+  want=$(cat "$root/setup/requirements.txt" "$root/setup/requirements-no-deps.txt" <("$python" --version))
   [ -x "$venv/bin/python" ] && [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$want" ] && return 0
   say "installing Python packages into $venv"
   mkdir -p "$work"
   [ -x "$venv/bin/python" ] || "$python" -m venv --system-site-packages "$venv" || fail "$python could not make a venv in $venv"
-  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$root/setup/requirements.txt" >"$work/pip.log" 2>&1 ||
+  {
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$root/setup/requirements.txt" &&
+      "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps -r "$root/setup/requirements-no-deps.txt"
+  } >"$work/pip.log" 2>&1 ||
     fail "pip failed; its last lines: $(tail -n 3 "$work/pip.log" | tr '\n' ' ') (all of it: $work/pip.log)"
   printf '%s\n' "$want" >"$stamp"
 }
@@ -110,6 +119,7 @@ EOF
   mv "$work/env.bash.new" "$work/env.bash"
 }
 
+check_path
 check_system
 install_packages
 make_venv

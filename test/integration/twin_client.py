@@ -120,7 +120,7 @@ class TwinClient:
     def __init__(self):
         self.robot = robot_from_parameters()
         self.decimals = rospy.get_param("gateway/decimals")
-        self._limits = config_from_parameters().limits
+        self._limits = config_from_parameters(needs_xml=False).limits
         self._trace = rospy.get_param("~gateway_trace", "")
         self.link = self.sync = self.execution = None
         self.syncs: list[Sync] = []

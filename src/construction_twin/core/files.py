@@ -1,11 +1,14 @@
-"""Files from outside: read whole, or refused before they can do harm."""
+"""Files: from outside, read whole, or refused before they can do harm; and written whole, where that is possible."""
 
 from __future__ import annotations
 
 import errno
 import os
 import stat
+import tempfile
 from pathlib import Path
+
+from construction_twin.core.errors import ConfigurationError
 
 
 def read_file(path: str | Path, most: int) -> bytes:
@@ -44,3 +47,24 @@ def write_whole(path: Path, text: str) -> None:
     temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     temporary.write_text(text, encoding="utf-8")
     os.replace(temporary, path)
+
+
+def check_writable(folder: str | Path) -> None:
+    """Check that files can be written into a folder, which need not exist yet. Nothing is left behind.
+
+    For before a long computation: whether its result can be kept shows at its end otherwise.
+
+    Raises
+    ------
+    ConfigurationError
+        When it cannot be made, or takes no files.
+    """
+    folder = Path(folder).absolute()
+    there = next(parent for parent in (folder, *folder.parents) if os.path.lexists(parent))
+    try:
+        # only trying tells: permissions do not bind root, and a disk may be full or read-only
+        with tempfile.NamedTemporaryFile(dir=there) as file:
+            file.write(b"0")
+    except OSError as error:
+        found = f"{there}: {error.strerror or error}"
+        raise ConfigurationError(str(folder), found, "a folder that files can be written into") from error

@@ -7,14 +7,13 @@ to read where it is opened, in `ros.shared.known_bag`.
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.paper import NOTE
 from construction_twin.evaluation.recording import Recording
-from construction_twin.evaluation.tables import ALIGNMENTS, TableRow, summary_lines, table_rows
+from construction_twin.evaluation.tables import ALIGNMENTS, SIMULATION, TableRow, facts, table_rows
 
 #: Most rows of the table of state changes; a bag of an unstable link may hold thousands.
 MOST_CHANGES = 500
@@ -28,17 +27,29 @@ _HEADINGS = {
     "figure9.png": "Joints (the paper's Figure 9)",
     "timing.png": "Timing",
 }
+_CIRCUMSTANCES = {
+    "skipped_samples": "Samples left out, per comparison",
+    "mock": "Settings of the mock controller",
+    "environment": "Machine and versions",
+}
 _COLUMNS = ("joint", "avg", "max", "paper avg, rad", "paper max, rad", "avg/paper", "max/paper")
 _STYLE = """
-:root { color-scheme: light dark; }
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+:root { color-scheme: light dark; --back: #fff; --ink: #1b1d22; }
+@media (prefers-color-scheme: dark) { :root { --back: #16181d; --ink: #d9dce3; } img { filter: brightness(.85); } }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
+  background: var(--back); color: var(--ink); }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #8886; }
 table { border-collapse: collapse; display: block; overflow-x: auto; }
 th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #8883; font-variant-numeric: tabular-nums; }
 th:first-child, td:first-child, .text th, .text td { text-align: left; }
-caption { text-align: left; padding: .6rem 0 .2rem; font-weight: 600; }
+caption { display: block; text-align: left; padding: .6rem 0 .2rem; font-weight: 600; max-width: calc(100vw - 2rem); }
 img { max-width: 100%; height: auto; background: white; }
-.fault td { background: #d9541e33; } .note { opacity: .75; } ul { padding-left: 1.2rem; }
+td { white-space: nowrap; } .text td:last-child, .values td { white-space: normal; overflow-wrap: anywhere; }
+.values td { text-align: left; vertical-align: top; }
+.fault td { background: #d9541e33; } .note { opacity: .75; } .warning { border-left: 4px solid #d9541e; padding-left: .7rem; }
+@media (max-width: 40rem) {
+  body { margin: .8rem auto; padding: 0 .6rem; } h1 { font-size: 1.25rem; } th, td { padding: .2rem .35rem; font-size: .8rem; }
+}
 """
 
 
@@ -79,8 +90,9 @@ def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) 
 
 
 def _facts(summary: Mapping) -> str:
-    items = "".join(f"<li>{escape(line)}</li>" for line in summary_lines(summary))
-    return f"<ul>{items}</ul>"
+    rows = [(fact.name, fact.value, fact.paper) for fact in facts(summary)]
+    table = _table(("", "here", "paper"), rows, "", "text")
+    return f'{table}\n<p class="warning">{escape(SIMULATION)}</p>' if summary.get("mock") else table
 
 
 def _error_tables(summary: Mapping) -> Iterable[str]:
@@ -155,8 +167,30 @@ def _changes(recording: Recording) -> str:
 
 
 def _details(summary: Mapping) -> str:
-    kept = {key: summary[key] for key in ("skipped_samples", "mock", "environment") if key in summary}
-    return f"<h2>Circumstances</h2>\n<pre>{escape(json.dumps(kept, indent=2))}</pre>"
+    tables = [
+        _table(
+            ("", ""),
+            [[key.replace("_", " "), _readable(value)] for key, value in summary[part].items()],
+            title,
+            "values",
+        )
+        for part, title in _CIRCUMSTANCES.items()
+        if summary.get(part)
+    ]
+    return "\n".join(["<h2>Circumstances</h2>", *tables]) if tables else ""
+
+
+def _readable(value) -> str:
+    """Return a value of the summary as a person reads it: rounded, without brackets and quotes."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_readable, value))
+    if isinstance(value, Mapping):
+        return "; ".join(f"{key}: {_readable(entry)}" for key, entry in value.items())
+    return "unknown" if value is None else str(value)
 
 
 def _table(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ ALIGNMENTS = {
     "instant": "physical against the twin's pose at the same ROS time",
     "lag_removed": "by_command with one constant lag taken out",
 }
+SIMULATION = "This is a simulation: the arm was the mock controller of this package, not a robot."
 #: Names and fractions of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 
@@ -151,8 +153,40 @@ def summary_lines(summary: Mapping) -> list[str]:
         "largest final error: " + _final_errors(summary),
     ]
     if summary.get("mock"):
-        lines.append("This is a simulation: the arm was the mock controller of this package, not a robot.")
+        lines.append(SIMULATION)
     return lines
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One figure of the whole recording, beside the paper's.
+
+    Attributes
+    ----------
+    name, value, paper : str
+        As people read them; `paper` is empty where it tells nothing.
+    """
+
+    name: str
+    value: str
+    paper: str = ""
+
+
+def facts(summary: Mapping) -> list[Fact]:
+    """Return what `summary_lines` says of the whole recording, as rows of a table; without latencies and rates."""
+    lag = summary["lag_s"]
+    return [
+        Fact("duration", f"{summary['duration_s']:.3f} s"),
+        Fact("samples", _text(summary["samples"]), str(SAMPLES)),
+        Fact("waypoints", _text(summary["waypoints"]), str(WAYPOINTS)),
+        Fact("decimals on the wire", _text(summary["decimals"])),
+        Fact("servo", _text(summary["servo"])),
+        Fact("lag taken out", "unknown" if lag is None else f"{lag * 1e3:.3f} ms"),
+        Fact("commands sent", _text(summary["commands_sent"])),
+        Fact("commands lost", _text(summary["commands_lost"])),
+        Fact("late RSI replies", _text(summary["late_replies"])),
+        Fact("largest final error", _final_errors(summary)),
+    ]
 
 
 def _rich_table(title: str, rows: Sequence[TableRow]) -> Table:

@@ -26,6 +26,7 @@ from construction_twin.kinematics.opw import OpwModel
 from construction_twin.kinematics.singular_wrist import SingularWrist
 from construction_twin.kinematics.solution import (
     TURN,
+    ArmKind,
     Configuration,
     IkSettings,
     IkSolution,
@@ -108,6 +109,13 @@ class ClosedFormInverse(BranchInverse):
         self._target = np.eye(4)
         self._elements, self._ones = self._target.reshape(16), np.ones(16)
         self._singular_wrist = SingularWrist(chain, model)
+
+    @property
+    def kind(self) -> ArmKind:
+        """See `InverseKinematics.kind`."""
+        return ArmKind(
+            "OPW", "axes 2 and 3 are parallel, axes 4, 5 and 6 meet in a point, and neighbours are perpendicular"
+        )
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""
@@ -328,7 +336,8 @@ class ClosedFormInverse(BranchInverse):
         if excess[row, joint] > 0.0:
             kind = OrientationError if placed.any() else PositionRangeError
             robot = self.chain.robot
-            raise kind(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])
+            low, high, linear = robot.lower[joint], robot.upper[joint], robot.linear[joint]
+            raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
 
     def is_too_close(self, flange: np.ndarray) -> bool:
         """Return whether an unreachable target, shape (4, 4), is inside the inner edge of the reach, not beyond the outer one."""

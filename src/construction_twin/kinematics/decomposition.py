@@ -23,6 +23,8 @@ from construction_twin.kinematics.chain import Chain, Pose
 NEAR_M, NEAR_RAD = 5e-3, math.radians(0.3)
 #: Axes that meet are at least this far from parallel: otherwise where they meet is not defined well [rad].
 _CROSSED = 0.02
+#: Axes whose directions have a smaller cosine are not taken for parallel ones.
+_ALIKE = 0.5
 #: Poses on which a model is tried, and how well its forward kinematics must agree with KDL's where it is exact [m], [rad].
 _TRIALS, _TRIAL_SEED = 20, 2024
 _AGREES = 1e-8
@@ -124,6 +126,11 @@ class ClosedForm:
         return max(self.off_m, self.off_rad) <= TOLERANCE
 
     @property
+    def misses(self) -> float:
+        """By how much the arm misses the model, as a fraction of what is allowed; 0: it is exact."""
+        return 0.0 if self.exact else max(self.off_m / NEAR_M, self.off_rad / NEAR_RAD)
+
+    @property
     def why(self) -> str:
         """Why the arm has a closed form: part of a sentence."""
         words = " and ".join(str(each) for each in self.properties)
@@ -171,8 +178,7 @@ def find_closed_form(chain: Chain, axes: Sequence[Axis], locked: int | None = No
         properties = tuple(_of_chain(each, free, locked) for each in kind)
         form = _model(properties, axes, tip, locked)
         if form is not None:
-            misses = max(form.off_m / NEAR_M, form.off_rad / NEAR_RAD)
-            found.append((0.0 if form.exact else misses, order, form))
+            found.append((form.misses, order, form))
     found.sort(key=lambda each: each[:2])
     for misses, _, form in found:
         if misses <= 1.0 and _works(form, chain):
@@ -195,12 +201,11 @@ def _model(properties: tuple[Property, ...], axes: Sequence[Axis], tip: Pose, lo
     for each in properties:
         group = list(each.axes)
         if each.parallel:
-            senses = np.sign(directions[group] @ directions[group[0]])
-            mean = senses @ directions[group]
-            length = float(np.linalg.norm(mean))
-            if length < 0.5:
+            alike = directions[group] @ directions[group[0]]
+            if np.abs(alike).min() < _ALIKE:
                 return None
-            directions[group] = senses[:, None] * (mean / length)
+            mean = np.sign(alike) @ directions[group]
+            directions[group] = np.sign(alike)[:, None] * (mean / np.linalg.norm(mean))
     for each in properties:
         group = list(each.axes)
         if not each.parallel:
@@ -240,7 +245,7 @@ def _what_is_missing(forms: Sequence[ClosedForm]) -> str:
     """Return by how much axes miss the kind that they are nearest to: part of a sentence."""
     if not forms:
         return "no two of its neighbouring axes meet"
-    nearest = min(forms, key=lambda form: max(form.off_m / NEAR_M, form.off_rad / NEAR_RAD))
+    nearest = min(forms, key=lambda form: form.misses)
     words = " and ".join(str(each) for each in nearest.properties)
     return (
         f"no closed form is near: the nearest one needs that {words}, which they miss by {nearest.off_m * 1e3:.3g} mm and "

@@ -5,7 +5,6 @@ Users of solutions import from here; the classes behind are chosen by the arm's 
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 
 import numpy as np
@@ -13,16 +12,15 @@ import numpy as np
 from construction_twin.kinematics.axes import joint_axes
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
-from construction_twin.kinematics.decomposition import ClosedForm, find_closed_form
+from construction_twin.kinematics.decomposition import ClosedForm, NoClosedForm, find_closed_form
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
 from construction_twin.kinematics.rail import RailInverse, find_rail
+from construction_twin.kinematics.redundant import RedundantInverse, find_redundant
 from construction_twin.kinematics.solution import Configuration, IkSettings, IkSolution, InverseKinematics
 from construction_twin.kinematics.subproblems import SubproblemInverse
 
 __all__ = ["Configuration", "IkSettings", "IkSolution", "InverseKinematics", "inverse_kinematics"]
-
-_LOG = logging.getLogger(__name__)
 
 
 def inverse_kinematics(
@@ -42,18 +40,24 @@ def inverse_kinematics(
     Returns
     -------
     inverse : InverseKinematics
-        In closed form if `opw.find_opw` says that the arm is of that kind, or `rail.find_rail` that it stands on a linear
-        axis. Not for use from several threads at once.
+        The first that fits: of the OPW kind (`opw`), another closed form (`decomposition`), an arm of the OPW kind on a linear
+        axis (`rail`), seven joints of which one can be held (`redundant`), the search (`numeric`). Its `kind` says why. Not for
+        use from several threads at once.
     """
     model = find_opw(chain)
     if isinstance(model, OpwModel):
         return ClosedFormInverse(chain, model, settings)
-    search = NumericInverse(chain, settings, rng, clock)
-    form = find_closed_form(chain, joint_axes(chain)) if not any(chain.robot.linear) else None
-    if isinstance(form, ClosedForm):
-        return SubproblemInverse(chain, form, search)
+    linear = chain.robot.linear
+    reason = ""
+    if len(linear) == 6 and not any(linear):
+        form = find_closed_form(chain, joint_axes(chain))
+        if isinstance(form, ClosedForm):
+            return SubproblemInverse(chain, form, NumericInverse(chain, settings, rng, clock))
+        reason = form.reason
     rail = find_rail(chain)
-    if isinstance(rail, NotOpw):
-        _LOG.info("%s: inverse kinematics by search, because %s", chain.robot.name, model.reason)
-        return search
-    return RailInverse(chain, ClosedFormInverse(*rail, settings), search)
+    if not isinstance(rail, NotOpw):
+        return RailInverse(chain, ClosedFormInverse(*rail, settings), NumericInverse(chain, settings, rng, clock))
+    redundant = find_redundant(chain)
+    if not isinstance(redundant, NoClosedForm):
+        return RedundantInverse(chain, *redundant, NumericInverse(chain, settings, rng, clock))
+    return NumericInverse(chain, settings, rng, clock, reason or redundant.reason)

@@ -27,6 +27,7 @@ from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
 from construction_twin.kinematics.rail_singularities import find_singularities
 from construction_twin.kinematics.solution import (
     TURN,
+    ArmKind,
     Configuration,
     IkSolution,
     InverseKinematics,
@@ -38,17 +39,30 @@ from construction_twin.robot.description import JointValues
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Number of evenly spaced places along the axis.
-_PLACES = 301
-#: How often the surroundings of a place are divided, and into how many places: the last are about 1e-7 of the axis apart.
-_ZOOMS, _ZOOM_PLACES = 3, 33
+_PLACES = 101
+#: How often the surroundings of a place are narrowed, at most; and the fraction of them that is left, where they are smooth.
+_NARROWINGS, _LEFT = 9, (0.03, 0.004)
+#: Where the distance changes by more from one place to the next, a branch ends between them or goes on with another whole turn;
+#: nothing can be interpolated there, and what is between them is divided into this many parts [rad].
+_JUMP, _DIVIDED = 0.7, 8
+#: Surroundings in which the distance from the seed differs by less are not narrowed any further [rad]; nor are shorter ones
+#: in which a branch ends [m].
+_FLAT, _NARROW = 5e-6, 2e-6
 #: Near a singular wrist, places are added where joint 4 has turned by these angles [rad].
 _WRIST_TURNS = np.linspace(-1.5, 1.5, 25)
 #: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad].
 _SINGULAR = 4e-7
 #: A solution whose wrist is this close to singular belongs to the family of solutions of a singular place [rad].
 _OF_FAMILY = 1e-3
-#: Places whose distance from the seed exceeds that of the best solution so far by more than this are not divided [rad].
-_PROMISING = 0.3
+#: Places whose distance from the seed exceeds that of the best solution so far by more than this are not narrowed; and the same
+#: where the distance jumps from one place to the next [rad].
+_PROMISING, _ROUGH = 0.15, 1.3
+#: How much below the parabola through three places the distance may be, where it does not jump [rad].
+_CLOSE = 0.08
+#: Joints 2 and 3 further out of range are not looked at [rad].
+_FAR = 0.6
+#: Of each branch, the one with the other elbow.
+_PARTNERS = np.arange(len(SLOTS)) ^ 1
 #: If a branch is out of range by less than this, it may be in range between two places [rad].
 _NEARLY = 0.1
 #: Cost of a branch out of range: above every squared distance in range; the excess is added to it.
@@ -56,7 +70,7 @@ _OUTSIDE = 1e6
 #: Out of range by less is rounding [rad].
 _ROUNDING = 3e-7
 #: Most places whose surroundings are divided for the nearest solution.
-_CANDIDATES = 6
+_CANDIDATES = 8
 
 
 def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
@@ -94,11 +108,17 @@ class _AlongAxis:
         [rad]
     singular : list of float
         Places where the wrist is exactly singular [m].
+    special : bool
+        Whether at the seed's place the wrist is near its singularity, or branches are missing.
+    flange : array, shape (4, 4)
+        The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
     """
 
     places: np.ndarray
     branches: np.ndarray
     singular: list[float]
+    special: bool
+    flange: np.ndarray
 
 
 class RailInverse(InverseKinematics):
@@ -126,6 +146,16 @@ class RailInverse(InverseKinematics):
         self._rotation = whole.rotation @ part.rotation.T
         self._origin = whole.position - self._rotation @ part.position
         self._axis = chain.jacobian(home)[:3, 0]
+        # of joints 2 and 3 of the arm: middle of the range, and half of it with a margin, at most everything
+        self._middle = 0.5 * (self._lower + self._upper)[2:4]
+        self._half = 0.5 * (self._upper - self._lower)[2:4] + _FAR
+        # ... and the same in the directions of the arm's model
+        self._travel = arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
+
+    @property
+    def kind(self) -> ArmKind:
+        """See `InverseKinematics.kind`."""
+        return ArmKind("OPW on a linear axis", f"behind joint 1, which is prismatic, {self._arm.kind.why}")
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`: over all positions of the carriage."""
@@ -133,7 +163,7 @@ class RailInverse(InverseKinematics):
         wanted = self._wanted(configuration)
         along = self._solve_along(pose, start)
         found = list(self._best(pose, start, along, wanted, np.zeros(6), _CANDIDATES))
-        for place in (float(start[0]), *along.singular):
+        for place in [*along.singular, *([float(start[0])] if along.special or not found else [])]:
             found += self._nearest_at(place, pose, start, configuration)
         if found:
             return min(found, key=lambda solution: solution.distance)
@@ -177,22 +207,23 @@ class RailInverse(InverseKinematics):
     def _solve_along(self, pose: Pose, seed: np.ndarray) -> _AlongAxis:
         """Solve the arm at places all along the axis."""
         low, high = self._lower[0], self._upper[0]
-        places = np.linspace(low, high, _PLACES)
-        branches, wrist, _ = self._branches(pose, places)
-        more, singular = [seed[:1]], []
-        for found in find_singularities(places, wrist[:, :4], lambda near: self._branches(pose, near).wrist[:, :4]):
+        flange = self._arm.flange(self._seen_from(pose, 0.0))
+        even = np.linspace(low, high, _PLACES)
+        places = np.append(even, seed[0])
+        q, wrist, _ = self._branches(flange, places)
+        more, singular = [], []
+        for found in find_singularities(even, wrist[:-1, :4], lambda near: self._branches(flange, near).wrist[:, :4]):
             if found.angle > _SINGULAR:
                 more.append(found.place + found.width * np.tan(_WRIST_TURNS))
             # a place beyond the end by rounding is at the end
             elif low - _ROUNDING <= found.place <= high + _ROUNDING:
                 singular.append(float(min(max(found.place, low), high)))
-        extra = np.unique(np.clip(np.concatenate(more), low, high))
-        order = np.argsort(np.concatenate([places, extra]), kind="stable")
-        return _AlongAxis(
-            np.concatenate([places, extra])[order],
-            np.concatenate([branches, self._branches(pose, extra).q])[order],
-            singular,
-        )
+        if more:
+            extra = np.clip(np.concatenate(more), low, high)
+            places = np.concatenate([places, extra])
+            q = np.concatenate([q, self._branches(flange, extra).q])
+        order = places.argsort(kind="stable")
+        return _AlongAxis(places[order], q[order], singular, not bool((wrist[-1] > _OF_FAMILY).all()), flange)
 
     def _best(
         self,
@@ -205,43 +236,79 @@ class RailInverse(InverseKinematics):
     ) -> Iterator[IkSolution]:
         """Yield the nearest solutions around the `most` best places, best first; None: around every local minimum."""
         places = along.places
-        _, squares, excess = self._turned(along.branches, seed, places, wanted, turn)
+        squares, excess = self._turned_where_near(along.branches, seed, places, turn, wanted)
         cost = _cost(squares, excess)
-        padded = np.pad(cost, ((1, 1), (0, 0)), constant_values=np.inf)
-        valley = (cost <= padded[:-2]) & (cost <= padded[2:]) & (excess < _NEARLY)
+        valley = excess < _NEARLY
+        valley[1:] &= cost[1:] <= cost[:-1]
+        valley[:-1] &= cost[:-1] <= cost[1:]
+        distances = np.sqrt(squares)
+        # next to a rough stretch the distance may fall far below what is seen at the places
+        rough = np.zeros((len(places) + 1, len(SLOTS)), dtype=bool)
+        rough[1:-1] = ~(np.abs(np.diff(distances, axis=0)) < _JUMP)
+        # where a branch ends, its partner with the other elbow begins
+        ends = np.zeros_like(valley)
+        ends[:-1] = np.isnan(squares[1:])
+        ends[1:] |= np.isnan(squares[:-1])
+        valley |= (valley & ends)[:, _PARTNERS] & wanted & np.isfinite(squares)
         rows, slots = np.nonzero(valley)
+        hopeful = distances[rows, slots] - np.where((rough[:-1] | rough[1:])[rows, slots], _ROUGH, _PROMISING)
+        inner = (rows > 0) & (rows < len(places) - 1)
+        before, here, after = (distances[np.clip(rows + step, 0, len(places) - 1), slots] for step in (-1, 0, 1))
+        # ... elsewhere it falls hardly below the parabola through the places
+        bend = np.maximum(before + after - 2.0 * here, 1e-12)
+        fall = np.minimum((after - before) ** 2 / (8.0 * bend), _PROMISING)
+        hopeful = np.where(inner & (hopeful == here - _PROMISING), here - fall - _CLOSE, hopeful)
         best = math.inf
         for index in squares[rows, slots].argsort():
-            row, slot = int(rows[index]), int(slots[index])
-            if most is not None and (most == 0 or math.sqrt(squares[row, slot]) > best + _PROMISING):
+            if most == 0:
                 return
-            between = (
-                float(places[max(row - 1, 0)]),
-                float(places[row]),
-                float(places[min(row + 1, len(places) - 1)]),
+            if most is not None and hopeful[index] > best:
+                continue
+            row, slot = int(rows[index]), int(slots[index])
+            around = slice(max(row - 1, 0), row + 2)
+            solution = self._narrowed(
+                pose, seed, along.flange, slot, turn, places[around], squares[around, slot], excess[around, slot]
             )
-            solution = self._zoomed(pose, seed, between, slot, turn)
             if solution is not None:
                 best = min(best, solution.distance)
                 yield solution
                 most = None if most is None else most - 1
 
-    def _zoomed(
-        self, pose: Pose, seed: np.ndarray, between: tuple[float, float, float], slot: int, turn: np.ndarray
+    def _narrowed(
+        self,
+        pose: Pose,
+        seed: np.ndarray,
+        flange: np.ndarray,
+        slot: int,
+        turn: np.ndarray,
+        places: np.ndarray,
+        squares: np.ndarray,
+        excess: np.ndarray,
     ) -> IkSolution | None:
-        """Return the nearest solution of one branch around the middle one of three places; None: there is none."""
-        only = np.arange(len(SLOTS)) == slot
+        """Return the nearest solution of one branch around the best of two or three places; None: there is none."""
         best, q = math.inf, np.zeros(0)
-        half = (_ZOOM_PLACES + 1) // 2
-        for _ in range(_ZOOMS):
-            low, place, high = between
-            near = np.concatenate([np.linspace(low, place, half), np.linspace(place, high, half)[1:]])
-            branches, squares, excess = self._turned(self._branches(pose, near).q, seed, near, only, turn)
-            cost = _cost(squares[:, slot], excess[:, slot])
+        known = places[int(_cost(squares, excess).argmin())]
+        for _ in range(_NARROWINGS):
+            near = _promising(places, squares, excess, _LEFT[int(best < math.inf)])
+            if best == math.inf:
+                near = np.append(near, known)
+            elif not len(near):
+                break
+            branches, new_squares, new_excess = self._turned(self._branches(flange, near).q[:, slot], seed, near, turn)
+            cost = _cost(new_squares, new_excess)
             row = int(cost.argmin())
             if cost[row] < best:
-                best, q = cost[row], np.concatenate([[near[row]], branches[row, slot]])
-            between = near[max(row - 1, 0)], near[row], near[min(row + 1, len(near) - 1)]
+                best, q = cost[row], np.concatenate([near[row : row + 1], branches[row]])
+            every = np.concatenate([places, near])
+            places, order = np.unique(every, return_index=True)
+            squares = np.concatenate([squares, new_squares])[order]
+            excess = np.concatenate([excess, new_excess])[order]
+            row = int(_cost(squares, excess).argmin())
+            around = slice(max(row - 1, 0), row + 2)
+            places, squares, excess = places[around], squares[around], excess[around]
+            spread = math.sqrt(squares.max()) - math.sqrt(squares.min())  # nan where a branch ends
+            if spread < _FLAT or not spread < _JUMP and places[-1] - places[0] < _NARROW:
+                break
         return None if best >= _OUTSIDE else self._confirmed(q, pose, seed, SLOTS[slot])
 
     def _confirmed(
@@ -284,35 +351,57 @@ class RailInverse(InverseKinematics):
         return abs(math.sin(q[5] - self._arm.model.signs[4] * self._arm.model.offsets[4]))
 
     def _turned(
-        self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, wanted: np.ndarray, turn: np.ndarray
+        self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, turn: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the arm's branches at places of the carriage, their squared distances from the seed, and their range excess.
 
-        Branches, shape (m, 8, 6), are moved by whole turns as near to the seed as the ranges allow, and then by `turn`, shape
-        (6,). The excess, shape (m, 8), is how far the worst joint is out of range [rad]; inf for branches that do not exist or
-        are not wanted. The squared distances have shape (m, 8).
+        Branches, shape (m, ..., 6), are moved by whole turns as near to the seed as the ranges allow, and then by `turn`, shape
+        (6,). The excess, shape (m, ...), is how far the worst joint is out of range [rad]; inf for branches that do not exist.
+        The squared distances have the same shape.
         """
         lower, upper, near = self._lower[1:], self._upper[1:], seed[1:]
-        q = branches - TURN * np.rint((branches - near) / TURN)
-        q = np.where(
-            (q > upper) & (q - TURN >= lower), q - TURN, np.where((q < lower) & (q + TURN <= upper), q + TURN, q)
-        )
-        q = q + TURN * turn
-        squares = ((q - near) ** 2).sum(axis=2) + ((places - seed[0]) ** 2)[:, None]
-        excess = np.maximum(lower - q, q - upper).max(axis=2)
-        excess[~(wanted & np.isfinite(excess))] = np.inf
-        return q, squares, excess
+        away = branches - near
+        away -= TURN * np.rint(away * (1.0 / TURN))
+        low, high = lower - near, upper - near
+        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
+        away -= TURN * ((away > high) & (away - TURN >= low))
+        away += TURN * ((away < low) & (away + TURN <= high))
+        if turn.any():
+            away += TURN * turn
+        travel = (places - seed[0]) ** 2
+        squares = np.einsum("...i,...i->...", away, away) + travel.reshape(-1, *[1] * (branches.ndim - 2))
+        excess = np.maximum(low - away, away - high).max(axis=-1)
+        excess[np.isnan(excess)] = np.inf
+        return away + near, squares, excess
+
+    def _turned_where_near(
+        self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, turn: np.ndarray, wanted: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return squared distances, nan where there is no branch, and excess as `_turned`, shape (m, 8), of wanted branches.
+
+        Left out, as if there was no branch, is what is far out of range with joints 2 and 3, which hold most branches back.
+        """
+        squares, excess = np.full(branches.shape[:2], np.nan), np.full(branches.shape[:2], np.inf)
+        # these two joints have less than one turn, so there is one value to look at
+        two = branches[:, :, 1:3] - self._middle
+        two -= TURN * np.rint(two * (1.0 / TURN))
+        rows, slots = np.nonzero((np.abs(two) < self._half).all(axis=2) & wanted)
+        _, squares[rows, slots], excess[rows, slots] = self._turned(branches[rows, slots], seed, places[rows], turn)
+        return squares, excess
 
     def _seen_from(self, pose: Pose, place: float) -> Pose:
         """Return ``carriage_T_tip`` of a target with the carriage at a place."""
         origin = self._origin + place * self._axis
         return Pose(self._rotation.T @ (pose.position - origin), self._rotation.T @ pose.rotation)
 
-    def _branches(self, pose: Pose, places: np.ndarray) -> Branches:
-        """Return the arm's branches with the carriage at places, shape (m,); see `ClosedFormInverse.branches`."""
-        flanges = np.repeat(self._arm.flange(self._seen_from(pose, 0.0))[None], len(places), axis=0)
-        travel = self._arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
-        flanges[:, :3, 3] -= places[:, None] * travel
+    def _branches(self, flange: np.ndarray, places: np.ndarray) -> Branches:
+        """Return the arm's branches with the carriage at places, shape (m,); see `ClosedFormInverse.branches`.
+
+        `flange`, shape (4, 4), is the target with the carriage at zero.
+        """
+        flanges = np.empty((len(places), 4, 4))
+        flanges[:] = flange
+        flanges[:, :3, 3] -= places[:, None] * self._travel
         return self._arm.branches(flanges)
 
     def _search_or_explain(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
@@ -334,7 +423,7 @@ class RailInverse(InverseKinematics):
     def _explain(self, pose: Pose) -> None:
         """Raise the error that says why there is no solution at any place."""
         places = np.linspace(self._lower[0], self._upper[0], _PLACES)
-        branches, _, extension = self._branches(pose, places)
+        branches, _, extension = self._branches(self._arm.flange(self._seen_from(pose, 0.0)), places)
         best = int(extension.argmax())
         if extension[best] < 0.0:
             carriage_T_tip = self._seen_from(pose, float(places[best]))
@@ -347,3 +436,45 @@ def _cost(squares: np.ndarray, excess: np.ndarray) -> np.ndarray:
     """Return the cost to minimise: the squared distance in range, a larger cost out of range; rounding counts as in range."""
     inside = excess <= _ROUNDING
     return np.where(inside, squares, _OUTSIDE + np.where(np.isfinite(excess), excess, np.inf))
+
+
+def _promising(places: np.ndarray, squares: np.ndarray, excess: np.ndarray, left_over: float) -> np.ndarray:
+    """Return places around which the best one lies, from what is known at two or three: minima, and where a branch ends.
+
+    `left_over` is the fraction of the surroundings that is left where they are smooth.
+    """
+    x, f, e = places.tolist(), squares.tolist(), excess.tolist()
+    found: list[float] = []
+    broken = False
+    for left in range(len(x) - 1):
+        x0, wide = x[left], x[left + 1] - x[left]
+        e0, e1 = e[left], e[left + 1]
+        # the branch ends between the two, or goes on with another whole turn
+        if not abs(math.sqrt(f[left + 1]) - math.sqrt(f[left])) < _JUMP:
+            broken = True
+            found += [x0 + wide * part / _DIVIDED for part in range(1, _DIVIDED)]
+        elif (e0 <= _ROUNDING) != (e1 <= _ROUNDING):
+            root = x0 + wide * e0 / (e0 - e1)
+            found += [root - left_over * wide, root, root + left_over * wide]
+    if len(x) == 3 and not broken:
+        wide = x[2] - x[0]
+        for values in [f] if min(e) <= _ROUNDING else [e, f]:
+            middle = _vertex(x, values)
+            if middle is not None:
+                found += [middle - left_over * wide, middle, middle + left_over * wide]
+    if not found and len(x) == 2:
+        found = [x[0] + (x[1] - x[0]) * part / _DIVIDED for part in range(1, _DIVIDED)]
+    return np.array([place for place in found if x[0] < place < x[-1] and place not in x])
+
+
+def _vertex(x: list[float], f: list[float]) -> float | None:
+    """Return where the parabola through three points is lowest, between them; None: it has no minimum there."""
+    left, right = x[1] - x[0], x[2] - x[1]
+    if not (left > 0.0 and right > 0.0):
+        return None
+    falling, rising = (f[1] - f[0]) / left, (f[2] - f[1]) / right
+    bend = rising - falling
+    if not bend > 0.0:
+        return None
+    place = 0.5 * (x[0] + x[1]) - falling * 0.5 * (left + right) / bend
+    return min(max(place, x[0]), x[2])

@@ -14,6 +14,8 @@ import numpy as np
 
 #: If joint 4 needs more than this many spacings for its turn, the evenly spaced places resolve it.
 _WIDE = 8.0
+#: Squared sine of the wrist's angle beyond which no place is sharp.
+_SHARP = 0.25
 #: From one parabola to the next the spacing shrinks by this factor, down to about this length [m]; below it rounding dominates.
 _SHRINK, _FINEST = 20.0, 2e-6
 
@@ -58,13 +60,19 @@ def find_singularities(
     apart = float(places[1] - places[0])
     squares = _filled(wrist**2)
     seen = np.where(np.isnan(squares), np.inf, squares)
-    padded = np.pad(seen, ((1, 1), (0, 0)), constant_values=np.inf)
-    rows, branches = np.nonzero((seen <= padded[:-2]) & (seen <= padded[2:]) & (seen < np.inf))
+    lowest = np.ones(seen.shape, dtype=bool)
+    lowest[1:] = seen[1:] <= seen[:-1]
+    lowest[:-1] &= seen[:-1] <= seen[1:]
+    # a wrist that bends by less than this from place to place is resolved by them
+    lowest &= seen < _SHARP
+    rows, branches = np.nonzero(lowest)
     singularities = []
     for row, branch in zip(np.clip(rows, 1, len(places) - 2).tolist(), branches.tolist()):
         found = _vertex(float(places[row]), apart, squares[row - 1 : row + 2, branch])
         if found is None or abs(found.place - places[row]) > 2.0 * apart:
             continue  # there is no minimum here: the wrist is closest to singular at the end of the axis
+        if found.width > 4.0 * _WIDE * apart:
+            continue  # far from sharp, even if the parabola is rough
         step = apart
         while found is not None and found.width < _WIDE * step and step > _FINEST:
             step = max(step / _SHRINK, 0.5 * _FINEST)

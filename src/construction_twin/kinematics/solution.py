@@ -127,6 +127,22 @@ class IkSolution:
     configuration: Configuration | None
 
 
+@dataclass(frozen=True)
+class ArmKind:
+    """How an arm is solved.
+
+    Attributes
+    ----------
+    name : str
+        ``OPW``, ``closed form``, ``OPW on a linear axis``, ``one redundant joint`` or ``search``.
+    why : str
+        What was found in its geometry: part of a sentence.
+    """
+
+    name: str
+    why: str
+
+
 class InverseKinematics(abc.ABC):
     """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm.
 
@@ -139,6 +155,11 @@ class InverseKinematics(abc.ABC):
     def __init__(self, chain: Chain, settings: IkSettings):
         self.chain = chain
         self.settings = settings
+
+    @property
+    @abc.abstractmethod
+    def kind(self) -> ArmKind:
+        """How the arm is solved, and why so."""
 
     @abc.abstractmethod
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
@@ -280,7 +301,12 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool
         if np.abs(error).max() < 1e-12:
             break
         # rcond: near a singularity, directions in which the tip hardly moves would need huge steps, and are left out
-        step = np.linalg.lstsq(chain.jacobian(q), error, rcond=1e-9)[0]
+        jacobian = chain.jacobian(q)
+        step = np.linalg.lstsq(jacobian, error, rcond=1e-9)[0]
+        # joints that would leave their range stand still, if enough others are left
+        stuck = ((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0))
+        if stuck.any() and len(q) - stuck.sum() >= 6:
+            step = np.linalg.lstsq(jacobian * ~stuck, error, rcond=1e-9)[0]
         q = np.clip(q + step, lower, upper)
     return q
 
@@ -297,6 +323,8 @@ def pose_error(reached: Pose, target: Pose) -> np.ndarray:
     error : array, shape (6,)
         Translation [m], then rotation vector [rad] (exact to second order in the angle), in the base's directions.
     """
-    r, t = reached.rotation, target.rotation
-    turn = np.cross(r[:, 0], t[:, 0]) + np.cross(r[:, 1], t[:, 1]) + np.cross(r[:, 2], t[:, 2])
-    return np.concatenate([target.position - reached.position, 0.5 * turn])
+    # the sum of the cross products of the axes of both; written out, because numpy's takes ten times as long for single vectors
+    turn = target.rotation @ reached.rotation.T
+    x, y, z = (target.position - reached.position).tolist()
+    (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn.tolist()
+    return np.array([x, y, z, 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])

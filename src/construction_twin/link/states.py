@@ -7,8 +7,10 @@ of the second table.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
 from enum import Enum
+
+from construction_twin.core import state_table
 
 
 class LinkState(Enum):
@@ -43,6 +45,7 @@ class LinkEvent(Enum):
 class Guard(Enum):
     """What must hold for a row to count; the values are the words of the documentation."""
 
+    ALWAYS = ""
     ARM_LEADS = "mirror mode is on"
     SESSION_ENDED = "the gateway does not follow our session"
     FAULT = "the gateway reports a fault"
@@ -64,6 +67,7 @@ class Guard(Enum):
 class Action(Enum):
     """What a row does beside changing the state; the values are the words of the documentation."""
 
+    NOTHING = ""
     FORGET_REQUESTS = "forget the pending control message and request"
     NOTE_HALT = "forget all requests; end mirror mode; wait for a person"
     BEGIN_MIRROR = "begin a session without the right to command"
@@ -85,29 +89,13 @@ class Action(Enum):
     TELL_PERSON = "say that a person must arm, by name"
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One row of the table; of all rows for a state and an event the first whose guard holds is carried out.
-
-    Attributes
-    ----------
-    states : tuple of LinkState
-        Where it counts.
-    event : LinkEvent
-    guard : Guard or None
-        None: always.
-    action : Action or None
-    target : LinkState
-    """
-
-    states: tuple[LinkState, ...]
-    event: LinkEvent
-    guard: Guard | None
-    action: Action | None
-    target: LinkState
+Row = state_table.Row[LinkState, LinkEvent, Guard, Action]
 
 
-_ANY = tuple(LinkState)
+def _rows(states: Iterable[LinkState], event: LinkEvent, guard: Guard, action: Action, target: LinkState) -> list[Row]:
+    return state_table.rows(states, event, guard, action, target)
+
+
 _RESYNC = (LinkState.RESYNC,)
 #: States that are left as soon as broker, gateway and arm are there.
 _ABSENT = (
@@ -120,87 +108,60 @@ _ABSENT = (
 _WAITING = (*_ABSENT, LinkState.NEEDS_RESET)
 
 #: An event without a row for the present state, or without a guard that holds, changes nothing.
-TABLE = (
-    Row(_ANY, LinkEvent.BROKER_LOST, None, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
-    Row(_ANY, LinkEvent.GATEWAY_LOST, None, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
-    Row(_ANY, LinkEvent.MISMATCHED, None, Action.FORGET_REQUESTS, LinkState.MISMATCH),
-    Row(_ANY, LinkEvent.CONTROLLER_LOST, None, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
+TABLE: tuple[Row, ...] = (
+    *_rows(LinkState, LinkEvent.BROKER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
+    *_rows(LinkState, LinkEvent.GATEWAY_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
+    *_rows(LinkState, LinkEvent.MISMATCHED, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.MISMATCH),
+    *_rows(LinkState, LinkEvent.CONTROLLER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
     # what a person asks for
-    Row(_ANY, LinkEvent.HALTED, None, Action.NOTE_HALT, LinkState.NEEDS_RESET),
-    Row(_ANY, LinkEvent.MIRROR_ASKED, None, Action.BEGIN_MIRROR, LinkState.MIRROR),
-    Row(_ANY, LinkEvent.RESET_ASKED, None, Action.BEGIN_ASKED_SESSION, LinkState.RESYNC),
+    *_rows(LinkState, LinkEvent.HALTED, Guard.ALWAYS, Action.NOTE_HALT, LinkState.NEEDS_RESET),
+    *_rows(LinkState, LinkEvent.MIRROR_ASKED, Guard.ALWAYS, Action.BEGIN_MIRROR, LinkState.MIRROR),
+    *_rows(LinkState, LinkEvent.RESET_ASKED, Guard.ALWAYS, Action.BEGIN_ASKED_SESSION, LinkState.RESYNC),
     # nothing is missing: which side may command?
-    Row(_ANY, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
-    Row((LinkState.ARMED,), LinkEvent.PRESENT, Guard.SESSION_ENDED, Action.TELL_GATEWAY, LinkState.NEEDS_RESET),
-    Row(_RESYNC, LinkEvent.PRESENT, Guard.FAULT_UNASKED, Action.TELL_STOP, LinkState.NEEDS_RESET),
-    Row(_WAITING, LinkEvent.PRESENT, Guard.HALTED_HERE, Action.TELL_HALT, LinkState.NEEDS_RESET),
-    Row(_WAITING, LinkEvent.PRESENT, Guard.FAULT, Action.TELL_STOP, LinkState.NEEDS_RESET),
-    Row(_WAITING, LinkEvent.PRESENT, Guard.FIRST_SESSION, Action.BEGIN_FIRST_SESSION, LinkState.RESYNC),
-    Row(_WAITING, LinkEvent.PRESENT, Guard.NOTHING_COULD_JUMP, Action.BEGIN_NEXT_SESSION, LinkState.RESYNC),
-    Row(_ABSENT, LinkEvent.PRESENT, None, Action.TELL_RESET, LinkState.NEEDS_RESET),
+    *_rows(LinkState, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
+    *_rows((LinkState.ARMED,), LinkEvent.PRESENT, Guard.SESSION_ENDED, Action.TELL_GATEWAY, LinkState.NEEDS_RESET),
+    *_rows(_RESYNC, LinkEvent.PRESENT, Guard.FAULT_UNASKED, Action.TELL_STOP, LinkState.NEEDS_RESET),
+    *_rows(_WAITING, LinkEvent.PRESENT, Guard.HALTED_HERE, Action.TELL_HALT, LinkState.NEEDS_RESET),
+    *_rows(_WAITING, LinkEvent.PRESENT, Guard.FAULT, Action.TELL_STOP, LinkState.NEEDS_RESET),
+    *_rows(_WAITING, LinkEvent.PRESENT, Guard.FIRST_SESSION, Action.BEGIN_FIRST_SESSION, LinkState.RESYNC),
+    *_rows(_WAITING, LinkEvent.PRESENT, Guard.NOTHING_COULD_JUMP, Action.BEGIN_NEXT_SESSION, LinkState.RESYNC),
+    *_rows(_ABSENT, LinkEvent.PRESENT, Guard.ALWAYS, Action.TELL_RESET, LinkState.NEEDS_RESET),
     # which control message comes next?
-    Row(_RESYNC, LinkEvent.TURN, Guard.ANSWER_AWAITED, None, LinkState.RESYNC),
-    Row(_RESYNC, LinkEvent.TURN, Guard.BRAKING, None, LinkState.RESYNC),
-    Row(_RESYNC, LinkEvent.TURN, Guard.NOT_READY, Action.SEND_RESET, LinkState.RESYNC),
-    Row(_RESYNC, LinkEvent.TURN, Guard.POSES_DIFFER, None, LinkState.RESYNC),
-    Row(_RESYNC, LinkEvent.TURN, Guard.ARM_REFUSED, Action.BEGIN_SESSION_AFTER_REFUSAL, LinkState.RESYNC),
-    Row(_RESYNC, LinkEvent.TURN, None, Action.SEND_ARM, LinkState.RESYNC),
-    Row((LinkState.MIRROR,), LinkEvent.TURN, Guard.ANSWER_AWAITED, None, LinkState.MIRROR),
-    Row((LinkState.MIRROR,), LinkEvent.TURN, Guard.OLD_SESSION_COMMANDS, Action.RESET_OLD_SESSION, LinkState.MIRROR),
-    Row(_RESYNC, LinkEvent.ARM_ACCEPTED, None, Action.NOTE_ARMED, LinkState.ARMED),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.RESYNC),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.BRAKING, Action.NOTHING, LinkState.RESYNC),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.NOT_READY, Action.SEND_RESET, LinkState.RESYNC),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.POSES_DIFFER, Action.NOTHING, LinkState.RESYNC),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.ARM_REFUSED, Action.BEGIN_SESSION_AFTER_REFUSAL, LinkState.RESYNC),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.ALWAYS, Action.SEND_ARM, LinkState.RESYNC),
+    *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.MIRROR),
+    *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.OLD_SESSION_COMMANDS, Action.RESET_OLD_SESSION, LinkState.MIRROR),
+    *_rows(_RESYNC, LinkEvent.ARM_ACCEPTED, Guard.ALWAYS, Action.NOTE_ARMED, LinkState.ARMED),
 )
 
 #: The same for a bare PLC: nothing is asked of it, and only a person's name leads to ARMED.
-BARE_TABLE = (
-    Row(_ANY, LinkEvent.BROKER_LOST, None, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
-    Row(_ANY, LinkEvent.GATEWAY_LOST, None, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
-    Row(_ANY, LinkEvent.MISMATCHED, None, Action.FORGET_REQUESTS, LinkState.MISMATCH),
-    Row(_ANY, LinkEvent.CONTROLLER_LOST, None, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
+BARE_TABLE: tuple[Row, ...] = (
+    *_rows(LinkState, LinkEvent.BROKER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.DISCONNECTED),
+    *_rows(LinkState, LinkEvent.GATEWAY_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.GATEWAY_OFFLINE),
+    *_rows(LinkState, LinkEvent.MISMATCHED, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.MISMATCH),
+    *_rows(LinkState, LinkEvent.CONTROLLER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
     # what a person asks for
-    Row(_ANY, LinkEvent.HALTED, None, Action.NOTE_HALT, LinkState.NEEDS_RESET),
-    Row(_ANY, LinkEvent.MIRROR_ASKED, None, Action.BEGIN_MIRROR, LinkState.MIRROR),
-    Row(
+    *_rows(LinkState, LinkEvent.HALTED, Guard.ALWAYS, Action.NOTE_HALT, LinkState.NEEDS_RESET),
+    *_rows(LinkState, LinkEvent.MIRROR_ASKED, Guard.ALWAYS, Action.BEGIN_MIRROR, LinkState.MIRROR),
+    *_rows(
         (LinkState.NEEDS_RESET,),
         LinkEvent.RESPONSIBILITY_TAKEN,
-        None,
+        Guard.ALWAYS,
         Action.BEGIN_NAMED_SESSION,
         LinkState.RESYNC,
     ),
     # nothing is missing
-    Row(_ANY, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
-    Row(_ABSENT, LinkEvent.PRESENT, None, Action.TELL_PERSON, LinkState.NEEDS_RESET),
-    Row(_RESYNC, LinkEvent.TURN, Guard.NOT_TOGETHER, None, LinkState.RESYNC),
-    Row(_RESYNC, LinkEvent.TURN, None, Action.NOTE_RESPONSIBLE, LinkState.ARMED),
+    *_rows(LinkState, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
+    *_rows(_ABSENT, LinkEvent.PRESENT, Guard.ALWAYS, Action.TELL_PERSON, LinkState.NEEDS_RESET),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.NOT_TOGETHER, Action.NOTHING, LinkState.RESYNC),
+    *_rows(_RESYNC, LinkEvent.TURN, Guard.ALWAYS, Action.NOTE_RESPONSIBLE, LinkState.ARMED),
 )
 
 Rows = dict[tuple[LinkState, LinkEvent], tuple[Row, ...]]
 
-
-def _rows(table: tuple[Row, ...]) -> Rows:
-    return {
-        (state, event): tuple(row for row in table if state in row.states and row.event is event)
-        for state in LinkState
-        for event in LinkEvent
-    }
-
-
 #: The rows for a state and an event, in the tables' order.
-ROWS, BARE_ROWS = _rows(TABLE), _rows(BARE_TABLE)
-
-
-def table_cells(table: tuple[Row, ...] = TABLE) -> list[tuple[str, str, str, str, str]]:
-    """Return a table for the documentation: state, event, guard, action, next state; one row of texts each."""
-    return [
-        (
-            _names(row.states),
-            row.event.value,
-            row.guard.value if row.guard else "",
-            row.action.value if row.action else "",
-            row.target.name,
-        )
-        for row in table
-    ]
-
-
-def _names(states: tuple[LinkState, ...]) -> str:
-    return "any" if states == _ANY else ", ".join(state.name for state in states)
+ROWS, BARE_ROWS = state_table.by_cause(TABLE), state_table.by_cause(BARE_TABLE)

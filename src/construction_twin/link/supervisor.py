@@ -292,7 +292,7 @@ class LinkSupervisor:
 
     def holds(self, guard: Guard, now: int) -> bool:
         """Return whether a guard of the table holds at `now` [ns]."""
-        return self._guards[guard](now)
+        return guard is Guard.ALWAYS or self._guards[guard](now)
 
     def take(self, event: LinkEvent, now: int, reason: str = "") -> None:
         """Carry out the first row of the table whose guard holds; without one nothing changes.
@@ -306,10 +306,10 @@ class LinkSupervisor:
             The event's own sentence, for the actions that use it.
         """
         for row in self._rows[self.state, event]:
-            if row.guard is None or self._guards[row.guard](now):
-                if row.action is not None:
+            if self.holds(row.guard, now):
+                if row.action is not Action.NOTHING:
                     self.reason = self._actions[row.action](reason, now)
-                self.state = row.target
+                self.state = row.target or self.state
                 return
 
     # -- guards

@@ -34,7 +34,7 @@ class ArrivalClock:
         """Read again how far the monotonic clock is ahead of the wall clock; once per cycle."""
         self._before, self._ahead = self._ahead, self._measure()
 
-    def arrival(self, stamp: int, read: int) -> int:
+    def arrival(self, stamp: int, read: int) -> int | None:
         """Return when a datagram arrived.
 
         Parameters
@@ -46,13 +46,13 @@ class ArrivalClock:
 
         Returns
         -------
-        arrived : int
-            On the monotonic clock [ns], not after `read`. Where the wall clock was set while the datagram may have waited, the
-            stamp says nothing, and it is `read`.
+        arrived : int or None
+            On the monotonic clock [ns], not after `read`. None when the wall clock was set while the datagram may have waited: the
+            stamp says nothing then.
         """
         now = self._measure()
         if abs(now - self._ahead) > _SET or abs(now - self._before) > _SET:
-            return read
+            return None
         return min(stamp + now, read)
 
     def _measure(self) -> int:

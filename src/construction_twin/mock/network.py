@@ -95,7 +95,7 @@ class MockRsi:
         self._observe = observe
         self._report = report
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
-        self._socket = _open_socket()
+        self._socket, self._stamped = _open_socket()
         self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
         #: A reply that arrives later than this is too late for the open cycle [ns].
         self._ends = 0
@@ -172,7 +172,8 @@ class MockRsi:
         if controller.session != self._session:
             self._session = controller.session
             # the new one first: while one of them asks for stamps, the kernel goes on stamping
-            before, self._socket = self._socket, _open_socket()
+            before = self._socket
+            self._socket, self._stamped = _open_socket()
             before.close()
             self._report(f"RSI session {controller.session} started, IPOC {controller.ipoc}, gateway {self._gateway}")
 
@@ -231,7 +232,7 @@ class MockRsi:
         for underway in self.faults.to_pc.take(now):
             self._put_on_wire(underway.data)
         for underway in self.faults.to_controller.take(now):
-            self.controller.receive(underway.data, underway.due <= self._ends)
+            self.controller.receive(underway.data, not self._stamped or underway.due <= self._ends)
 
     def _drain(self) -> None:
         for _ in range(_DRAIN_LIMIT):
@@ -242,20 +243,21 @@ class MockRsi:
             if source != self._gateway:
                 self.foreign += 1
                 continue
-            arrived = self._clock.arrival(stamp, time.monotonic_ns())
+            now = time.monotonic_ns()
+            arrived = self._clock.arrival(stamp, now) if self._stamped else None
             if self.faults.to_controller.active:
-                self.faults.to_controller.put(data, arrived)
+                self.faults.to_controller.put(data, now if arrived is None else arrived)
             else:
-                self.controller.receive(data, arrived <= self._ends)
+                # not known: as far as this process can tell, it is in time
+                self.controller.receive(data, arrived is None or arrived <= self._ends)
 
 
-def _open_socket() -> socket.socket:
-    """Return a socket on an unused port of the system's choice on all addresses, as the controller opens it."""
+def _open_socket() -> tuple[socket.socket, bool]:
+    """Return a socket on a port of the system's choice on all addresses, as the controller opens it, and whether it has stamps."""
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setblocking(False)
     made.bind(("", 0))
-    ask_for_stamps(made)
-    return made
+    return made, ask_for_stamps(made)
 
 
 def _resolve(host: str, port: int) -> tuple[str, int]:

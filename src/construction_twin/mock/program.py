@@ -19,6 +19,7 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.units import from_wire, radians, to_wire
+from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.network import MockRsi
@@ -213,8 +214,7 @@ def checked_settings(options: dict) -> MockSettings:
     try:
         return MockSettings(gateway_host=host, gateway_port=port, **options)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError("/".join(map(str, first["loc"])), first["input"], first["msg"]) from error
+        raise configuration_error(error, MockSettings) from error
 
 
 def main(argv: list[str] | None = None) -> int:

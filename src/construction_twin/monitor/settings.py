@@ -8,6 +8,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import configuration_error
 from construction_twin.monitor.gate import GateSettings
 
 #: A difference of poses [rad], [m]: above 1 the gate would compare nothing.
@@ -61,8 +62,7 @@ class Behaviour(pydantic.BaseModel):
         try:
             return Behaviour.model_validate(self.model_dump() | changes)
         except pydantic.ValidationError as error:
-            first = error.errors()[0]
-            raise ConfigurationError("/".join(map(str, first["loc"])), first.get("input"), first["msg"]) from error
+            raise configuration_error(error, Behaviour) from error
 
     def difference(self, other: Behaviour) -> str:
         """Return what another behaviour changes, as words; empty when nothing."""

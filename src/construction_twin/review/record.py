@@ -70,6 +70,28 @@ def verify(path: str | Path) -> LogState:
     return LogState(len(lines), hashes[-1])
 
 
+@dataclass(frozen=True)
+class Responsibility:
+    """A bare PLC was armed by a person, who is responsible for what is not checked; see docs/broker.md.
+
+    Attributes
+    ----------
+    name : str
+        Of the person.
+    session : str
+        Id of the command session that it is for.
+    not_checked : tuple of str
+    """
+
+    name: str
+    session: str
+    not_checked: tuple[str, ...]
+
+
+#: What is recorded.
+Record = Verdict | Ending | Responsibility
+
+
 class ReviewLog:
     """Appends records to a review file, which is created when it does not exist; for use from several threads.
 
@@ -82,6 +104,8 @@ class ReviewLog:
 
     Attributes
     ----------
+    responsibility : Responsibility or None
+        What is in force; it is recorded with every verdict.
     lost : int
         Deferred records that were not kept, because `KEPT` others waited for a file that could not be written.
 
@@ -101,7 +125,8 @@ class ReviewLog:
         self.path = Path(path).expanduser()
         self._clock = clock
         self._lock = threading.Lock()
-        self._deferred: deque[tuple[int, Verdict | Ending]] = deque()
+        self._deferred: deque[tuple[int, Record, Responsibility | None]] = deque()
+        self.responsibility: Responsibility | None = None
         # `defer` counts the one, `flush` the other: they are called from two threads
         self.lost = self._told = 0
         self._file = _open(self.path)
@@ -118,13 +143,13 @@ class ReviewLog:
         """Number of lines, and the hash of the last one."""
         return self._state
 
-    def defer(self, record: Verdict | Ending) -> None:
+    def defer(self, record: Record) -> None:
         """Keep a record for the next `flush`, with the present time; does not touch the disk."""
         if len(self._deferred) >= KEPT:
             # no verdict is taken meanwhile: `append` writes these first, and fails
             self.lost += 1
             return
-        self._deferred.append((self._clock(), record))
+        self._deferred.append((self._clock(), record, self.responsibility))
 
     def flush(self) -> None:
         """Write what was deferred.
@@ -136,8 +161,8 @@ class ReviewLog:
         """
         with self._lock:
             while self._deferred:
-                now, record = self._deferred[0]
-                self._append(now, _fields(record))
+                now, record, responsibility = self._deferred[0]
+                self._append(now, _fields(record, responsibility))
                 self._deferred.popleft()
             number = self.lost - self._told
             if number:
@@ -145,7 +170,7 @@ class ReviewLog:
                 self._append(self._clock(), {"record": "gap", "lost": number, "reason": reason})
                 self._told += number
 
-    def append(self, record: Verdict | Ending) -> None:
+    def append(self, record: Record) -> None:
         """Write one record, behind those that were deferred; when this returns it is on the disk.
 
         Raises
@@ -155,7 +180,7 @@ class ReviewLog:
         """
         self.flush()
         with self._lock:
-            self._append(self._clock(), _fields(record))
+            self._append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
         """Let go of the file."""
@@ -225,7 +250,9 @@ def main(arguments: list[str] | None = None) -> int:
 # -- records
 
 
-def _fields(record: Verdict | Ending) -> dict:
+def _fields(record: Record, responsibility: Responsibility | None) -> dict:
+    if isinstance(record, Responsibility):
+        return {"record": "responsibility", "session": record.session} | _responsibility_fields(record)
     if isinstance(record, Ending):
         named = {
             "record": "execution",
@@ -236,7 +263,15 @@ def _fields(record: Verdict | Ending) -> dict:
         return named | {"scene": record.plan.scene, "reason": record.reason}
     trajectory = record.plan_hash if record.plan is None else record.plan.hash
     named = {"record": "verdict", "verdict": record.verdict, "plan": record.plan_id, "trajectory": trajectory}
-    return named | {"reviewer": record.reviewer, "reason": record.reason} | _plan_fields(record.plan)
+    named |= {"reviewer": record.reviewer, "reason": record.reason}
+    return named | _responsibility_fields(responsibility) | _plan_fields(record.plan)
+
+
+def _responsibility_fields(responsibility: Responsibility | None) -> dict:
+    """Return who is responsible for what is not checked; nothing where a gateway checks it."""
+    if responsibility is None:
+        return {}
+    return {"responsible": responsibility.name, "not_checked": list(responsibility.not_checked)}
 
 
 def _plan_fields(plan: Plan | None) -> dict:

@@ -21,11 +21,20 @@ from urdf_parser_py.urdf import Joint
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
+from construction_twin.core.validation import configuration_error
 from construction_twin.robot.other_joints import OtherJoint, find_other_joints
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text, xacro_arguments
 
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
 JointValues = Sequence[float] | np.ndarray
+
+#: What the robot YAML's `estimates` may name, with the keys of a joint that it is about.
+ESTIMATES = {
+    "accelerations": "acceleration_deg_s2 (or _mm_s2)",
+    "axes": "rsi, sign and offset_deg (or _mm)",
+    "home": "home_deg (or _mm)",
+    "jerks": "jerk_deg_s3 (or _mm_s3)",
+}
 
 _Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
@@ -79,6 +88,8 @@ class RobotModel:
         True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
     other_joints : tuple of OtherJoint
         The movable joints outside of the chain, and where they stand.
+    estimates : tuple of str
+        Which of the robot YAML's values are estimates, some of `ESTIMATES`: a real arm must not move by them.
     """
 
     name: str
@@ -95,6 +106,7 @@ class RobotModel:
     axes: tuple[AxisMapping, ...]
     linear: tuple[bool, ...]
     other_joints: tuple[OtherJoint, ...] = ()
+    estimates: tuple[str, ...] = ()
 
     def check_range(self, q: JointValues) -> None:
         """Check that every joint lies within its range, limits included.
@@ -113,9 +125,9 @@ class RobotModel:
         """
         if len(q) != len(self.joint_names):
             raise ValueError(f"{len(q)} joint values for {len(self.joint_names)} joints of {self.name}")
-        for joint, value, lower, upper in zip(self.joint_names, q, self.lower, self.upper):
+        for joint, value, lower, upper, linear in zip(self.joint_names, q, self.lower, self.upper, self.linear):
             if not lower <= value <= upper:
-                raise JointRangeError(joint, float(value), lower, upper)
+                raise JointRangeError(joint, float(value), lower, upper, linear)
 
 
 @dataclass(frozen=True)
@@ -173,6 +185,7 @@ class _RobotDescription(pydantic.BaseModel):
     joints: dict[str, dict[str, Any]]
     #: [rad], [m]; the one place of the file in SI: which unit a joint has, the URDF says
     other_joints: dict[str, _Finite] = {}
+    estimates: tuple[Literal["accelerations", "axes", "home", "jerks"], ...] = ()
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
@@ -218,6 +231,7 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
         axes=tuple(AxisMapping(joint.rsi, joint.sign, si.offset) for joint, si in zip(described, settings)),
         linear=tuple(joint.joint_type == "prismatic" for joint in joints),
         other_joints=find_other_joints(model, [joint.name for joint in joints], parsed.other_joints),
+        estimates=parsed.estimates,
     )
     _check_home(robot)
     return robot
@@ -267,7 +281,7 @@ def _read_description(yaml_path: str | Path) -> dict:
     try:
         description = yaml.safe_load(read_text(yaml_path))
     except yaml.YAMLError as error:
-        raise ConfigurationError(str(yaml_path), str(error), "a YAML file") from error
+        raise ConfigurationError(str(yaml_path), " ".join(str(error).split()), "a YAML file") from error
     if not isinstance(description, dict):
         raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
     return description
@@ -280,10 +294,7 @@ def _validate(model: type[_Model], values: Mapping, where: str) -> _Model:
     try:
         return model.model_validate(values)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        where = "/".join([where, *map(str, first["loc"])])
-        value = None if first["type"] == "missing" else first["input"]
-        raise ConfigurationError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
+        raise configuration_error(error, model, where) from error
 
 
 def _check_joint(joint: Joint) -> None:

@@ -201,4 +201,6 @@ def read_text(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), str(error), "a readable text file") from error
+        raise ConfigurationError(
+            str(path), getattr(error, "strerror", None) or str(error), "a readable text file"
+        ) from error

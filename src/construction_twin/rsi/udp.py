@@ -33,10 +33,12 @@ def bind(host: str, port: int) -> socket.socket:
     return sock
 
 
-def ask_for_stamps(sock: socket.socket) -> None:
-    """Let the kernel stamp the datagrams that come, where it can (Linux); `receive` returns the stamps."""
-    if sys.platform == "linux":
-        sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+def ask_for_stamps(sock: socket.socket) -> bool:
+    """Let the kernel stamp the datagrams that come, which `receive` returns then; return whether it can (Linux)."""
+    if sys.platform != "linux":
+        return False
+    sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    return True
 
 
 def address_of(host: str, option: str) -> str:

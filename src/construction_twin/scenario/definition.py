@@ -15,6 +15,7 @@ import yaml
 
 from construction_twin.core.errors import ScenarioError
 from construction_twin.core.units import radians
+from construction_twin.core.validation import wrong_value
 from construction_twin.mock.faults import KINDS
 
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
@@ -161,9 +162,7 @@ def make_scenario(name: str, content: object) -> Scenario:
     try:
         return Scenario.model_validate({"name": name, **content})
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        place = "/".join(map(str, first["loc"]))
-        raise ScenarioError(f"{name}: {place}: found {first.get('input')!r}; {first['msg']}") from error
+        raise ScenarioError(f"{name}: {wrong_value(error, Scenario.model_json_schema())}") from error
 
 
 def read_scenario(path: Path) -> Scenario:
@@ -176,8 +175,9 @@ def read_scenario(path: Path) -> Scenario:
     """
     try:
         content = yaml.safe_load(path.read_text())
-    except (OSError, yaml.YAMLError) as error:
-        raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise ScenarioError(f"{path}: cannot be read as YAML: {reason}") from error
     if not isinstance(content, Mapping) or "scenario" not in content:
         raise ScenarioError(f"{path}: expected the key `scenario`, as config/scenarios/stall_replan.yaml has it")
     return make_scenario(re.sub(r"[^a-z0-9_]", "_", path.stem.lower()), content["scenario"])

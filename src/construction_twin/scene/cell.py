@@ -10,6 +10,7 @@ import pydantic
 from scipy.spatial.transform import Rotation
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import wrong_value
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import relative
 
@@ -53,6 +54,9 @@ class Cell:
         return relative(self.world_T_root(robot), self.world_T_root(other))
 
 
+_PLACES = pydantic.TypeAdapter(dict[str, _Place])
+
+
 def load_cell(description: object) -> Cell:
     """Build a cell from a parsed YAML file, see config/cell_two_robots.yaml.
 
@@ -67,12 +71,10 @@ def load_cell(description: object) -> Cell:
         Naming the key, its value and what was expected.
     """
     try:
-        places = pydantic.TypeAdapter(dict[str, _Place]).validate_python(description)
+        places = _PLACES.validate_python(description)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError(
-            "/".join(["cell", *map(str, first["loc"])]), first.get("input"), first["msg"]
-        ) from error
+        wrong = wrong_value(error, _PLACES.json_schema())
+        raise ConfigurationError("/".join(filter(None, ("cell", wrong.key))), wrong.value, wrong.expected) from error
     return Cell(
         {
             name: Pose(np.array(place.xyz), Rotation.from_euler("xyz", place.rpy_deg, degrees=True).as_matrix())

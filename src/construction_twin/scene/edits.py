@@ -15,6 +15,7 @@ import pydantic
 
 from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.validation import wrong_value
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Largest file [bytes]: tens of thousands of objects.
@@ -81,7 +82,9 @@ class SceneFile:
         try:
             found = _File.model_validate_json(contents)
         except pydantic.ValidationError as error:
-            raise self._wrong(error.errors()[0]["msg"], "a scene as the scene node writes it") from error
+            wrong = wrong_value(error, _File.model_json_schema())
+            expected = f"a scene as the scene node writes it: {wrong.expected}"
+            raise self._wrong(f"{wrong.key}: {wrong.value!r:.200}", expected) from error
         if found.run != self.run:
             return self.start
         if found.start != self.start.hash:

@@ -11,6 +11,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.validation import wrong_value
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Stands for the path of a scene without objects and padding: roslaunch drops an argument that is empty.
@@ -65,10 +66,8 @@ def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
     try:
         parsed = _SceneDescription.model_validate(dict(description))
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        value = None if first["type"] == "missing" else first["input"]
-        where = "/".join(["scene", *map(str, first["loc"])])
-        raise SceneError(where, value, f"{first['msg']} ({error.error_count()} keys wrong)") from error
+        wrong = wrong_value(error, _SceneDescription.model_json_schema())
+        raise SceneError("/".join(filter(None, ("scene", wrong.key))), wrong.value, wrong.expected) from error
     objects = (_object(name, item, Path(base_dir)) for name, item in parsed.objects.items())
     return Scene(tuple(objects), parsed.padding)
 

@@ -20,6 +20,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
@@ -182,10 +183,8 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     try:
         parsed = _Description.model_validate(dict(description))
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = "/".join(map(str, first["loc"]))
-        value = None if first["type"] == "missing" else first["input"]
-        raise ConfigurationError(f"{where} {key}", value, first["msg"]) from error
+        wrong = wrong_value(error, _Description.model_json_schema())
+        raise ConfigurationError(f"{where} {wrong.key}", wrong.value, wrong.expected) from error
     found = geometry_hash(bodies)
     if parsed.geometry != found:
         raise ConfigurationError(

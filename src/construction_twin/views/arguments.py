@@ -100,6 +100,8 @@ def parser(robot: str) -> argparse.ArgumentParser:
     command("pause", "rest on the path")
     command("resume", "go on along the path after a pause")
     command("reset", "after a fault: new session, the twin takes the arm's pose")
+    arm = command("arm", "arm a bare PLC, and take the responsibility for what is not checked then")
+    arm.add_argument("--responsible", default="", metavar="NAME", help="the person who is responsible; must be given")
     status = command("status", "say what link, gate and executor do")
     status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
     _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
@@ -162,7 +164,9 @@ def _add_watch(watch: argparse.ArgumentParser) -> None:
 
 
 def check(options: argparse.Namespace) -> str:
-    """Return what does not fit together in a parsed `plan`, as a sentence; empty when it fits."""
+    """Return what does not fit together in a parsed `plan` or `arm`, as a sentence; empty when it fits."""
+    if options.command == "arm" and not options.responsible.strip():
+        return "arm needs --responsible NAME: a person takes the responsibility for what is not checked with a bare PLC"
     if options.command != "plan":
         return ""
     for name in ("line", "frame", "configuration"):

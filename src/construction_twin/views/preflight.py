@@ -16,6 +16,7 @@ CHOICES = {
     "arm": ("mock", "real", "none"),
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
+    "gateway_kind": ("rsi", "plc"),
     "rsi_cycle": ("4", "12"),
 }
 SWITCHES = (
@@ -79,7 +80,7 @@ def _broker_without_file(given: Mapping[str, str], is_file: Question, _is_anonym
 
 def _open_rsi(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
     listen = given.get("rsi_listen", "127.0.0.1")
-    served_here = given.get("arm") != "none" and is_true(given, "gateway", "true")
+    served_here = given.get("arm") != "none" and has_gateway_here(given)
     if served_here and not given.get("rsi_controller") and not is_loopback(listen):
         return f"rsi_controller:='': expected the controller's address, because rsi_listen:={listen} is reached from a network"
     return ""
@@ -101,7 +102,7 @@ def _anonymous_broker(given: Mapping[str, str], _is_file: Question, is_anonymous
     anonymous = ""
     if not given.get("bridge_account"):
         anonymous = "bridge_account:=''"
-    elif is_true(given, "gateway", "true") and not given.get("gateway_account"):
+    elif has_gateway_here(given) and not given.get("gateway_account"):
         anonymous = "gateway_account:=''"
     elif is_true(given, "broker") and is_anonymous(given.get("broker_config", "")):
         anonymous = f"broker_config:={given['broker_config']}"
@@ -113,6 +114,15 @@ def _anonymous_broker(given: Mapping[str, str], _is_file: Question, is_anonymous
     return ""
 
 
+def _mock_without_track(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
+    if is_bare(given) and given.get("arm") == "mock" and is_true(given, "track"):
+        return (
+            "track:=true with gateway_kind:=plc: the PLC of examples/plc, which is the mock arm then, has no track; give "
+            "arm:=real"
+        )
+    return ""
+
+
 #: What is checked of the arguments alone, in this order: each returns a sentence, empty when all is well.
 CHECKS: tuple[Callable[[Mapping[str, str], Question, Question], str], ...] = (
     _wrong_value,
@@ -120,7 +130,29 @@ CHECKS: tuple[Callable[[Mapping[str, str], Question, Question], str], ...] = (
     _open_rsi,
     _nobody_approves,
     _anonymous_broker,
+    _mock_without_track,
 )
+
+
+def notes(given: Mapping[str, str]) -> list[str]:
+    """Return what must be said of a start that can work, one sentence each."""
+    if is_bare(given) and given.get("arm") == "real":
+        return [
+            "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. Configuration, session, sequence and "
+            "age of strings, stops and speed limits are not checked, on neither side; a person is responsible for that, by "
+            "name: `rosrun construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
+        ]
+    return []
+
+
+def is_bare(given: Mapping[str, str]) -> bool:
+    """Return whether a bare PLC takes the commands."""
+    return given.get("gateway_kind") == "plc"
+
+
+def has_gateway_here(given: Mapping[str, str]) -> bool:
+    """Return whether rsi_gateway is started on this machine; with a bare PLC there is none."""
+    return is_true(given, "gateway", "true") and not is_bare(given)
 
 
 def is_true(given: Mapping[str, str], name: str, default: str = "false") -> bool:

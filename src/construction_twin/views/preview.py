@@ -19,8 +19,10 @@ LOOP_REST = 0.5
 #: Spacing of the points of the drawn tool path [s], and the most of them.
 PATH_SPACING = 0.02
 PATH_POINTS = 1000
-#: How far above the tool path the text begins [m].
-TEXT_HEIGHT = 1.25
+#: Height of a line of the text [m], and the room between it and the arm below, whose bodies reach beyond its joints.
+TEXT_SIZE, TEXT_ROOM = 0.06, 0.4
+#: Room that the text of the sync state needs above and below its middle [m].
+HEADLINE_ROOM = 0.3
 
 
 @dataclass(frozen=True)
@@ -54,8 +56,8 @@ class Playing:
 class Preview:
     """Which plan is shown, and where the ghost is.
 
-    While the ghost does not play, it has the twin's pose and is hidden by it. A ghost that has reached the goal stays there
-    until the plan is approved or rejected.
+    The ghost stands at the goal of the plan under review, and plays it when asked to, from its start. Without a plan under review
+    it has the twin's pose and is hidden by it.
 
     Attributes
     ----------
@@ -129,10 +131,12 @@ class Preview:
         return f"the ghost plays plan {plan.id} in {plan.trajectory.duration / speed:.3f} s{again}; nothing moves"
 
     def pose(self, now: float) -> tuple[float, ...] | None:
-        """Return where the ghost is at `now` [s]; None while the twin's pose is unknown and nothing is played."""
-        if self._playing is None:
-            return self._twin
-        return self._playing.pose(now)
+        """Return where the ghost is at `now` [s]; None while the twin's pose is unknown and no plan is under review."""
+        if self._playing is not None:
+            return self._playing.pose(now)
+        if self.under_review is not None:
+            return tuple(self.under_review.trajectory.positions[-1].tolist())
+        return self._twin
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,14 +160,18 @@ class PlanPicture:
     text_at: tuple[float, float, float]
 
 
-def picture(plan: Plan, tool_position: Callable[[np.ndarray], np.ndarray]) -> PlanPicture:
+def picture(plan: Plan, skeleton: Callable[[np.ndarray], np.ndarray], headline: float) -> PlanPicture:
     """Return what is to be drawn of a plan.
+
+    The text hangs above all that moves, so that the arm does not hide it.
 
     Parameters
     ----------
     plan : Plan
-    tool_position : callable
-        Returns the tool's position, shape (3,), for joint values, shape (n,).
+    skeleton : callable
+        Returns the points from the base through all joints to the tool, shape (m, 3), for joint values, shape (n,).
+    headline : float
+        Height of the text of the sync state, which this one keeps clear of [m].
 
     Returns
     -------
@@ -172,11 +180,21 @@ def picture(plan: Plan, tool_position: Callable[[np.ndarray], np.ndarray]) -> Pl
     trajectory = plan.trajectory
     points = min(max(math.ceil(trajectory.duration / PATH_SPACING) + 1, 2), PATH_POINTS)
     poses = trajectory.sample_many(np.linspace(0.0, trajectory.duration, points))[0]
-    path = np.array([tool_position(q) for q in poses])
-    top = path[np.argmax(path[:, 2])]
+    arms = np.array([skeleton(q) for q in poses])
+    path = arms[:, -1]
+    top = arms.reshape(-1, 3)[np.argmax(arms[:, :, 2])]
     clearance = plan.report.clearance
     closest = clearance.point if math.isfinite(clearance.distance) else None
-    return PlanPicture(path, closest, describe(plan), (float(top[0]), float(top[1]), float(top[2]) + TEXT_HEIGHT))
+    text = describe(plan)
+    height = _text_height(float(top[2]), text.count("\n") + 1, headline)
+    return PlanPicture(path, closest, text, (float(top[0]), float(top[1]), height))
+
+
+def _text_height(top: float, lines: int, headline: float) -> float:
+    """Return the middle of a text of some lines [m], as rviz centres it: over the arm, and not across the headline."""
+    half = lines * TEXT_SIZE / 2
+    middle = top + TEXT_ROOM + half
+    return middle if middle + half < headline - HEADLINE_ROOM else max(middle, headline + HEADLINE_ROOM + half)
 
 
 def describe(plan: Plan) -> str:

@@ -133,7 +133,8 @@ def argument_problem(given: Mapping[str, str], known: Mapping[str, str], file: s
             return f"{name}:={value}: {file} has no such argument; {meant}`roslaunch --ros-args` lists them"
         if not value and known[name]:
             nothing = f"{name}:=none for nothing, " if name in NONE else ""
-            return f"{name}:='': roslaunch drops an empty value, and the default would count; give {nothing}a value, or leave it out"
+            dropped = "roslaunch drops an empty value, and the default would count"
+            return f"{name}:='': {dropped}; give {nothing}a value, or leave it out"
     return ""
 
 

@@ -24,6 +24,10 @@ class LinkFacts:
     counters : Mapping of str to str
         The gateway's, and what it says of its playout.
     commands_refused, states_refused : int
+    responsible : str
+        Who has armed a bare PLC; empty otherwise.
+    not_checked : tuple of str
+        What is not checked with a bare PLC.
     """
 
     text: str
@@ -32,6 +36,8 @@ class LinkFacts:
     counters: Mapping[str, str] = field(default_factory=dict)
     commands_refused: int = 0
     states_refused: int = 0
+    responsible: str = ""
+    not_checked: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

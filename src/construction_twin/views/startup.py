@@ -24,6 +24,8 @@ class Deployment:
         HOST:PORT on which the gateway should listen; port 0: that of the Ethernet XML.
     gateway : bool
         The gateway is started on this machine.
+    gateway_kind : str
+        ``rsi``: rsi_gateway takes the commands; ``plc``: a bare PLC.
     """
 
     namespace: str
@@ -31,6 +33,7 @@ class Deployment:
     broker: str
     rsi: str
     gateway: bool
+    gateway_kind: str = "rsi"
 
     @property
     def rsi_address(self) -> str:
@@ -171,6 +174,14 @@ def first_missing(seen: Seen, deployment: Deployment) -> Missing | None:
     return _link(seen, deployment) or _twin(seen, deployment) or _armed(seen, deployment) or _gate(seen)
 
 
+#: What is missing at a bare PLC, by the link's state, and what to do.
+_PLC = {
+    "GATEWAY_OFFLINE": ("the PLC", "start it; it says `ready` on its `status` topic, retained"),
+    "MISMATCH": ("the PLC", "stop what answers there, or start with the other gateway_kind"),
+    "NO_CONTROLLER": ("the PLC's pose", "let it send joint strings on its `state` topic, without user properties"),
+}
+
+
 def _link(seen: Seen, deployment: Deployment) -> Missing | None:
     """Broker, gateway, configuration, controller, first feedback."""
     word = seen.link or Word("", "")
@@ -179,6 +190,9 @@ def _link(seen: Seen, deployment: Deployment) -> Missing | None:
         return Missing("the bridge", "no report", "mqtt_bridge does not run; its reason stands in its log")
     if state == "DISCONNECTED":
         return Missing(f"the MQTT broker {deployment.broker}", reason, "start it, or give broker_host and broker_port")
+    if deployment.gateway_kind == "plc" and state in _PLC:
+        what, action = _PLC[state]
+        return Missing(what, reason, action)
     if state == "GATEWAY_OFFLINE":
         here = f"read its lines here; is UDP {deployment.rsi_address} taken?"
         there = f"start rsi_gateway on the cell PC with --broker {deployment.broker}"
@@ -219,6 +233,10 @@ def _twin(seen: Seen, deployment: Deployment) -> Missing | None:
 def _armed(seen: Seen, deployment: Deployment) -> Missing | None:
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
+    if state == "NEEDS_RESET" and deployment.gateway_kind == "plc":
+        robot = deployment.namespace.strip("/")
+        call = f"see to PLC and arm, then rosrun construction_twin twin --robot {robot} arm --responsible NAME"
+        return Missing("a person who arms the bare PLC by name", "", call)
     if state == "NEEDS_RESET":
         call = f"remove the cause, then rosservice call {deployment.namespace}/reset"
         return Missing("a reset", reason, call)

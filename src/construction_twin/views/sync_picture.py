@@ -25,6 +25,8 @@ COLOURS = {
     SyncState.STOPPED: (0.9, 0.05, 0.1, 0.6),
     SyncState.FAULT: (0.9, 0.05, 0.1, 0.6),
 }
+#: Room between the text and the highest place that the arm can reach [m].
+TEXT_ROOM = 0.35
 #: Longest line of the text.
 LINE_LENGTH = 70
 
@@ -85,6 +87,19 @@ def _extent(geometry: Mesh | Box | Cylinder | Sphere) -> tuple[float, float, flo
         return float(x), float(y), float(z)
     across = 2.0 * geometry.radius
     return across, across, float(geometry.length) if isinstance(geometry, Cylinder) else across
+
+
+def headline_height(shoulder: float, arm_length: float) -> float:
+    """Return how high the text stands over the base [m]: above everything the arm can reach, so that it never hides it.
+
+    Parameters
+    ----------
+    shoulder : float
+        Height of the first revolute joint [m].
+    arm_length : float
+        Of all links behind it [m].
+    """
+    return shoulder + arm_length + TEXT_ROOM
 
 
 def headline(state: SyncState, reason: str, worst: str) -> str:

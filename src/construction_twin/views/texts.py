@@ -64,6 +64,9 @@ def status_lines(snapshot: Snapshot) -> list[str]:
     controller = controller_words(snapshot.link.counters) if snapshot.link is not None else ""
     if controller:
         lines.append(f"controller {controller}")
+    if snapshot.link is not None and snapshot.link.not_checked:
+        lines.append(f"bare PLC   {snapshot.link.responsible or 'no person'} is responsible; not checked:")
+        lines += [f"           {sentence}" for sentence in snapshot.link.not_checked]
     if snapshot.execution is not None and snapshot.execution.plan_id:
         execution = snapshot.execution
         lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or 'under way')}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 
 import genpy
@@ -15,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.errors import EvaluationError
+from construction_twin.core.errors import ConstructionTwinError, EvaluationError
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.commands.evaluate import main
@@ -255,3 +256,55 @@ def test_rosbag_s_own_reader_is_back_after_reading(full_bag):
     with pytest.raises(EvaluationError):
         read_recording(full_bag, "/nobody")
     assert rosbag.bag._get_message_type is before
+
+
+@pytest.mark.parametrize(
+    "contents",
+    [
+        b"", b"I am a text.\n", bytes([0x89, *b"PNG\r\n"]) + bytes(500), b"#ROSBAG V2.0\n", b"#ROSBAG V2.0\n" + bytes(5000),
+        b"#ROSBAG V9.9\n",
+    ],
+    ids=["empty", "text", "picture", "beginning", "zeros", "version"],
+)  # fmt: skip
+def test_a_file_that_is_no_bag_is_one_sentence(tmp_path, capsys, contents):
+    file = tmp_path / "no.bag"
+    file.write_bytes(contents)
+    assert main([str(file)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"evaluate: {file} ") and said.count("\n") == 1
+    assert "cannot be read as a rosbag" in said or "rosbag reindex" in said
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_a_damaged_bag_is_read_or_refused(tmp_path, seed):
+    """A byte of it changed: what still can be read is read, and nothing but a typed error comes out."""
+    file = tmp_path / "damaged.bag"
+    with rosbag.Bag(str(file), "w") as bag:
+        for number in range(20):
+            for side in ("twin", "physical"):
+                message = JointState(
+                    header=Header(stamp=at(BASE + number * 4_000_000)), name=list(JOINTS), position=[0.0] * 6
+                )
+                bag.write(f"/kr120/{side}/joint_states", message, message.header.stamp)
+    contents = bytearray(file.read_bytes())
+    rng = np.random.default_rng(seed)
+    # most of what is not a message stands at both ends
+    place = rng.integers(len(contents)) if seed % 2 else -int(rng.integers(1, 900))
+    contents[place] ^= int(rng.integers(1, 256))
+    file.write_bytes(contents)
+    with contextlib.suppress(ConstructionTwinError):
+        read_recording(file)
+
+
+def test_a_folder_that_takes_no_files_is_found_before_anything_is_computed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(
+        "construction_twin.ros.commands.evaluate.read_recording", lambda *_: pytest.fail("computed first")
+    )
+    (tmp_path / "file").write_text("in the way")
+    for folder in (tmp_path / "file", tmp_path / "file" / "results", "/proc/results"):
+        assert main([str(tmp_path / "no.bag"), "--output", str(folder)]) == 1
+        said = capsys.readouterr().err
+        assert (
+            said.startswith(f"evaluate: {folder}: found ")
+            and "expected a folder that files can be written into" in said
+        )

@@ -10,29 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inverse_cases import KR120, TRACK, UR_LIKE, assert_solves, make_inverse
+from inverse_cases import KR120, TRACK, UR_LIKE, assert_solves, changed, make_inverse
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
 from construction_twin.kinematics.rail import RailInverse, find_rail
 from construction_twin.kinematics.subproblems import SubproblemInverse
-
-
-def changed(joint: str, xyz: str | None = None, rpy: str | None = None, axis: str | None = None):
-    """Return the KR 120 with another origin or axis of one joint."""
-    start = KR120.urdf.index(f'<joint name="{joint}"')
-    end = KR120.urdf.index("</joint>", start)
-    part = KR120.urdf[start:end]
-    for pattern, value in (
-        (r'(<origin[^>]*xyz=")[^"]*', xyz),
-        (r'(<origin[^>]*rpy=")[^"]*', rpy),
-        (r'(<axis xyz=")[^"]*', axis),
-    ):
-        if value is not None:
-            part, count = re.subn(pattern, rf"\g<1>{value}", part)
-            assert count == 1
-    return replace(KR120, urdf=KR120.urdf[:start] + part + KR120.urdf[end:])
 
 
 def test_parameters_of_the_kr120_are_the_facts_sheets():

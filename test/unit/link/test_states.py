@@ -7,6 +7,7 @@ import itertools
 import pytest
 from supervisor_bench import armed, bench
 
+from construction_twin.core.state_table import cells
 from construction_twin.link.states import (
     BARE_ROWS,
     BARE_TABLE,
@@ -16,7 +17,6 @@ from construction_twin.link.states import (
     Guard,
     LinkEvent,
     LinkState,
-    table_cells,
 )
 
 #: Fixtures of the bench.
@@ -26,30 +26,28 @@ __all__ = ["armed", "bench"]
 def test_every_event_guard_and_action_is_used():
     table = TABLE + BARE_TABLE
     assert {row.event for row in table} == set(LinkEvent)
-    assert {row.guard for row in table} - {None} == set(Guard)
-    assert {row.action for row in table} - {None} == set(Action)
+    assert {row.guard for row in table} == set(Guard)
+    assert {row.action for row in table} == set(Action)
 
 
 def test_no_row_stands_behind_one_that_always_counts():
     for rows in [*ROWS.values(), *BARE_ROWS.values()]:
-        assert all(row.guard is not None for row in rows[:-1])
+        assert all(row.guard is not Guard.ALWAYS for row in rows[:-1])
         assert len({row.guard for row in rows}) == len(rows)
 
 
 def test_only_an_accepted_arm_leads_to_armed_and_only_from_resync():
     leading = [row for row in TABLE if row.target is LinkState.ARMED]
-    assert [(row.event, row.states) for row in leading] == [(LinkEvent.ARM_ACCEPTED, (LinkState.RESYNC,))]
+    assert [(row.event, row.state) for row in leading] == [(LinkEvent.ARM_ACCEPTED, LinkState.RESYNC)]
 
 
 def test_only_a_person_s_name_leads_a_bare_plc_to_armed():
     leading = [row for row in BARE_TABLE if row.target is LinkState.ARMED]
-    assert [(row.event, row.states, row.action) for row in leading] == [
-        (LinkEvent.TURN, (LinkState.RESYNC,), Action.NOTE_RESPONSIBLE)
+    assert [(row.event, row.state, row.action) for row in leading] == [
+        (LinkEvent.TURN, LinkState.RESYNC, Action.NOTE_RESPONSIBLE)
     ]
-    into_resync = [row for row in BARE_TABLE if row.target is LinkState.RESYNC and row.states != (LinkState.RESYNC,)]
-    assert [(row.event, row.states) for row in into_resync] == [
-        (LinkEvent.RESPONSIBILITY_TAKEN, (LinkState.NEEDS_RESET,))
-    ]
+    into_resync = [row for row in BARE_TABLE if row.target is LinkState.RESYNC is not row.state]
+    assert [(row.event, row.state) for row in into_resync] == [(LinkEvent.RESPONSIBILITY_TAKEN, LinkState.NEEDS_RESET)]
     assert not {row.action for row in BARE_TABLE} & {Action.SEND_ARM, Action.SEND_RESET, Action.RESET_OLD_SESSION}
 
 
@@ -70,7 +68,7 @@ def test_no_event_arms_or_begins_a_session_without_broker_gateway_and_arm():
 
 def test_messages_are_sent_only_in_resync_and_mirror():
     sending = {Action.SEND_ARM, Action.SEND_RESET, Action.RESET_OLD_SESSION}
-    assert {state for row in TABLE if row.action in sending for state in row.states} == {
+    assert {row.state for row in TABLE if row.action in sending} == {
         LinkState.RESYNC, LinkState.MIRROR,
     }  # fmt: skip
 
@@ -81,9 +79,8 @@ def test_the_supervisor_carries_out_every_row_that_a_state_and_an_event_have(arm
     """The first row whose guard holds is the one: the target is its, and everything that it names is implemented."""
     supervisor = armed.supervisor
     for row in ROWS[state, event]:
-        if row.guard is not None:
-            assert supervisor.holds(row.guard, armed.now) in (True, False)
-    rows = [row for row in ROWS[state, event] if row.guard is None or supervisor.holds(row.guard, armed.now)]
+        assert supervisor.holds(row.guard, armed.now) in (True, False)
+    rows = [row for row in ROWS[state, event] if supervisor.holds(row.guard, armed.now)]
     supervisor.state = state
     supervisor.take(event, armed.now, "why")
     assert supervisor.state is (rows[0].target if rows else state)
@@ -97,6 +94,6 @@ def test_values_are_those_of_the_message():
 
 
 def test_the_documentation_s_table_has_a_line_for_every_row():
-    cells = table_cells()
-    assert len(cells) == len(TABLE) and cells[0][0] == "any" and cells[-1][-1] == "ARMED"
-    assert not any("|" in text or "\n" in text for row in cells for text in row)
+    told = cells(TABLE)
+    assert len(told) == len(TABLE) and told[0][0] == "DISCONNECTED" and told[-1][-1] == "ARMED"
+    assert not any("|" in text or "\n" in text for row in told for text in row)

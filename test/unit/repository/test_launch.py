@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
@@ -66,6 +67,24 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
 
 
 @pytest.mark.parametrize(
+    "arguments, nodes",
+    [
+        ("", {"rsi_gateway", "mock_rsi"}),
+        ("gateway_kind:=plc", {"plc"}),
+        ("gateway_kind:=plc arm:=real anonymous_broker_is_meant:=true", set()),
+    ],
+)
+def test_what_takes_the_commands_is_started_and_nothing_else_of_it(arguments, nodes):
+    command = ["roslaunch", "--nodes", "construction_twin", "bringup.launch", *arguments.split()]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    started = {line.rsplit("/", 1)[-1] for line in run.stdout.splitlines()}
+    assert "mqtt_bridge" in started and started & {"rsi_gateway", "mock_rsi", "plc"} == nodes, run.stderr
+    assert ("gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone" in run.stderr) == (
+        "real" in arguments
+    )
+
+
+@pytest.mark.parametrize(
     "argument, sentence",
     [
         ("arm:=foo", "preflight: arm:=foo: expected mock, real or none"),
@@ -117,3 +136,38 @@ def test_the_sentence_of_a_refusal_is_the_last_line_below_a_few_of_roslaunch(fil
         "preflight: self_collision:=/no/such.yaml: expected the absolute path of a file"
     )
     assert len("".join(between)) < 300, between
+
+
+def test_files_in_a_folder_with_a_space_are_found(tmp_path):
+    """URDF, robot YAML, scene, Ethernet XML, records: all but the package itself, which catkin cannot build there."""
+    folder = tmp_path / "my arm"
+    shutil.copytree(ROOT / "urdf", folder)  # the xacro reads files beside it
+    given = {
+        "robot_xacro": "urdf/kr120r2500.urdf.xacro",
+        "robot_config": "config/kr120.yaml",
+        "self_collision": "config/kr120_self_collision.yaml",
+        "scene": "config/scene.yaml",
+        "ethernet_xml": "krl/ethernet/ctwin_ethernet.xml",
+        "task": "config/experiment.yaml",
+        "broker_config": "config/mosquitto.conf",
+    }
+    words = []
+    for name, file in given.items():
+        copy = folder / Path(file).name
+        copy.write_text((ROOT / file).read_text())
+        words.append(f"{name}:={copy}")
+    words += [f"{name}:={folder}/{name}" for name in ("results_dir", "review_file", "transition_file")]
+    run = subprocess.run(
+        ["roslaunch", "--dump-params", "construction_twin", "experiment.launch", *words],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.stdout, run.stderr
+    parameters = yaml.safe_load(run.stdout)
+    assert parameters["/preflight"] is True
+    assert parameters["/kr120/experiment/results_dir"] == f"{folder}/results_dir"
+    assert "<robot" in parameters["/kr120/robot_description"]
+    command = ["roslaunch", "--args", "/broker", "construction_twin", "experiment.launch", *words]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert f"{folder}/mosquitto.conf" in run.stdout

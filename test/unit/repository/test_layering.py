@@ -16,7 +16,7 @@ from separation_node import Settings as SeparationSettings
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import home_positions, read_robot_files
-from construction_twin.ros.commands.experiment import ExperimentSettings
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
@@ -31,7 +31,8 @@ PACKAGE = ROOT / "src" / "construction_twin"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 LIBRARY = [path for path in SOURCES if "ros" not in path.relative_to(PACKAGE).parts]
 NODES = sorted(path for path in (ROOT / "nodes").iterdir() if path.is_file()) + [
-    ROOT / "examples/separation/separation"
+    ROOT / "examples/separation/separation",
+    ROOT / "examples/plc/plc",
 ]
 LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -39,7 +40,7 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 #: What the library may import besides the standard library and itself. PyKDL and rospkg are ROS's, but need no ROS to run.
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
-    "coal", "pinocchio", "py_opw_kinematics", "manifold3d",
+    "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d",
     "rospkg", "shtab",
 }  # fmt: skip
 GENERATED = {"msg", "srv", "action"}
@@ -47,7 +48,7 @@ GENERATED = {"msg", "srv", "action"}
 DEPLOYMENT = {
     "executor": {"arm", "auto_approve", "review_file", "neighbour", "realtime_priority"},
     "separation": set(),
-    "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
     "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 import socket
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -121,3 +123,14 @@ def test_success_is_judged_in_the_folder_that_was_given(finishes, tmp_path, caps
     monkeypatch.setattr(demo, "launch", launch)
     assert demo.main(given) == (0 if finishes else 1)
     assert ("did not finish" in capsys.readouterr().err) is not finishes
+
+
+def test_a_repository_in_a_path_with_a_space_is_one_sentence(tmp_path):
+    folder = tmp_path / "my work" / "setup"
+    folder.mkdir(parents=True)
+    shutil.copy(ROOT / "setup" / "setup.sh", folder)
+    run = subprocess.run(["bash", str(folder / "setup.sh")], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 1 and run.stdout == "" and run.stderr.count("\n") == 1
+    assert run.stderr.startswith(
+        f"[setup] cannot go on: the path {folder.parent} holds a space, and catkin, which builds ROS"
+    )

@@ -17,7 +17,7 @@ from plan_samples import make_plan
 from construction_twin.core.errors import ConfigurationError, RecordError
 from construction_twin.review import record as review_log
 from construction_twin.review.queue import APPROVED, REFUSED, Ending, Verdict
-from construction_twin.review.record import BEGIN, KEPT, ReviewLog, main, verify
+from construction_twin.review.record import BEGIN, KEPT, Responsibility, ReviewLog, main, verify
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.trajectory import Trajectory
 
@@ -108,6 +108,20 @@ class TestContent:
         hashes = [BEGIN] + [hashlib.sha256(line).hexdigest() for line in raw]
         assert [record["previous"] for record in lines(written)] == hashes[:-1]
         assert verify(written) == review_log.LogState(5, hashes[-1])
+
+    def test_who_is_responsible_for_a_bare_plc_is_recorded_and_stands_in_every_verdict(self, log, path):
+        bare = Responsibility("Grace", "s1", ("configuration: not compared", "age: not known"))
+        log.append(verdict("before"))
+        log.responsibility = bare
+        log.defer(bare)
+        log.defer(verdict("deferred"))
+        log.responsibility = None
+        log.append(verdict("after"))
+        before, armed, deferred, after = lines(path)
+        assert (armed["record"], armed["responsible"], armed["session"]) == ("responsibility", "Grace", "s1")
+        for line in (armed, deferred):
+            assert line["responsible"] == "Grace" and line["not_checked"] == list(bare.not_checked)
+        assert not {"responsible", "not_checked"} & {*before, *after} and verify(path).lines == 4
 
 
 class TestContinuation:

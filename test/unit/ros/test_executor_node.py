@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from types import SimpleNamespace
 
@@ -113,6 +114,33 @@ def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age,
     world.node.on_conflict(message)
     assert [reason for reason, _ in world.refused] == ["conflict_age"] * refused
     np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
+
+
+def records(tmp_path) -> list[dict]:
+    return [json.loads(line) for line in (tmp_path / "reviews.jsonl").read_text().splitlines()]
+
+
+def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, tmp_path):
+    bare = {"gateway_kind": "plc", "responsible": "Grace", "not_checked": ["age: not known"]}
+    for _ in range(3):
+        world.node.on_link(Link(state=Link.RESYNC, session="s", **bare))
+    node = world.node
+    node.on_link(Link(state=Link.ARMED, session="s", **bare))
+    node.on_scene(Scene(hash=SCENE))
+    world.run(5)
+    plan = make_plan(created_ns=world.wall)
+    world.executor.offer(plan)
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")).success
+    armed, verdict = records(tmp_path)[:2]
+    assert (armed["record"], armed["responsible"], armed["not_checked"]) == (
+        "responsibility", "Grace", ["age: not known"],
+    )  # fmt: skip
+    assert (verdict["reviewer"], verdict["responsible"], verdict["not_checked"]) == ("Ada", "Grace", ["age: not known"])
+    # armed anew, in another session, is another record; not armed is none
+    node.on_link(Link(state=Link.NEEDS_RESET, session="s", gateway_kind="plc", not_checked=bare["not_checked"]))
+    node.on_link(Link(state=Link.ARMED, session="t", **bare))
+    node.work_off(True)
+    assert [line["session"] for line in records(tmp_path) if line["record"] == "responsibility"] == ["s", "t"]
 
 
 class TestCycle:

@@ -12,7 +12,8 @@ from rich.console import Console
 
 from construction_twin.core.units import radians
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.experiment import ExperimentSettings, ProgressView, RestDetector, point_latest
+from construction_twin.ros.commands.experiment import ProgressView, RestDetector, point_latest
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 
 CONFIG = yaml.safe_load(Path("config/experiment.yaml").read_text())
 

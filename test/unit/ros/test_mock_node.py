@@ -84,7 +84,7 @@ class MockNode:
 
     def wait_for_line(self, text):
         """Return the first line of the log that holds a text."""
-        return wait_until(lambda: next((line for line in self.lines if text in line), None), what=text)
+        return wait_until(lambda: next((line for line in self.lines if text in line), None), 60.0, text)
 
     def close(self):
         for end in self.ends:
@@ -119,7 +119,7 @@ def test_log_status_and_diagnostics_say_why_replies_are_refused_and_that_they_co
     assert node.statuses[-1]["state"] == "running"
     node.pc.stop = False
     node.wait_for_line("replies count again")
-    wait_until(lambda: node.report().level == OK)
+    wait_until(lambda: node.report().level == OK, 60.0)
     # a reply that this machine made late may be refused as well, but nothing is said cycle by cycle
     assert sum(NO_STOP in line for line in node.lines) <= 2
 

@@ -5,9 +5,14 @@ Each kind in a process of its own, without a master: what is injected goes throu
 
 from __future__ import annotations
 
+import os
+import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -15,6 +20,7 @@ import rospy
 
 from construction_twin.ros.shared import node as module
 
+ROOT = Path(__file__).resolve().parents[3]
 BEGIN = """
 import threading, time, types
 import rospy
@@ -23,6 +29,9 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.transport.subscriber import Subscriber
 
+from construction_twin.ros.shared import node as shared_node
+
+shared_node.wait_for_master = lambda name: None
 rospy.init_node = lambda name: rospy.rostime.set_rostime_initialized(True)
 rospy.get_param = lambda name, default: default
 rospy.resolve_name = lambda name, caller_id=None: "/kr120/" + name
@@ -93,3 +102,76 @@ def test_while_ros_shuts_down_an_error_is_only_written_down(monkeypatch):
 def test_a_thread_may_end_itself(monkeypatch):
     monkeypatch.setattr(module, "os", SimpleNamespace(_exit=lambda code: pytest.fail("ended")))
     module.end_on_error(threading.ExceptHookArgs((SystemExit, SystemExit(0), None, threading.current_thread())))
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def wait_for(condition, what: str) -> None:
+    deadline = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def started(tmp_path):
+    """Start a program of nodes/ with its standard error in a file; it is killed at the end."""
+    processes = []
+
+    def start(name: str, environment: dict[str, str]) -> tuple[subprocess.Popen, Path]:
+        said = tmp_path / "said"
+        with said.open("w") as file:
+            command = [sys.executable, str(ROOT / "nodes" / name)]
+            process = subprocess.Popen(command, stdout=file, stderr=file, env={**os.environ, **environment})
+        processes.append(process)
+        return process, said
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("name", ["executor", "rsi_gateway"])
+def test_a_node_without_a_master_waits_and_says_so_in_one_line(started, name):
+    port = free_port()
+    process, said = started(name, {"ROS_MASTER_URI": f"http://127.0.0.1:{port}"})
+    wait_for(lambda: "\n" in said.read_text(), "a line")
+    sentence = (
+        f"{name} waits: http://127.0.0.1:{port}: no ROS master answers ([Errno 111] Connection refused); start bringup"
+    )
+    assert said.read_text().startswith(sentence)
+    # a second question, answered by a master that is not one: it is asked again, and nothing is said again
+    with socket.create_server(("127.0.0.1", port)) as server:
+        server.settimeout(60.0)
+        server.accept()[0].close()
+    assert said.read_text().count("\n") == 1 and process.poll() is None
+    process.send_signal(signal.SIGINT)
+    process.wait(60.0)
+    assert said.read_text().count("\n") == 1
+
+
+def test_ctrl_c_while_a_node_is_loaded_is_no_traceback(started):
+    process, said = started("planner", {"ROS_MASTER_URI": "http://127.0.0.1:1"})
+    wait_for(lambda: "libpinocchio" in Path(f"/proc/{process.pid}/maps").read_text(), "the imports to be under way")
+    process.send_signal(signal.SIGINT)
+    process.wait(60.0)
+    assert said.read_text() == ""
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "nodes").iterdir()), ids=lambda file: file.name)
+def test_every_program_takes_ctrl_c_before_it_imports_the_package(file):
+    text = file.read_text()
+    assert text.index("signal.signal(signal.SIGINT, signal.SIG_DFL)") < text.index("from construction_twin")
+
+
+def test_no_address_of_a_master_is_one_sentence(started):
+    process, said = started("executor", {"ROS_MASTER_URI": "localhost:11311"})
+    assert process.wait(60.0) == 1
+    assert (
+        said.read_text() == "executor cannot run: ROS_MASTER_URI: found 'localhost:11311', expected http://HOST:PORT\n"
+    )

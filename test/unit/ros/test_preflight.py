@@ -86,12 +86,62 @@ def test_broken_contents_are_one_sentence_with_the_file_and_what_was_expected(tm
     assert "\n" not in said and "Traceback" not in said
 
 
+@pytest.mark.parametrize("words", [["accelerations"], ["accelerations", "axes"]])
+def test_a_real_arm_does_not_move_by_estimates(tmp_path, words):
+    described = yaml.safe_load(Path(KR120["robot_config"]).read_text()) | {"estimates": words}
+    file = tmp_path / "estimated.yaml"
+    file.write_text(yaml.safe_dump(described))
+    given = KR120 | {"robot_config": str(file)}
+    assert preflight.contents_problem(given | {"arm": "mock"}) == ""
+    assert preflight.contents_problem(given | {"arm": "none"}) == ""
+    said = preflight.contents_problem(given | {"arm": "real"})
+    assert said.startswith(
+        f"robot_config:={file}: estimates: found {words}, expected none with arm:=real: put in the right"
+    )
+    assert "acceleration_deg_s2" in said and ("rsi, sign" in said) == ("axes" in words)
+
+
 def test_a_range_that_the_wire_cannot_carry_is_refused(tmp_path):
     described = yaml.safe_load(Path(TRACK["robot_config"]).read_text())
     described["joints"]["track"]["offset_mm"] = 99_000.0
     file = tmp_path / "far.yaml"
     file.write_text(yaml.safe_dump(described))
     assert "the wire can carry" in preflight.contents_problem(TRACK | {"robot_config": str(file)})
+
+
+@pytest.mark.parametrize(
+    "name, text, sentence",
+    [
+        ("task", "goals_deg: [[0.0, -90.0]]", "a goal in ~goals_deg has 2 values; kr120 has 6 joints"),
+        ("task", "goals_deg: [[0.0, -90.0, 990.0, 0.0, 90.0, 0.0]]", "joint_a3"),
+        ("task", "durations: 3.0", "durations: found 3.0, expected no such key; did you mean duration?"),
+        ("task", "duration: [", "expected a YAML file"),
+        ("scenario", "scenario: {title: t}", "steps: found nothing, expected a list with 1 or more entries"),
+        ("scenario", "steps: []", "expected the key `scenario`"),
+        ("results_dir", "", "expected a folder that files can be written into"),
+        ("review_file", "", "expected a folder that files can be written into"),
+    ],
+)
+def test_what_an_experiment_would_end_with_is_found_before_it_starts(tmp_path, name, text, sentence):
+    """A folder that is a file takes no results."""
+    file = tmp_path / "given.yaml"
+    file.write_text(text)
+    given = f"{file}/reviews.jsonl" if name == "review_file" else str(file)
+    said = preflight.contents_problem(KR120 | {name: given})
+    assert said.startswith(f"{name}:={given}: ") and sentence in said
+
+
+def test_what_the_package_ships_is_fine(tmp_path):
+    for file in sorted((ROOT / "config" / "scenarios").glob("*.yaml")):
+        assert preflight.contents_problem(KR120 | {"scenario": str(file)}) == ""
+    assert (
+        preflight.contents_problem(
+            KR120 | {"task": f"{ROOT}/config/experiment.yaml", "results_dir": f"{tmp_path}/new/folder"}
+        )
+        == ""
+    )
+    assert preflight.contents_problem(TRACK | {"task": f"{ROOT}/config/experiment_track.yaml"}) == ""
+    assert not (tmp_path / "new").exists()
 
 
 # -- what runs already
@@ -251,8 +301,8 @@ def test_for_roslaunch_the_result_is_on_standard_output(capsys):
 def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_for():
     """As with roslaunch: it starts the one that refuses, reads its output, and then prints lines of its own."""
     child = (
-        "import os; from construction_twin.ros.shared.roslaunch_above import say_last; "
-        "say_last('the sentence', os.getppid()); print('refused')"
+        "import os; from construction_twin.ros.shared.roslaunch_above import say_below; "
+        "say_below('the sentence', os.getppid()); print('refused')"
     )
     parent = (
         f"import subprocess, sys; run = subprocess.run([sys.executable, '-c', {child!r}], stdout=subprocess.PIPE); "
@@ -260,4 +310,4 @@ def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_f
     )
     run = subprocess.run([sys.executable, "-c", parent], capture_output=True, text=True, timeout=60, env=os.environ)
     lines = run.stderr.splitlines()
-    assert lines[0] == lines[-1] == "the sentence" and " and much more" in lines
+    assert lines == ["refused", " and much more", "the sentence"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -14,12 +15,17 @@ from matplotlib import image
 from screenshot import COLOURS, VirtualDisplay, bare_view, fraction, read_picture
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
+from construction_twin.robot.description import read_robot_files
 from construction_twin.views.display import connect_display, display_problem, view_for
 from construction_twin.views.sync_picture import COLOURS as STATES
+from construction_twin.views.sync_picture import headline_height
 
 ROOT = Path(__file__).parents[3]
 VIEWS = sorted((ROOT / "rviz").glob("*.rviz"))
+#: Characters of a display's name that rviz's panel shows at its shipped width.
+LONGEST_NAME = 20
 
 
 def answers(_host: str, _number: int) -> None:
@@ -104,6 +110,19 @@ def test_a_view_shows_twin_state_plan_and_scene_of_each_robot(path):
         assert models[f"{name}/twin"] == 1 and 0 < models[f"{name}/preview"] < 1
     saved = [view["Name"] for view in settings["Views"]["Saved"]]
     assert saved[0] == "Cell" and any(view.startswith("Tool") for view in saved)
+
+
+@pytest.mark.parametrize("path", VIEWS, ids=lambda path: path.stem)
+def test_a_view_can_be_read(path):
+    manager = yaml.safe_load(path.read_text())["Visualization Manager"]
+    groups = [display for display in manager["Displays"] if display["Class"] == "rviz/Group"]
+    names = [display["Name"] for group in groups for display in group["Displays"]]
+    assert names and max(map(len, names)) <= LONGEST_NAME
+    first = manager["Views"]["Current"]
+    top = first["Focal Point"]["Z"] + first["Distance"] * math.tan(first["Field of View"] / 2)
+    # the text of the sync state, the highest thing there is
+    chain = Chain(read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"))
+    assert headline_height(float(chain.shoulder[2]), chain.arm_length) < top
 
 
 def test_a_bare_view_takes_a_saved_camera_and_no_panels():

@@ -12,10 +12,20 @@ from plan_samples import make_plan
 from construction_twin.core.errors import ReviewError
 from construction_twin.robot.plan import Clearance, Plan
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.views.preview import LOOP_REST, PATH_POINTS, TEXT_HEIGHT, Preview, describe, picture
+from construction_twin.views.preview import (
+    HEADLINE_ROOM,
+    LOOP_REST,
+    PATH_POINTS,
+    TEXT_ROOM,
+    TEXT_SIZE,
+    Preview,
+    describe,
+    picture,
+)
 
 NAMES = ("joint_a1", "joint_a2")
 TWIN = (0.3, -0.3)
+GOAL = (1.0, 2.0)
 DURATION = 2.0
 
 
@@ -34,10 +44,17 @@ def preview() -> Preview:
 
 
 class TestGhost:
-    def test_hides_inside_the_twin_until_it_is_asked_to_play(self, preview):
+    def test_hides_inside_the_twin_while_no_plan_is_under_review(self):
+        preview = Preview()
+        preview.on_twin(TWIN)
         assert preview.pose(0.0) == TWIN
         preview.on_twin((0.4, 0.0))
         assert preview.pose(1.0) == (0.4, 0.0)
+
+    def test_stands_at_the_goal_of_the_plan_under_review_without_being_asked(self, preview):
+        assert preview.pose(0.0) == preview.pose(100.0) == GOAL
+        preview.on_verdict("p", True)
+        assert preview.pose(100.0) == TWIN
 
     def test_is_nowhere_before_the_twin_is_known(self):
         assert Preview().pose(0.0) is None
@@ -72,13 +89,13 @@ class TestGhost:
     def test_ends_at_speed_zero(self, preview):
         preview.play(1.0, True, 0.0)
         assert "ended" in preview.play(0.0, False, 0.5)
-        assert preview.pose(1.0) == TWIN
+        assert preview.pose(1.0) == GOAL
 
     @pytest.mark.parametrize("speed", [-1.0, math.inf, math.nan])
     def test_refuses_a_speed_that_makes_no_sense(self, preview, speed):
         with pytest.raises(ReviewError, match="speed"):
             preview.play(speed, False, 0.0)
-        assert preview.pose(0.5) == TWIN
+        assert preview.pose(0.5) == GOAL
 
     @pytest.mark.parametrize("approved", [True, False, None])
     def test_plays_nothing_that_is_not_under_review(self, preview, approved):
@@ -106,7 +123,8 @@ class TestGhost:
         preview.on_plan(plan())
         assert preview.pose(DURATION) == (1.0, 2.0)
         preview.on_plan(plan("q"))
-        assert preview.pose(DURATION) == TWIN and preview.under_review.id == "q"
+        # at the goal, not on its way there
+        assert preview.pose(DURATION / 2) == GOAL and preview.under_review.id == "q"
 
 
 class TestShown:
@@ -134,13 +152,22 @@ class TestShown:
         assert preview.plan is None
 
 
+#: Height of the text of the sync state [m], far above.
+HEADLINE = 9.0
+
+
 def tool(q: np.ndarray) -> np.ndarray:
     return np.array([q[0], q[1], 1.0 - (q[0] - 0.5) ** 2])
 
 
+def skeleton(q: np.ndarray) -> np.ndarray:
+    """An arm whose elbow is higher than its tool."""
+    return np.array([(0.0, 0.0, 0.0), (0.1, 0.2, 1.5 + 0.1 * q[0]), tool(q)])
+
+
 class TestPicture:
     def test_the_path_is_the_tool_s_along_the_motion(self):
-        drawing = picture(plan(), tool)
+        drawing = picture(plan(), skeleton, HEADLINE)
         assert drawing.path.shape == (101, 3)
         np.testing.assert_allclose(drawing.path[0], tool(np.zeros(2)))
         np.testing.assert_allclose(drawing.path[-1], tool(np.array([1.0, 2.0])))
@@ -148,16 +175,26 @@ class TestPicture:
 
     @pytest.mark.parametrize("duration, points", [(0.001, 2), (3600.0, PATH_POINTS)])
     def test_the_number_of_points_is_bounded(self, duration, points):
-        assert len(picture(plan(duration=duration), tool).path) == points
+        assert len(picture(plan(duration=duration), skeleton, HEADLINE).path) == points
 
-    def test_the_text_hangs_above_the_highest_point(self):
-        drawing = picture(plan(), tool)
-        assert drawing.text_at == pytest.approx((0.5, 1.0, 1.0 + TEXT_HEIGHT), abs=0.05)
+    def test_the_text_begins_above_everything_that_moves(self):
+        drawing = picture(plan(), skeleton, HEADLINE)
+        # the elbow at the goal, the room over it, and half of the text, which rviz centres
+        lines = drawing.text.count("\n") + 1
+        assert drawing.text_at == pytest.approx((0.1, 0.2, 1.6 + TEXT_ROOM + lines * TEXT_SIZE / 2))
+
+    @pytest.mark.parametrize("headline", [2.0, 2.3, 2.6])
+    def test_the_text_keeps_clear_of_the_text_of_the_sync_state(self, headline):
+        drawing = picture(plan(), skeleton, headline)
+        half = (drawing.text.count("\n") + 1) * TEXT_SIZE / 2
+        height = drawing.text_at[2]
+        assert abs(height - headline) >= HEADLINE_ROOM + half - 1e-9
+        assert height - half >= 1.6 + TEXT_ROOM - 1e-9
 
     def test_the_closest_point_is_marked_only_where_there_is_something_to_touch(self):
-        assert picture(plan(), tool).closest is None
+        assert picture(plan(), skeleton, HEADLINE).closest is None
         clearance = Clearance(0.0312, ("link_5", "wall"), (1.2, -0.4, 0.9), 0.752)
-        assert picture(plan(clearance=clearance), tool).closest == (1.2, -0.4, 0.9)
+        assert picture(plan(clearance=clearance), skeleton, HEADLINE).closest == (1.2, -0.4, 0.9)
 
     def test_the_text_tells_duration_clearance_and_shares(self):
         clearance = Clearance(0.0312, ("link_5", "wall"), (1.2, -0.4, 0.9), 0.752)

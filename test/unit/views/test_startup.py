@@ -93,6 +93,20 @@ def test_the_port_is_named_where_it_is_known():
     assert "sends to the address given to rsi_gateway --listen" in elsewhere
 
 
+@pytest.mark.parametrize(
+    "state, what, action",
+    [
+        ("GATEWAY_OFFLINE", "the PLC", "`ready`"),
+        ("MISMATCH", "the PLC", "gateway_kind"),
+        ("NO_CONTROLLER", "the PLC's pose", "`state`"),
+        ("NEEDS_RESET", "a person who arms the bare PLC by name", "twin --robot kr120 arm --responsible NAME"),
+    ],
+)
+def test_with_a_bare_plc_it_is_the_plc_and_a_person_that_are_waited_for(state, what, action):
+    missing = first_missing(replace(GOOD, link=Word(state, "")), replace(CELL, gateway_kind="plc"))
+    assert missing.what == what and action in missing.action
+
+
 def test_without_an_arm_nobody_waits_for_a_link():
     alone = replace(CELL, arm="none")
     assert first_missing(replace(GOOD, link=None, feedback=False), alone) is None
@@ -159,6 +173,8 @@ FINE = {
         ({"broker_config": "/nope"}, "broker_config:=/nope: expected"),
         ({"rsi_listen": "192.168.1.10", "rsi_controller": ""}, "rsi_controller:='': expected the controller's address"),
         ({"servo": "perfect"}, "servo:=perfect: expected ideal or realistic"),
+        ({"gateway_kind": "bare"}, "gateway_kind:=bare: expected rsi or plc"),
+        ({"gateway_kind": "plc", "track": "true"}, "track:=true with gateway_kind:=plc: "),
     ],
 )
 def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
@@ -176,6 +192,20 @@ def test_arguments_that_can_work_pass():
     for fine in ({"rsi_controller": "krc4"}, {"rsi_listen": "127.0.0.2"}, {"gateway": "false"}, {"arm": "none"}):
         assert preflight.problem(FINE | network | fine, "/a".__eq__) == ""
     assert preflight.problem(FINE | {"broker": "false", "broker_config": "/nope"}, "/a".__eq__) == ""
+
+
+def test_a_bare_plc_needs_neither_gateway_nor_its_account_here():
+    bare = REAL | {"gateway_kind": "plc", "gateway": "true", "gateway_account": "", "rsi_listen": "10.0.0.1"}
+    assert preflight.problem(bare, "/a".__eq__) == ""
+    assert preflight.problem(REAL | {"gateway": "true", "gateway_account": ""}, "/a".__eq__) != ""
+    assert preflight.problem(bare | {"bridge_account": ""}, "/a".__eq__).startswith("bridge_account:='' with arm:=real")
+
+
+def test_a_bare_plc_and_a_real_arm_are_possible_and_said_plainly():
+    (note,) = preflight.notes(REAL | {"gateway_kind": "plc"})
+    for words in ("not checked", "twin arm --responsible NAME", "docs/broker.md", "session, sequence and age"):
+        assert words in note
+    assert preflight.notes(REAL) == preflight.notes(FINE | {"gateway_kind": "plc"}) == []
 
 
 #: A real arm on a site's broker, with the gateway on the cell PC.

@@ -7,13 +7,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
+from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.nodes.sync_view import arm_markers, text_marker
-from construction_twin.views.sync_picture import COLOURS, LINE_LENGTH, headline, visual_shapes, worst_joint
+from construction_twin.views.sync_picture import (
+    COLOURS,
+    LINE_LENGTH,
+    headline,
+    headline_height,
+    visual_shapes,
+    worst_joint,
+)
 
 ROOT = Path(__file__).parents[3]
 KR120 = expand_xacro(ROOT / "urdf/kr120r2500.urdf.xacro")
@@ -92,7 +102,18 @@ def test_markers_are_the_physical_arm_s_shapes_in_its_frames():
 
 
 def test_the_text_is_taken_away_when_there_is_none():
-    shown, gone = text_marker("HOLDING", "kr120/physical/base_link"), text_marker("", "kr120/physical/base_link")
+    at = Point(0.4, 0.0, 3.7)
+    shown, gone = (text_marker(text, "kr120/physical/base_link", at) for text in ("HOLDING", ""))
+    assert shown.pose.position == at
     assert (shown.action, shown.text, shown.color.a) == (Marker.ADD, "HOLDING", 1.0)
     assert (gone.action, gone.ns, gone.id) == (Marker.DELETE, shown.ns, shown.id)
     assert shown.scale.z > 0
+
+
+def test_the_text_stands_above_all_that_the_arm_can_reach():
+    robot = read_robot_files("urdf/kr120r2500.urdf.xacro", "config/kr120.yaml")
+    chain = Chain(robot)
+    height = headline_height(float(chain.shoulder[2]), chain.arm_length)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(robot.lower, robot.upper, (500, len(robot.joint_names)))
+    assert max(chain.skeleton(q)[:, 2].max() for q in poses) < height - 0.3 < 4.0

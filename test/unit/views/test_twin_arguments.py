@@ -74,6 +74,8 @@ def test_nonsense_is_a_usage_error(text, capsys):
         ("plan --pose 1 2 3 4 5 6 --tool-speed 5", "belongs to --line"),
         ("plan --pose 1 2 3 4 5 6 --line --configuration front", "does not go with --line"),
         ("plan --csv a --duration 5", "--duration does not go with --csv"),
+        ("arm", "arm needs --responsible NAME"),
+        ("arm --responsible=", "arm needs --responsible NAME"),
     ],
 )
 def test_options_that_do_not_fit_together(text, part):
@@ -136,6 +138,16 @@ def test_status_tells_what_the_controller_says_where_it_says_something():
     lines = status_lines(snapshot(link=LinkFacts("ARMED", "session 1", counters={"controller_program": "ACTIVE"})))
     assert "controller program ACTIVE" in lines
     assert not any(line.startswith("controller") for line in status_lines(snapshot()))
+
+
+def test_status_tells_what_is_not_checked_with_a_bare_plc_and_who_is_responsible():
+    bare = LinkFacts("ARMED", "bare PLC", responsible="Ada", not_checked=("session: any", "age: none"))
+    lines = status_lines(snapshot(link=bare))
+    at = lines.index("bare PLC   Ada is responsible; not checked:")
+    assert lines[at + 1 : at + 3] == ["           session: any", "           age: none"]
+    lines = status_lines(snapshot(link=LinkFacts("NEEDS_RESET", "", not_checked=("session: any",))))
+    assert "bare PLC   no person is responsible; not checked:" in lines
+    assert check(parsed("arm --responsible Ada")) == ""
 
 
 def test_ready_only_when_a_plan_could_be_approved():

@@ -75,15 +75,10 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
         If the file cannot be read as a bag, holds no or several robots, a topic of another type or of another definition of
         its type, or too little data.
     """
-    try:
-        with open_bag(path, TYPES.values()) as bag:
-            types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
-            robot = _choose_robot(types, namespace)
-            messages = _read_messages(bag, robot, types)
-    except rosbag.ROSBagUnindexedException as error:
-        raise EvaluationError(f"{path} was not closed properly; run `rosbag reindex {path}` and try again") from error
-    except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
-        raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
+    with open_bag(path, TYPES.values()) as bag:
+        types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
+        robot = _choose_robot(types, namespace)
+        messages = _read_messages(bag, robot, types)
     return _to_recording(robot, messages)
 
 

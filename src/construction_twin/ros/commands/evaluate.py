@@ -11,6 +11,7 @@ import rospy
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import check_writable
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -40,6 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + "_evaluation")
     console = Console(highlight=False)
     try:
+        check_writable(directory)
         recording = read_recording(options.bag, options.robot)
         robot = _robot(options, recording.joint_names)
         report = write_report(recording, robot, directory)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import pydantic
 import rospy
 from rich.console import Console
 from rich.progress import Progress
 
 from construction_twin.core.errors import ConstructionTwinError, ExperimentError
+from construction_twin.core.files import check_writable
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.report import Report, write_report
 from construction_twin.evaluation.tables import render_tables
@@ -22,30 +22,16 @@ from construction_twin.msg import Execution, Feedback, Link, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.commands.evaluate import print_files
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.recorder import Recorder
+from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
 from construction_twin.srv import PlanToJoints
 
 _POLL = 0.05
 #: The bridge reports the gateway's counters this often [s]; the recording goes on until they include the task's end.
 _REPORT_PERIOD = 1.0
-
-_Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
-
-
-class ExperimentSettings(pydantic.BaseModel):
-    """Private parameters; see config/experiment.yaml. `results_dir` is an absolute path."""
-
-    model_config = pydantic.ConfigDict(extra="forbid")
-
-    results_dir: Annotated[str, pydantic.Field(pattern=r"^[/~]")]
-    goals_deg: Annotated[list[list[pydantic.FiniteFloat]], pydantic.Field(min_length=1)]
-    duration: _Positive
-    waypoints: Annotated[int, pydantic.Field(ge=2)]
-    timeout: _Positive
-    rest_tolerance: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
-    rest_time: _Positive
-    topics: Annotated[list[str], pydantic.Field(min_length=1)]
 
 
 class RestDetector:
@@ -88,7 +74,7 @@ class Experiment:
         self._settings = settings
         self._robot = robot
         self._console = console
-        self._check_goals()
+        check_goals(settings, robot)
         self._execution = Execution()
         self._sync = Sync()
         self._link = Link()
@@ -110,6 +96,7 @@ class Experiment:
             If recording or evaluation fails.
         """
         results = Path(self._settings.results_dir).expanduser()
+        check_writable(results)
         directory = _new_directory(results)
         self._wait_until_ready()
         topics = [rospy.resolve_name(topic) for topic in self._settings.topics]
@@ -126,15 +113,6 @@ class Experiment:
         report = write_report(read_recording(bag, rospy.get_namespace()), self._robot, directory)
         point_latest(results, directory)
         return Report(report.summary, (bag, *report.files))
-
-    def _check_goals(self) -> None:
-        joints = len(self._robot.joint_names)
-        for goal in self._settings.goals_deg:
-            if len(goal) != joints:
-                raise ExperimentError(
-                    f"a goal in ~goals_deg has {len(goal)} values; {self._robot.name} has {joints} joints"
-                )
-            self._robot.check_range(from_wire(goal, self._robot.linear))
 
     def _plan(self, goal_deg: list[float]) -> str:
         """Have one reach planned from the twin's present pose; return the plan's id."""
@@ -281,13 +259,17 @@ def point_latest(results: Path, directory: Path) -> None:
 
 def main() -> int:
     """Run the experiment node; return the process's status: 0, or 1 after a sentence."""
-    rospy.init_node("experiment")
     console = Console(highlight=False)
     try:
+        await_master()
+        rospy.init_node("experiment")
         settings = read_parameters(ExperimentSettings)
         report = Experiment(settings, robot_from_parameters(), console).run()
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
-        rospy.logfatal("experiment: %s", error)
+        print(f"experiment: {error}", file=sys.stderr, flush=True)
+        # the node is required: what roslaunch says of everything that it ends now would stand below the reason
+        above = roslaunch_above()
+        say_below(f"experiment: {error}", above[0] if above else None)
         return 1
     render_tables(report.summary, console)
     print_files(console, report.files)

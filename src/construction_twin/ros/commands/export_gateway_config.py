@@ -9,7 +9,9 @@ from pathlib import Path
 import rospy
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import check_writable
 from construction_twin.ros.shared.gateway_config import config_from_parameters
+from construction_twin.ros.shared.master import await_master
 
 
 def main() -> None:
@@ -21,15 +23,18 @@ def main() -> None:
     parser.add_argument("output", help="file to write, e.g. kr120_gateway.json; - for the terminal")
     parser.add_argument("--namespace", default="kr120", help="namespace of the robot [%(default)s]")
     arguments = parser.parse_args(rospy.myargv(sys.argv)[1:])
-    rospy.init_node("export_gateway_config", anonymous=True, disable_signals=True)
     try:
+        if arguments.output != "-":
+            check_writable(Path(arguments.output).parent)
+        await_master()
+        rospy.init_node("export_gateway_config", anonymous=True, disable_signals=True)
         config = config_from_parameters(f"/{arguments.namespace.strip('/')}/")
-    except ConstructionTwinError as error:
+        if arguments.output == "-":
+            print(config.to_json(), end="")
+            return
+        Path(arguments.output).write_text(config.to_json(), encoding="utf-8")
+    except (ConstructionTwinError, OSError) as error:
         sys.exit(f"export_gateway_config: {error}")
-    if arguments.output == "-":
-        print(config.to_json(), end="")
-        return
-    Path(arguments.output).write_text(config.to_json(), encoding="utf-8")
     layout = config.layout
     print(
         f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; RSI on UDP port "

@@ -12,23 +12,29 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import pydantic
 import rosgraph
 import rospkg
 import yaml
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free
+from construction_twin.core.validation import configuration_error
 from construction_twin.mqtt.account import load_account
-from construction_twin.robot.description import RobotModel, load_robot
+from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
+from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
-from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_last
+from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
+from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.views.preflight import is_true, problem
+from construction_twin.views.preflight import has_gateway_here, is_bare, is_true, notes, problem
 from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
 
 #: Nodes of one robot, in its namespace: a second one of a name would end the first.
@@ -36,6 +42,7 @@ ROBOT_NODES = (
     "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mock_rsi", "planner", "scene", "neighbour",
     "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "joint_state_publisher",
     "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
+    "plc",
 )  # fmt: skip
 #: What parses launch files without the master that ROS_MASTER_URI names.
 _WITHOUT_MASTER = ("rostest", "roslaunch-check")
@@ -53,13 +60,24 @@ def _read_robot(given: Given) -> RobotModel:
     return load_robot(urdf, description | {"name": given["robot"]})
 
 
+def _check_estimates(given: Given, robot: RobotModel) -> None:
+    """Refuse to move a real arm by values that nobody has looked up."""
+    if given.get("arm") == "real" and robot.estimates:
+        keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
+        raise ConfigurationError(
+            "estimates",
+            list(robot.estimates),
+            f"none with arm:=real: put in the right values of {keys}, then take the words out",
+        )
+
+
 def _check_self_collision(given: Given, robot: RobotModel) -> None:
     read_self_collision(given["self_collision"], robot)
 
 
 def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     """Check it as gateway and bridge do: axes, channels, and a format that can carry the robot's ranges."""
-    if given.get("arm") == "none":
+    if given.get("arm") == "none" or is_bare(given):
         return
     path = given["ethernet_xml"]
     load_ethernet_xml(path)
@@ -93,14 +111,44 @@ def _check_account(name: str) -> Callable[[Given, RobotModel], None]:
     return check
 
 
+def _check_task(given: Given, robot: RobotModel) -> None:
+    """Check the task of experiment.launch as its node does: what it leaves out is config/experiment.yaml's."""
+    shipped = _mapping(str(_package() / "config" / "experiment.yaml"), "a task")
+    task = shipped | _mapping(given["task"], "a task") | {"results_dir": "/"}
+    try:
+        settings = ExperimentSettings.model_validate(task)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, ExperimentSettings, given["task"]) from error
+    check_goals(settings, robot)
+
+
+def _check_scenario(given: Given, _robot: RobotModel) -> None:
+    read_scenario(Path(given["scenario"]))
+
+
+def _check_folder_of(name: str) -> Callable[[Given, RobotModel], None]:
+    """Return the check of a file that is written: its folder is relative to ROS_HOME."""
+    return lambda given, _: check_writable((ros_home() / given[name]).parent)
+
+
+def _check_results(given: Given, _robot: RobotModel) -> None:
+    check_writable(Path(given["results_dir"]).expanduser())
+
+
 #: What is checked of a file's contents, by the argument that names it, in this order; each raises a ConstructionTwinError.
 CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
+    ("robot_config", _check_estimates),
     ("self_collision", _check_self_collision),
     ("ethernet_xml", _check_ethernet_xml),
     ("scene", _check_scene),
     ("cell", _check_cell),
     ("bridge_account", _check_account("bridge_account")),
     ("gateway_account", _check_account("gateway_account")),
+    ("task", _check_task),
+    ("scenario", _check_scenario),
+    ("results_dir", _check_results),
+    ("review_file", _check_folder_of("review_file")),
+    ("transition_file", _check_folder_of("transition_file")),
 )
 
 
@@ -181,7 +229,7 @@ def port_problem(given: Given) -> str:
             f"broker_port:={port}: TCP port {port} on 127.0.0.1 is taken, probably by another MQTT broker; use it with "
             f"broker:=false, or give a free one, e.g. broker_port:={int(port) + 10}"
         )
-    if given.get("arm") == "none" or not is_true(given, "gateway") or "ethernet_xml" not in given:
+    if given.get("arm") == "none" or not has_gateway_here(given) or "ethernet_xml" not in given:
         return ""
     port = given.get("rsi_port", "0")
     number = int(port) or load_ethernet_xml(given["ethernet_xml"]).layout.port
@@ -260,10 +308,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     sentence = refusal(given, call, _master(call))
     if sentence:
-        say_last(f"preflight: {sentence}", pid)
+        print(f"preflight: {sentence}", file=sys.stderr, flush=True)
+        say_below(f"preflight: {sentence}", pid)
         if for_roslaunch:
             print("refused")
         return 0 if for_roslaunch else 1
+    for note in notes(given):
+        print(f"preflight: {note}", file=sys.stderr, flush=True)
     print("true" if for_roslaunch else "ok")
     return 0
 

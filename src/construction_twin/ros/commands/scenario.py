@@ -19,8 +19,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import ConstructionTwinError, ScenarioError
+from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import from_wire
+from construction_twin.core.validation import configuration_error
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -28,7 +30,9 @@ from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
+from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
 from construction_twin.scenario.judge import Verdict, judge
@@ -251,6 +255,7 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
     """
     scenario, robot = make_scenario(settings.name, content), robot_from_parameters()
     folder = Path(settings.results_dir).expanduser() / scenario.name
+    check_writable(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for name in (BAG, NOTES, TRACE, VERDICT):
         (folder / name).unlink(missing_ok=True)
@@ -281,6 +286,7 @@ def judge_folder(folder: Path, scenario: Scenario, robot: RobotModel, decimals: 
     ConstructionTwinError
         If it cannot be judged.
     """
+    check_writable(folder)
     run = read_run(folder, namespace)
     verdict = judge(scenario, run, read_trace(str(folder / TRACE)), MotionLimits.of(robot), decimals)
     changes = [asdict(change) | {"at_s": round((change.stamp - run.start) / 1e9, 4)} for change in run.changes]
@@ -340,19 +346,29 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _checked(given: dict) -> ScenarioSettings:
+    try:
+        return ScenarioSettings(**given)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, ScenarioSettings, rospy.get_name()) from error
+
+
 def main() -> int:
     """Run the node, or with options `command`; return the process's status: 0 when the scenario passed, else 1."""
     arguments = rospy.myargv()[1:]
     if arguments:
         return command(arguments)
-    rospy.init_node("scenario")
     console = Console(highlight=False, markup=False)
     try:
+        await_master()
+        rospy.init_node("scenario")
         content = rospy.get_param("~", {})
         given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
-        verdict = run_scenario(ScenarioSettings(**given), content, console)
-    except (ConstructionTwinError, rospy.ROSException, OSError, pydantic.ValidationError) as error:
-        rospy.logfatal("scenario: %s", error)
+        verdict = run_scenario(_checked(given), content, console)
+    except (ConstructionTwinError, rospy.ROSException, OSError) as error:
+        print(f"scenario: {error}", file=sys.stderr, flush=True)
+        above = roslaunch_above()
+        say_below(f"scenario: {error}", above[0] if above else None)
         return 1
     print_verdict(verdict, console)
     console.print(f"Written: {Path(given['results_dir']).expanduser() / given['name'] / VERDICT}", soft_wrap=True)

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import argparse
 import getpass
-import http.client
 import os
-import socket
 import sys
-import urllib.parse
-import xmlrpc.client
 from functools import partial
 from pathlib import Path
 
-import rosgraph
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
@@ -21,6 +16,7 @@ from construction_twin.msg import Execution
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.watch import watch
+from construction_twin.ros.shared.master import TO_DO, await_master
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
@@ -95,6 +91,10 @@ class Command:
 
     def _reject(self) -> Exit:
         print(self._verdict(self._under_review(self._listener()), False))
+        return Exit.DONE
+
+    def _arm(self) -> Exit:
+        print(self._client.arm(self._options.responsible))
         return Exit.DONE
 
     def _status(self) -> Exit:
@@ -182,26 +182,13 @@ class Command:
 
 def connect(options: argparse.Namespace) -> None:
     """Register as a node; SilenceError if there is no master, or no robot of this name."""
-    uri = rosgraph.get_master_uri()
-    to_do = "start bringup, or set ROS_MASTER_URI"
-    address = urllib.parse.urlsplit(uri)
-    if address.scheme != "http" or not address.hostname:
-        raise ConfigurationError("ROS_MASTER_URI", uri, "http://HOST:PORT")
-    before = socket.getdefaulttimeout()
-    try:
-        # a node would wait without end for a master that does not answer, or for another program on its port
-        socket.setdefaulttimeout(options.timeout)
-        rosgraph.Master("/twin", uri).getPid()
-    except (OSError, ValueError, rosgraph.MasterException, http.client.HTTPException, xmlrpc.client.Error) as error:
-        raise SilenceError(uri, f"no ROS master answers ({error})", to_do) from error
-    finally:
-        socket.setdefaulttimeout(before)
+    await_master(options.timeout)
     rospy.init_node("twin", anonymous=True, disable_signals=True)
     namespace = "/" + options.robot.strip("/")
     if not rospy.has_param(f"{namespace}/robot/name"):
         suffix = "/robot/name"
         names = sorted(name.removesuffix(suffix) for name in rospy.get_param_names() if name.endswith(suffix))
-        known = f"known here: {', '.join(names)}; give --robot" if names else to_do
+        known = f"known here: {', '.join(names)}; give --robot" if names else TO_DO
         raise SilenceError(namespace, "there is no robot of this name", known)
 
 

@@ -26,7 +26,7 @@ from construction_twin.monitor.gate import SyncState
 from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.review.queue import EXECUTOR, Verdict
-from construction_twin.review.record import ReviewLog
+from construction_twin.review.record import Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.ros.messages.convert import plan_from_msg
@@ -222,6 +222,12 @@ class ExecutorNode:
                     self._executor.restart("new command session", now_ns())
                 self._session = message.session
             self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
+        before, now = self._log.responsibility, None
+        if message.responsible:
+            now = Responsibility(message.responsible, message.session, tuple(message.not_checked))
+        self._log.responsibility = now
+        if now is not None and now != before:
+            self._log.defer(now)
 
     # -- services
 

@@ -23,7 +23,8 @@ from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
-from construction_twin.views.preview import PlanPicture, Preview, picture
+from construction_twin.views.preview import TEXT_SIZE, PlanPicture, Preview, picture
+from construction_twin.views.sync_picture import headline_height
 
 #: How long a preview waits for the plan that was made just before [s].
 PLAN_TIMEOUT = 1.0
@@ -32,8 +33,8 @@ TWIN_TIMEOUT = 0.5
 PINK = ColorRGBA(1.0, 0.25, 0.65, 1.0)
 ORANGE = ColorRGBA(1.0, 0.45, 0.0, 0.9)
 DARK = ColorRGBA(0.1, 0.1, 0.15, 1.0)
-#: Width of the tool path, diameter of the closest point, height of a line of text [m].
-LINE_WIDTH, POINT_SIZE, TEXT_SIZE = 0.012, 0.06, 0.06
+#: Width of the tool path and diameter of the closest point [m].
+LINE_WIDTH, POINT_SIZE = 0.012, 0.06
 
 
 class Settings(pydantic.BaseModel):
@@ -133,7 +134,9 @@ class PreviewNode:
         self._drawn = name
         markers = [Marker(ns="plan", action=Marker.DELETEALL)]
         if plan is not None:
-            markers += plan_markers(picture(plan, lambda q: self._chain.forward(tuple(q)).position), self._frame)
+            chain = self._chain
+            headline = headline_height(float(chain.shoulder[2]), chain.arm_length)
+            markers += plan_markers(picture(plan, chain.skeleton, headline), self._frame)
         self._markers.publish(MarkerArray(markers=markers))
 
     def _report(self) -> Report:

@@ -12,13 +12,15 @@ import rospy
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import write_whole
 from construction_twin.ros.shared.gateway_config import config_from_parameters
+from construction_twin.ros.shared.master import wait_for_master
 from construction_twin.ros.shared.params import ros_home
 
 
 def main() -> None:
     """Start the gateway on this machine as roslaunch would start a node; ROS ends where the gateway begins."""
-    rospy.init_node("rsi_gateway", disable_signals=True, disable_rosout=True)
     try:
+        wait_for_master("rsi_gateway")
+        rospy.init_node("rsi_gateway", disable_signals=True, disable_rosout=True)
         config = config_from_parameters()
     except ConstructionTwinError as error:
         sys.exit(f"rsi_gateway cannot run: {error}")

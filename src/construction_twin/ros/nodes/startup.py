@@ -31,6 +31,7 @@ class Settings(pydantic.BaseModel):
     broker: str
     rsi: str
     gateway: bool
+    gateway_kind: Literal["rsi", "plc"] = "rsi"
 
 
 class StartupNode:

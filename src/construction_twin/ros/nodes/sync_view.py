@@ -12,6 +12,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Sync
 from construction_twin.ros.messages.scene_convert import tf_frame
@@ -20,14 +21,21 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.views.sync_picture import COLOURS, Shape, headline, visual_shapes, worst_joint
+from construction_twin.views.sync_picture import (
+    COLOURS,
+    Shape,
+    headline,
+    headline_height,
+    visual_shapes,
+    worst_joint,
+)
 
 #: How often the picture is made [s]; it is published when it changes.
 PERIOD = 0.2
 #: Without a report for this long the monitor's state is not known [s].
 SILENCE = 1.0
-#: Where the text stands over the arm's base, above the text of a plan, and the height of a line [m].
-TEXT_AT, TEXT_SIZE = (0.4, 0.0, 3.5), 0.085
+#: Height of a line of the text, and how far in front of the arm's axis it stands [m].
+TEXT_SIZE, TEXT_FORWARD = 0.085, 0.4
 _TYPES = {"mesh": Marker.MESH_RESOURCE, "box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 _DARK = ColorRGBA(0.35, 0.0, 0.0, 1.0)
 
@@ -53,6 +61,8 @@ class SyncViewNode:
         self._prefix = read_parameters(Settings).tf_prefix
         self._robot = robot_from_parameters()
         self._shapes = visual_shapes(self._robot.urdf)
+        chain = Chain(self._robot)
+        self._text_at = Point(TEXT_FORWARD, 0.0, headline_height(float(chain.shoulder[2]), chain.arm_length))
         self._lock = threading.Lock()
         self._last: Sync | None = None
         self._heard = -math.inf
@@ -84,7 +94,7 @@ class SyncViewNode:
     def _draw(self, state: SyncState, text: str) -> None:
         self._shown = state, text
         markers = arm_markers(self._shapes, state, self._prefix)
-        markers.append(text_marker(text, tf_frame(self._prefix, self._robot.base_link)))
+        markers.append(text_marker(text, tf_frame(self._prefix, self._robot.base_link), self._text_at))
         self._markers.publish(MarkerArray(markers=markers))
 
     def _report(self) -> Report:
@@ -109,13 +119,13 @@ def _arm_marker(number: int, shape: Shape, colour: ColorRGBA, tf_prefix: str) ->
     return marker
 
 
-def text_marker(text: str, frame: str) -> Marker:
-    """Return the text over the arm, or its removal when there is none."""
+def text_marker(text: str, frame: str, at: Point) -> Marker:
+    """Return the text over the arm, at a point of the frame, or its removal when there is none."""
     marker = Marker(ns="why", type=Marker.TEXT_VIEW_FACING, action=Marker.ADD if text else Marker.DELETE)
     marker.header.frame_id = frame
     marker.frame_locked = True
     marker.text, marker.color = text, _DARK
-    marker.pose = Pose(Point(*TEXT_AT), Quaternion(0, 0, 0, 1))
+    marker.pose = Pose(at, Quaternion(0, 0, 0, 1))
     marker.scale.z = TEXT_SIZE
     return marker
 

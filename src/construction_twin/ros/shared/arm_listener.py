@@ -15,8 +15,9 @@ import rospy
 from construction_twin.coordination.conflict import Claim
 from construction_twin.coordination.path_sweep import PathSweep, PlanPosition
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, PoseUnknownError
+from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
+from construction_twin.core.validation import configuration_error
 from construction_twin.msg import Execution, Plan, Review, Scene
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
@@ -81,9 +82,7 @@ def neighbour_settings() -> NeighbourSettings | None:
     try:
         return NeighbourSettings.model_validate(values)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        name = "/".join(["neighbour", *map(str, first["loc"])])
-        raise ConfigurationError(rospy.resolve_name(name), first.get("input"), first["msg"]) from error
+        raise configuration_error(error, NeighbourSettings, rospy.resolve_name("neighbour")) from error
 
 
 @dataclass(frozen=True)

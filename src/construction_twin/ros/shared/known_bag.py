@@ -35,9 +35,8 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
     Raises
     ------
     EvaluationError
-        When a message of another type, or of another definition of one of these types, is read.
-    rosbag.ROSBagException, OSError
-        If the file cannot be read as a bag.
+        When a message of another type, or of another definition of one of these types, is read; and when the file cannot be read
+        as a bag, also if that shows while it is read.
     """
     known = {kind._type: kind for kind in kinds}
 
@@ -51,6 +50,17 @@ def open_bag(path: str | Path, kinds: Iterable[type[genpy.Message]]) -> Iterator
         try:
             with rosbag.Bag(str(path)) as bag:
                 yield bag
+        except rosbag.ROSBagUnindexedException as error:
+            raise EvaluationError(
+                f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
+            ) from error
+        except (rosbag.ROSBagException, genpy.DeserializationError, OSError) as error:
+            raise EvaluationError(f"{path} cannot be read as a rosbag: {error}") from error
+        except (ValueError, LookupError, EOFError) as error:
+            # rosbag takes what it finds for text, lengths and numbers of connections
+            raise EvaluationError(
+                f"{path} cannot be read as a rosbag: it is damaged, or another kind of file ({error})"
+            ) from error
         finally:
             rosbag.bag._get_message_type = original
 

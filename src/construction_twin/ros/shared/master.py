@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import http.client
+import sys
+import time
 import urllib.parse
 import xmlrpc.client
 from collections.abc import Iterable
@@ -17,6 +19,10 @@ from construction_twin.core.errors import ConfigurationError, SilenceError
 TIMEOUT = 5.0
 #: How long a node may take to say that it lives [s].
 NODE_TIMEOUT = 2.0
+#: What to do when there is none.
+TO_DO = "start bringup, or set ROS_MASTER_URI"
+#: How often a master that does not answer is asked again [s].
+_POLL = 0.5
 _CALLER = "/construction_twin"
 #: What a call may end with when there is no master, or another program on its port.
 _FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
@@ -90,7 +96,33 @@ def await_master(timeout: float = TIMEOUT) -> None:
         _ask(uri, timeout, "getPid")
     except _FAILURES as error:
         problem = f"no ROS master answers ({error})"
-        raise SilenceError(uri, problem, "start bringup, or set ROS_MASTER_URI") from error
+        raise SilenceError(uri, problem, TO_DO) from error
+
+
+def wait_for_master(name: str) -> None:
+    """Return when the master of ROS_MASTER_URI answers; say once when that takes longer.
+
+    A node that starts while the master is away (it was killed, or starts later) waits, as ROS has it, but in one line.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+
+    Raises
+    ------
+    ConfigurationError
+        When ROS_MASTER_URI is no address.
+    """
+    said = False
+    while True:
+        try:
+            return await_master()
+        except SilenceError as error:
+            if not said:
+                print(f"{name} waits: {error}", file=sys.stderr, flush=True)
+            said = True
+        time.sleep(_POLL)
 
 
 def running(names: Iterable[str], uri: str) -> list[RunningNode]:

@@ -26,6 +26,7 @@ import rospy
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
+from construction_twin.ros.shared.master import wait_for_master
 
 #: Exit code of a process that an unexpected exception has ended.
 UNFORESEEN = 1
@@ -47,6 +48,10 @@ def run_node(name: str, start: Callable[[], object]) -> None:
     start : callable
         Builds the node; its result is kept alive. A result with a `run` method is run in the main thread.
     """
+    try:
+        wait_for_master(name)
+    except ConstructionTwinError as error:
+        sys.exit(f"{name} cannot run: {error}")
     rospy.init_node(name)
     threading.excepthook = end_on_error
     try:

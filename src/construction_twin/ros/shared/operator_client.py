@@ -21,6 +21,7 @@ from construction_twin.srv import (
     PlanToPose,
     PreviewPlan,
     ReviewPlan,
+    TakeResponsibility,
 )
 
 
@@ -86,6 +87,10 @@ class OperatorClient:
             except rospy.ServiceException as error:
                 rospy.logwarn("stop: no answer at once (%s); trying again", error)
         return self._call(service, Trigger)
+
+    def arm(self, responsible: str) -> str:
+        """Arm a bare PLC in the name of the person who is responsible for what is not checked."""
+        return self._call("arm", TakeResponsibility, responsible=responsible)
 
     def _call(self, name: str, kind: type, **request) -> str:
         service = f"{self._namespace}/{name}"

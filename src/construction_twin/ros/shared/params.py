@@ -10,6 +10,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import RobotModel, load_robot
 
 Settings = TypeVar("Settings", bound=pydantic.BaseModel)
@@ -53,9 +54,7 @@ def read_parameters(model: type[Settings]) -> Settings:
     try:
         return model.model_validate(values)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        name = "/".join(str(part) for part in first["loc"])
-        raise ConfigurationError(rospy.resolve_name(f"~{name}"), first.get("input"), first["msg"]) from error
+        raise configuration_error(error, model, rospy.get_name()) from error
 
 
 def robot_from_parameters(namespace: str = "") -> RobotModel:

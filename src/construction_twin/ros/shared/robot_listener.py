@@ -182,6 +182,8 @@ def link_facts(message: Link | None) -> LinkFacts | None:
         counters={pair.key: pair.value for pair in message.gateway_counters},
         commands_refused=message.commands_refused,
         states_refused=message.states_refused,
+        responsible=message.responsible,
+        not_checked=tuple(message.not_checked),
     )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import select
 import signal
-import sys
 from pathlib import Path
 
 from construction_twin.views.roslaunch_call import RoslaunchCall, roslaunch_call
@@ -45,18 +44,17 @@ def roslaunch_above() -> tuple[int, RoslaunchCall] | None:
     return None
 
 
-def say_last(sentence: str, pid: int | None, patience: float = PATIENCE) -> None:
-    """Print a sentence on standard error now, and again when another process has ended.
+def say_below(sentence: str, pid: int | None, patience: float = PATIENCE) -> None:
+    """Have a sentence printed on standard error when another process has ended.
 
     Parameters
     ----------
     sentence : str
     pid : int or None
-        The process after whose last line the sentence is to stand; None: there is no such process.
+        The process below whose last line the sentence is to stand; None: there is no such process.
     patience : float, optional
-        The sentence is not repeated when the process has not ended by then [s].
+        Nothing is printed when the process has not ended by then [s].
     """
-    print(sentence, file=sys.stderr, flush=True)
     if pid is None:
         return
     try:

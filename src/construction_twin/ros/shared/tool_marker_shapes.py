@@ -17,13 +17,13 @@ from construction_twin.views.reachability import Reach
 
 #: Name of the interactive marker.
 NAME = "tool"
-#: Colours r, g, b, a of a verdict; None: not known.
+#: Colours r, g, b, a of a verdict; None: not known. Clear enough that the tool path can be seen through them.
 COLOURS = {
-    Reach.FREE: (0.1, 0.75, 0.25, 0.8),
-    Reach.CONTACT: (1.0, 0.55, 0.0, 0.9),
-    Reach.OUT: (0.9, 0.05, 0.05, 0.9),
-    Reach.UNKNOWN: (0.55, 0.35, 0.75, 0.9),
-    None: (0.55, 0.57, 0.6, 0.8),
+    Reach.FREE: (0.1, 0.75, 0.25, 0.5),
+    Reach.CONTACT: (1.0, 0.55, 0.0, 0.55),
+    Reach.OUT: (0.9, 0.05, 0.05, 0.55),
+    Reach.UNKNOWN: (0.55, 0.35, 0.75, 0.55),
+    None: (0.55, 0.57, 0.6, 0.5),
 }
 #: Can be read in front of the sky, the floor and the arm.
 _TEXT_COLOUR = (0.1, 0.1, 0.15, 1.0)

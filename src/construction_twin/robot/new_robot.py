@@ -1,0 +1,198 @@
+"""The robot YAML of an arm that has none yet: what a URDF says, and stated estimates of what it cannot say.
+
+Angles in the YAML in deg, lengths in mm; in the library rad and m.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from urdf_parser_py.urdf import URDF, Joint
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.robot.description import ESTIMATES
+from construction_twin.robot.urdf import chain_joints, parse_urdf
+
+#: What is an estimate in every file that is written here.
+ESTIMATED = ("accelerations", "axes")
+#: Full acceleration is reached within this time [s].
+_JERK_TIME = 0.1
+_DEGREES = 180.0 / math.pi
+#: More joints than RSI has axes for.
+_MOST = 12
+
+
+def robot_name(urdf: str) -> str:
+    """Return a name for ROS and MQTT from a URDF's name: small letters, digits and _."""
+    words = re.sub(r"[^a-z0-9]+", "_", (parse_urdf(urdf).name or "").lower()).strip("_").removesuffix("_robot")
+    return words if re.match(r"[a-z]", words) else f"arm_{words}".rstrip("_")
+
+
+def find_ends(urdf: str, base_link: str = "", tip_link: str = "") -> tuple[str, str]:
+    """Return the ends of an arm's chain.
+
+    Parameters
+    ----------
+    urdf : str
+    base_link : str, optional
+        Not given: ``base_link``, if the tip descends from it, else the URDF's root (after a root called ``world``).
+    tip_link : str, optional
+        Not given: ``tool0``.
+
+    Raises
+    ------
+    ConfigurationError
+        If a link is not there, or the tip does not descend from the base.
+    """
+    model = parse_urdf(urdf)
+    tip_link = tip_link or "tool0"
+    if tip_link not in model.link_map:
+        ends = sorted(set(model.link_map) - set(model.child_map))
+        raise ConfigurationError(
+            "--tip", tip_link, f"a link of the URDF; links at an end of its tree: {', '.join(ends)}"
+        )
+    if not base_link:
+        path = _path(model, tip_link)
+        base_link = "base_link" if "base_link" in path else path[1 if path[0] == "world" and len(path) > 1 else 0]
+    if base_link not in model.link_map:
+        raise ConfigurationError("--base", base_link, f"one of the URDF's links: {', '.join(sorted(model.link_map))}")
+    chain_joints(model, base_link, tip_link)
+    return base_link, tip_link
+
+
+def _path(model: URDF, link: str) -> list[str]:
+    """Return the links from the root to a link."""
+    path = [link]
+    while path[-1] in model.parent_map and len(path) <= len(model.links):
+        path.append(model.parent_map[path[-1]][1])
+    return path[::-1]
+
+
+def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_speed_in: float) -> dict[str, Any]:
+    """Return the mapping of a robot YAML, with home in the middle of every range.
+
+    Parameters
+    ----------
+    urdf : str
+    name, base_link, tip_link : str
+    full_speed_in : float
+        Every joint's acceleration is the one that reaches its full speed in this time [s].
+
+    Raises
+    ------
+    ConfigurationError
+        If the chain has no joint that moves, or more than RSI has axes; if a joint has no limits.
+    """
+    joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
+    if not 0 < len(joints) <= _MOST:
+        raise ConfigurationError("--tip", tip_link, f"a link that 1 to {_MOST} joints move; {len(joints)} do")
+    axes = rsi_axes([joint.joint_type == "prismatic" for joint in joints])
+    return {
+        "name": name,
+        "base_link": base_link,
+        "tip_link": tip_link,
+        "estimates": list(ESTIMATED),
+        "joints": {joint.name: _joint(joint, axis, full_speed_in) for joint, axis in zip(joints, axes)},
+    }
+
+
+def rsi_axes(linear: Sequence[bool]) -> list[str]:
+    """Return the RSI axis of each joint of a chain.
+
+    Prismatic joints before the first revolute one are tracks, external axes; the others are A1 to A6 in the order of the chain, and
+    what is more than six is external, too.
+
+    Parameters
+    ----------
+    linear : sequence of bool
+        Whether each joint is prismatic, base to tip.
+    """
+    tracks = next((index for index, prismatic in enumerate(linear) if not prismatic), 0)
+    own = len(linear) - tracks
+    external = iter(f"E{number}" for number in range(1, _MOST))
+    return [
+        next(external) if index < tracks or index - tracks >= 6 else f"A{index - tracks + 1}"
+        for index in range(tracks + own)
+    ]
+
+
+def _joint(joint: Joint, axis: str, full_speed_in: float) -> dict[str, Any]:
+    where = f"robot_description joint {joint.name}"
+    if joint.joint_type not in ("revolute", "prismatic") or joint.mimic is not None:
+        found = "a mimic joint" if joint.mimic is not None else joint.joint_type
+        raise ConfigurationError(
+            where, found, "an independent revolute or prismatic joint; give a continuous one a range"
+        )
+    limit = joint.limit
+    if limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
+        raise ConfigurationError(f"{where} limit", None if limit is None else limit.lower, "lower < upper")
+    if not 0 < limit.velocity < math.inf:
+        raise ConfigurationError(
+            f"{where} limit velocity", limit.velocity, "a positive number: no acceleration follows from it"
+        )
+    unit, per_unit = ("mm", 1e3) if joint.joint_type == "prismatic" else ("deg", _DEGREES)
+    acceleration = _rounded(limit.velocity * per_unit / full_speed_in)
+    return {
+        f"home_{unit}": round((limit.lower + limit.upper) / 2 * per_unit, 3) + 0.0,
+        f"acceleration_{unit}_s2": acceleration,
+        f"jerk_{unit}_s3": _rounded(acceleration / _JERK_TIME),
+        "rsi": axis,
+        "sign": 1,
+        f"offset_{unit}": 0.0,
+    }
+
+
+def _rounded(value: float) -> float:
+    """Return a value with three digits: an estimate has no more."""
+    return float(f"{value:.3g}")
+
+
+def with_home(description: Mapping[str, Any], home: Sequence[float]) -> dict[str, Any]:
+    """Return a robot YAML's mapping with another home pose [rad], [m], in the order of its joints."""
+    joints = {}
+    for (name, joint), value in zip(description["joints"].items(), home):
+        key, per_unit = ("home_mm", 1e3) if "home_mm" in joint else ("home_deg", _DEGREES)
+        joints[name] = {**joint, key: round(value * per_unit, 3) + 0.0}
+    return {**description, "joints": joints}
+
+
+def robot_yaml(description: Mapping[str, Any], command: str, full_speed_in: float) -> str:
+    """Return the text of a robot YAML, with what a person must know of its values.
+
+    Parameters
+    ----------
+    description : Mapping
+        As from `new_description` and `with_home`.
+    command : str
+        What wrote it.
+    full_speed_in : float
+        As of `new_description` [s].
+    """
+    lines = [
+        f"# {description['name']}: what its URDF cannot carry. Every key is explained in config/kr120.yaml. Written by",
+        f"#   {command}",
+        "",
+        f"name: {description['name']}",
+        f"base_link: {description['base_link']}",
+        f"tip_link: {description['tip_link']}",
+        "",
+        "# What below is an estimate. arm:=real is refused while a word stands here: put in the right values, then take it out.",
+        f"#   accelerations ({ESTIMATES['accelerations']}): full speed within {full_speed_in:g} s. From the maker, with your load.",
+        f"#   axes ({ESTIMATES['axes']}): the controller's axes in the order of the chain, turning as in the URDF.",
+        "#     Compare each with the pendant: rsi_angle = sign * joint_angle + offset.",
+        f"estimates: [{', '.join(description['estimates'])}]",
+        "",
+        f"# Home: free of contact with the arm itself and the launch file's scene. Jerks: full acceleration in {_JERK_TIME:g} s.",
+        "joints:",
+    ]
+    for name, joint in description["joints"].items():
+        values = ", ".join(f"{key}: {_number(value)}" for key, value in joint.items())
+        lines.append(f"  {name}: {{{values}}}")
+    return "\n".join([*lines, ""])
+
+
+def _number(value: object) -> str:
+    return repr(value) if isinstance(value, float) else str(value)

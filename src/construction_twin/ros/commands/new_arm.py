@@ -1,0 +1,190 @@
+"""`new_arm`: everything that an arm needs besides its URDF, written into one folder. Needs no ROS master."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rospkg
+import rospy
+import yaml
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
+from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
+from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
+from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.home import Home, find_home
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.scene_yaml import read_scene
+from construction_twin.scene.self_collision import (
+    SAMPLES,
+    SEED,
+    SelfCollision,
+    read_self_collision,
+    sample_self_collision,
+    self_collision_yaml,
+)
+from construction_twin.scene.self_collision_command import cores, progress, propose_hulls
+from construction_twin.views.new_arm import closing, launch_text, summary, to_do
+
+#: Poses of the first, coarse look at the arm, by which home is found.
+_COARSE = 500
+#: How often home is sought again after the full sampling has found pairs that the coarse one had not.
+_ATTEMPTS = 5
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the files of a new arm.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Default: the process's.
+
+    Returns
+    -------
+    status : int
+        0, or 1 after a sentence on standard error.
+    """
+    words = rospy.myargv(sys.argv)[1:] if arguments is None else list(arguments)
+    options = _parser().parse_args(words)
+    try:
+        for line in _make(options, f"rosrun construction_twin new_arm {shlex.join(words)}"):
+            print(line)
+    except (ConstructionTwinError, OSError) as error:
+        print(f"new_arm: {error}", file=sys.stderr)
+        return 1
+    except BrokenProcessPool:
+        print("new_arm: one of its processes was ended from outside, e.g. for want of memory", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="new_arm",
+        description="Write what an arm needs besides its URDF into one folder: robot YAML, RSI Ethernet XML, self_collision and a "
+        "launch file that starts everything; say what a person must still fill in.",
+    )
+    parser.add_argument("urdf", type=Path, help="URDF or xacro")
+    parser.add_argument("--tip", default="", metavar="LINK", help="the tool's end of the arm [tool0]")
+    parser.add_argument("--base", default="", metavar="LINK", help="the other end [base_link, else the URDF's root]")
+    parser.add_argument("--name", default="", help="of the robot, in ROS and MQTT: [a-z0-9_] [the URDF's]")
+    parser.add_argument("--xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files [./NAME]")
+    parser.add_argument(
+        "--full-speed-in", type=float, default=1.0, metavar="S",
+        help="estimate of the accelerations: every joint reaches its full speed in so many seconds [%(default)s]",
+    )  # fmt: skip
+    parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses for self_collision [%(default)s]")
+    parser.add_argument("--force", action="store_true", help="write over files that are there")
+    return parser
+
+
+def _make(options: argparse.Namespace, command: str) -> list[str]:
+    """Write the files; return what to say."""
+    if not 0 < options.full_speed_in < float("inf") or options.samples < 1:
+        raise ConfigurationError(
+            "--full-speed-in, --samples", (options.full_speed_in, options.samples), "positive numbers"
+        )
+    path = options.urdf.absolute()
+    urdf = expand_xacro(path, xacro_arguments(options.xacro_args))
+    base, tip = find_ends(urdf, options.base, options.tip)
+    description = new_description(urdf, options.name or robot_name(urdf), base, tip, options.full_speed_in)
+    robot = load_robot(urdf, description)
+    folder = (options.output or Path(robot.name)).absolute()
+    files = {
+        "robot_config": folder / f"{robot.name}.yaml",
+        "ethernet_xml": folder / f"{robot.name}_ethernet.xml",
+        "self_collision": folder / f"{robot.name}_self_collision.yaml",
+        "launch": folder / f"{robot.name}.launch",
+    }
+    _check_folder(folder, files, options.force)
+    shipped = _shipped("config/scene.yaml")
+    ethernet = ethernet_xml_text([axis.rsi for axis in robot.axes])
+    # what the gateway would refuse is told before the long part
+    gateway_config(robot, yaml.safe_load(read_text(_shipped("config/gateway.yaml"))) | {"ethernet_xml": ethernet})
+    coarse = sample_self_collision(robot, min(_COARSE, options.samples))
+    scene, left_out = _scene(robot, coarse, read_scene(shipped))
+    robot, description, pairs, home = _settle(robot, description, coarse, scene, options.samples)
+    texts = {
+        "robot_config": robot_yaml(description, command, options.full_speed_in),
+        "ethernet_xml": ethernet,
+        "self_collision": self_collision_yaml(robot, pairs, options.samples, SEED),
+        "launch": launch_text(
+            {
+                "robot": robot.name,
+                "robot_xacro": str(path),
+                "robot_xacro_args": options.xacro_args,
+                **{
+                    name: f"$(dirname)/{files[name].name}"
+                    for name in ("robot_config", "self_collision", "ethernet_xml")
+                },
+                "scene": "none" if left_out else "$(find construction_twin)/config/scene.yaml",
+            }
+        ),
+    }
+    for name, text in texts.items():
+        files[name].write_text(text, encoding="utf-8")
+    # what was written is read as everything else will read it
+    read_self_collision(files["self_collision"], read_robot_files(path, files["robot_config"], options.xacro_args))
+    lines = [*summary(robot, home), "written:", *(f"  {file}" for file in files.values())]
+    lines += propose_hulls(robot, folder / f"{robot.name}_hulls")
+    return [*lines, *closing(files["launch"], to_do(robot, files, left_out))]
+
+
+def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    there = [file for file in files.values() if file.exists()]
+    if there and not force:
+        raise ConfigurationError(
+            "--output", str(there[0]), "a folder without these files: what a person has filled in would be lost; give another "
+            "one, or --force",
+        )  # fmt: skip
+
+
+def _shipped(relative: str) -> Path:
+    """Return the path of a file of this package."""
+    return Path(rospkg.RosPack().get_path("construction_twin"), relative)
+
+
+def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene, str]:
+    """Return the scene that the launch file begins with, and why it is empty: when the arm cannot stand free on the floor."""
+    try:
+        find_home(CollisionWorld(robot, floor, pairs), np.random.default_rng(SEED))
+    except ConfigurationError as error:
+        # in contact without a floor, too: then it is not the floor's fault, and the search says so
+        find_home(CollisionWorld(robot, Scene(), pairs), np.random.default_rng(SEED))
+        return Scene(), f"no pose is free with a floor at the height of {robot.base_link} ({error.value})"
+    return floor, ""
+
+
+def _settle(
+    robot: RobotModel, description: dict[str, Any], pairs: SelfCollision, scene: Scene, samples: int
+) -> tuple[RobotModel, dict[str, Any], SelfCollision, Home]:
+    """Find a home that is free with the pairs of the full sampling, which begins with home itself."""
+    for _ in range(_ATTEMPTS):
+        home = find_home(CollisionWorld(robot, scene, pairs), np.random.default_rng(SEED))
+        description = with_home(description, home.q)
+        robot = load_robot(robot.urdf, description)
+        with progress(samples) as report:
+            pairs = sample_self_collision(robot, samples, SEED, cores(), report)
+        world = CollisionWorld(robot, scene, pairs)
+        if world.is_free(robot.home):
+            measured = world.clearance(robot.home)
+            return robot, description, pairs, replace(home, clearance=measured.distance, between=measured.between)
+    raise ConfigurationError(
+        "home pose", home.q, f"a pose that {samples} samples leave free, within {_ATTEMPTS} attempts"
+    )

@@ -1,0 +1,242 @@
+"""The example of a bare PLC: what makes it lawful, with its limits those of the arm it is made for."""
+
+from __future__ import annotations
+
+import ast
+import math
+import random
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from bare_plc import AXES, CYCLE, DELAY, HOME, MOST, QUIET, SILENCE, START_TOLERANCE, Axis, BarePlc, State
+from blark.parse import parse_source_code
+
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.robot.description import read_robot_files
+
+ROOT = Path(__file__).resolve().parents[3]
+SLOW = (Axis(-10.0, 10.0, 100.0, 200.0), Axis(-90.0, 90.0, 50.0, 400.0))
+
+
+def string(*values: float) -> bytes:
+    return ",".join(f"{value:+08.3f}" for value in values).encode()
+
+
+class Cell:
+    """A PLC, its clock, and a sender that sends a string per cycle."""
+
+    def __init__(self, axes=SLOW, start=(0.0, 0.0), delay=3):
+        self.axes, self.plc = axes, BarePlc(axes, start, delay=delay)
+        self.now = 100.0
+        self.poses = [self.plc.position]
+        self.words = [self.plc.word]
+
+    def cycles(self, count: int, *payloads: bytes) -> Cell:
+        """Let cycles pass; each brings the next of some payloads, the last of them for ever."""
+        for number in range(count):
+            if payloads:
+                self.plc.on_string(payloads[min(number, len(payloads) - 1)], False, self.now)
+            self.now += CYCLE
+            self.plc.cycle(self.now)
+            self.poses.append(self.plc.position)
+            self.words.append(self.plc.word)
+        return self
+
+    def move(self, speed: float, cycles: int) -> float:
+        """Move the first axis, starting from rest and speeding up within its limit; return where the last string was."""
+        most, step, at = self.axes[0].acceleration * CYCLE**2, 0.0, self.plc.position[0]
+        for _ in range(cycles):
+            step = min(step + most, speed * CYCLE)
+            at = round(at + step, 3)
+            self.cycles(1, string(at, 0.0))
+        return at
+
+    def assert_brakes_in_limits(self):
+        """Every change of speed while it brakes is within the axes' acceleration, and a digit's rounding."""
+        for first, second, third in zip(self.poses, self.poses[1:], self.poses[2:]):
+            for a, b, c, axis in zip(first, second, third, self.axes):
+                assert abs(c - 2 * b + a) <= axis.acceleration * CYCLE**2 + 0.0021
+                assert axis.lower <= c <= axis.upper
+
+
+def test_a_stream_is_played_string_by_string_after_its_delay():
+    cell = Cell()
+    cell.cycles(10, string(0.0, 0.0))
+    last = cell.move(40.0, 30)
+    cell.cycles(10, string(last, 0.0))
+    assert cell.plc.position == (last, 0.0) and set(cell.words) == {"ready"} and cell.plc.state is State.FOLLOWING
+    assert cell.plc.joint_string == string(last, 0.0)
+
+
+@pytest.mark.parametrize(
+    "payload, reason",
+    [
+        (string(START_TOLERANCE + 0.001, 0.0), "start"),
+        (string(10.001, 0.0), "range"),
+        (string(math.nan, 0.0), "format"),
+        (string(0.0), "format"),
+        (string(0.0, 0.0, 0.0), "format"),
+        (b"+000.000,+000.0000", "format"),
+        (b"+000.000 ,+000.000", "format"),
+        (b" 000.000,+000.000", "format"),
+        (b"", "format"),
+        (b"\xff" * 17, "format"),
+    ],
+)
+def test_a_first_string_that_is_wrong_starts_nothing_and_is_shown_until_strings_stop(payload, reason):
+    cell = Cell().cycles(1000, payload)
+    assert set(cell.poses) == {(0.0, 0.0)} and cell.plc.counters[reason] == 1 and cell.words[1:] == ["offline"] * 1000
+    cell.cycles(round(QUIET / CYCLE) + 1)
+    assert cell.plc.word == "ready"
+
+
+def test_the_start_tolerance_itself_is_allowed():
+    cell = Cell().cycles(50, string(START_TOLERANCE, -START_TOLERANCE))
+    assert cell.plc.position == (START_TOLERANCE, -START_TOLERANCE) and cell.plc.word == "ready"
+
+
+@pytest.mark.parametrize("step, word", [(0.201, "ready"), (0.202, "offline"), (-0.202, "offline")])
+def test_a_step_is_one_cycle_s_way_at_most(step, word):
+    cell = Cell().cycles(10, string(0.0, 0.0))
+    cell.cycles(1, string(0.0, step))
+    assert cell.plc.word == word and cell.plc.counters["step"] == (word == "offline")
+
+
+def test_a_string_that_leaves_no_room_to_brake_is_refused_before_it_is_played():
+    cell = Cell(start=(8.0, 0.0)).cycles(10, string(8.0, 0.0))
+    cell.move(60.0, 200)
+    assert cell.plc.counters["braking_room"] == 1 and cell.plc.reason == "refused: braking_room"
+    cell.cycles(200)
+    cell.assert_brakes_in_limits()
+    assert 8.0 < cell.plc.position[0] <= 10.0 and cell.plc.state is State.HOLDING
+
+
+@pytest.mark.parametrize("speed", [0.0, 40.0])
+def test_on_silence_it_brakes_within_the_limits_holds_and_says_offline(speed):
+    cell = Cell().cycles(10, string(0.0, 0.0))
+    cell.move(speed, 25)
+    cell.cycles(round(SILENCE / CYCLE) + 5)
+    assert cell.plc.word == "offline" and cell.plc.reason in ("silence", "a string was late")
+    rest = cell.cycles(60).plc.position
+    cell.assert_brakes_in_limits()
+    assert cell.cycles(20).plc.position == rest and cell.plc.joint_string == string(*rest)
+    cell.cycles(round(QUIET / CYCLE))
+    assert cell.plc.word == "ready" and cell.words.index("offline") > 10
+
+
+def test_strings_of_a_broken_stream_do_not_start_another():
+    cell = Cell().cycles(10, string(0.0, 0.0))
+    cell.move(40.0, 25)
+    cell.cycles(60)
+    cell.cycles(3000, cell.plc.joint_string)
+    assert cell.plc.word == "offline" and cell.plc.counters["stopped"] == 3000
+    cell.cycles(round(QUIET / CYCLE) + 1)
+    cell.cycles(20, cell.plc.joint_string)
+    assert cell.plc.state is State.FOLLOWING
+
+
+def test_a_retained_string_is_refused_and_changes_nothing():
+    cell = Cell()
+    cell.plc.on_string(string(0.0, 0.0), True, cell.now)
+    assert cell.plc.state is State.HOLDING and cell.plc.counters == {"retained": 1}
+    cell.cycles(20, string(0.0, 0.0))
+    cell.plc.on_string(string(9.0, 0.0), True, cell.now)
+    cell.cycles(20, string(0.0, 0.0))
+    assert cell.plc.state is State.FOLLOWING and cell.plc.position == (0.0, 0.0)
+
+
+def test_a_sender_faster_than_the_cycle_is_refused():
+    cell = Cell()
+    for _ in range(MOST + 1):
+        cell.plc.on_string(string(0.0, 0.0), False, cell.now)
+    assert cell.plc.counters["ahead"] == 1 and cell.plc.word == "offline"
+
+
+def test_a_clock_that_drifts_is_made_good_at_rest():
+    cell = Cell()
+    for number in range(4000):
+        cell.cycles(1, string(0.0, 0.0))
+        if number % 10 == 0:
+            cell.plc.on_string(string(0.0, 0.0), False, cell.now)
+    assert cell.plc.state is State.FOLLOWING and cell.plc.counters["taken"] == 4400
+
+
+def test_bursts_within_the_delay_are_absorbed():
+    cell, at = Cell(delay=DELAY), 0.0
+    cell.cycles(20, string(0.0, 0.0))
+    rng = random.Random(3)
+    step = 0.0
+    waiting: list[bytes] = []
+    for _ in range(60):
+        step = min(step + 0.003, 0.1)
+        at = round(at + step, 3)
+        waiting.append(string(at, 0.0))
+        if rng.random() < 0.4 or len(waiting) >= DELAY - 2:
+            for payload in waiting:
+                cell.plc.on_string(payload, False, cell.now)
+            waiting.clear()
+        cell.cycles(1)
+    assert cell.plc.state is State.FOLLOWING and cell.plc.position[0] > 1.0
+
+
+def test_its_limits_home_and_string_are_the_arm_s():
+    robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+    for axis, low, high, speed, acceleration in zip(AXES, robot.lower, robot.upper, robot.velocity, robot.acceleration):
+        expected = tuple(map(math.degrees, (low, high, speed, acceleration)))
+        assert (axis.lower, axis.upper, axis.speed, axis.acceleration) == pytest.approx(expected)
+    assert len(AXES) == len(robot.lower) and HOME == pytest.approx(tuple(map(math.degrees, robot.home)))
+    assert BarePlc(AXES, HOME).joint_string == JointStringCodec.of(robot, 3).encode(robot.home)
+    assert BarePlc(AXES, (-1e-5,) * 6).joint_string == b",".join([b"+000.000"] * 6)
+
+
+STRUCTURED_TEXT = ROOT / "examples/plc/bare_plc.st"
+
+
+def structured_text(text: str):
+    """Return the program in Structured Text, as a tree; raises when it is none."""
+    return parse_source_code(text).transform()
+
+
+def test_structured_text_is_parsed_and_says_that_it_was_only_parsed():
+    text = STRUCTURED_TEXT.read_text()
+    names = [str(getattr(item, "name", "")) for item in structured_text(text).items]
+    assert names[-3:] == ["F_ReadField", "F_WriteField", "FB_BarePlc"]
+    assert "THIS FILE HAS ONLY BEEN PARSED, never compiled and never run" in text and "NOT SAFETY RATED" in text
+
+
+@pytest.mark.parametrize("change", [(" THEN", ""), ("END_FOR", ""), (":= 0.0;", ":= 0.0"), ("nAxis :", "nAxis")])
+def test_structured_text_that_is_broken_is_not_parsed(change):
+    with pytest.raises(ValueError, match="not successfully parsed"):
+        structured_text(STRUCTURED_TEXT.read_text().replace(*change, 1))
+
+
+def test_structured_text_has_the_same_numbers_and_refuses_for_the_same_reasons():
+    text = STRUCTURED_TEXT.read_text()
+    constants = {
+        name: float(value) for name, value in re.findall(r"^    (\w+) : L?(?:REAL|INT) := ([\d.]+);", text, re.M)
+    }
+    assert constants == {
+        "CYCLE": CYCLE,
+        "SILENCE": round(SILENCE / CYCLE),
+        "QUIET": round(QUIET / CYCLE),
+        "START_TOLERANCE": START_TOLERANCE,
+        "DIGIT": 0.001,
+        "DELAY": DELAY,
+        "MOST": MOST,
+    }
+    assert f"stQueue : ARRAY[0..{MOST - 1}] OF ST_Pose" in text
+    python = (ROOT / "examples/plc/bare_plc.py").read_text()
+    reasons = set(re.findall(r"return \"(\w+)\"$", python, re.M))
+    assert {reason.replace(" ", "_") for reason in re.findall(r"'refused: ([a-z ]+)'", text)} == reasons
+    assert {"format", "range", "start", "step"} <= reasons
+
+
+def test_it_needs_paho_and_nothing_else():
+    tree = ast.parse((ROOT / "examples/plc/bare_plc.py").read_text())
+    imported = {
+        alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names
+    }
+    imported |= {(node.module or "").split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert imported - set(sys.stdlib_module_names) == {"paho"}
