@@ -81,6 +81,8 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
     ("ik_report", "nodes/ik_report", []),
+    ("new_arm", "nodes/new_arm", []),
+    ("self_collision", "nodes/self_collision", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),

@@ -8,6 +8,8 @@ Standard library only: the gateway on the cell PC imports it.
 
 from __future__ import annotations
 
+from construction_twin.core.units import for_people
+
 
 class ConstructionTwinError(Exception):
     """Root of every error this package raises."""
@@ -91,7 +93,7 @@ class MotionRefused(ConstructionTwinError):
     joint : str
         Joint that failed, or "" when the setpoint as a whole did.
     value, limit : float
-        In SI units of the check; nan when there is none.
+        In SI units of the check; nan when there is none. The sentence has them in deg and mm, as every sentence for a person.
     """
 
     def __init__(self, reason: str, joint: str, value: float, limit: float, unit: str = "rad"):
@@ -100,7 +102,7 @@ class MotionRefused(ConstructionTwinError):
         self.value = value
         self.limit = limit
         subject = f"{joint}: " if joint else ""
-        super().__init__(f"{subject}{reason} check failed: {value:.6g} {unit} against {limit:.6g} {unit}")
+        super().__init__(f"{subject}{reason} check failed: {for_people(value, unit)} against {for_people(limit, unit)}")
 
 
 class ProtocolError(ConstructionTwinError):

@@ -5,7 +5,10 @@ Messages say what, where, the value, what was expected and what to do.
 
 from __future__ import annotations
 
+import math
+
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.units import for_people
 
 
 class KinematicsError(ConstructionTwinError):
@@ -27,7 +30,7 @@ class UnreachableError(KinematicsError):
         self.missing = missing
         self.too_close = too_close
         where, to_do = ("too close to the arm", "away from") if too_close else ("out of the arm's reach", "closer to")
-        super().__init__(f"the target is {where} by {missing:.6g} m; move it {to_do} the base")
+        super().__init__(f"the target is {where} by {missing * 1e3:.6g} mm; move it {to_do} the base")
 
 
 class JointRangeError(KinematicsError):
@@ -38,11 +41,21 @@ class JointRangeError(KinematicsError):
     joint : str
     value, lower, upper : float
         [rad] ([m] for a prismatic joint).
+    linear : bool
+        The joint is prismatic.
     """
 
-    def __init__(self, joint: str, value: float, lower: float, upper: float):
-        self.joint, self.value, self.lower, self.upper = joint, value, lower, upper
-        super().__init__(f"{joint} is {value:.6f}, outside its range {lower:.6f} to {upper:.6f}")
+    def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
+        self.joint, self.value, self.lower, self.upper, self.linear = joint, value, lower, upper, linear
+        super().__init__(f"{joint} is {self.outside}")
+
+    @property
+    def outside(self) -> str:
+        """Value and range in words, in deg or mm."""
+        value, lower, upper = (
+            for_people(number, "m" if self.linear else "rad") for number in (self.value, self.lower, self.upper)
+        )
+        return f"{value}, outside its range {lower} to {upper}"
 
 
 class PoseRangeError(JointRangeError):
@@ -60,23 +73,17 @@ class PoseRangeError(JointRangeError):
 class PositionRangeError(PoseRangeError):
     """The wrist cannot get where the target needs it within the joint ranges."""
 
-    def __init__(self, joint: str, value: float, lower: float, upper: float):
-        super().__init__(joint, value, lower, upper)
-        self.args = (
-            f"the target's position needs {joint} at {value:.6f}, outside its range {lower:.6f} to {upper:.6f}; "
-            "move the target",
-        )
+    def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
+        super().__init__(joint, value, lower, upper, linear)
+        self.args = (f"the target's position needs {joint} at {self.outside}; move the target",)
 
 
 class OrientationError(PoseRangeError):
     """The target's position can be reached, but not with its orientation within the joint ranges."""
 
-    def __init__(self, joint: str, value: float, lower: float, upper: float):
-        super().__init__(joint, value, lower, upper)
-        self.args = (
-            f"the target's orientation needs {joint} at {value:.6f}, outside its range {lower:.6f} to {upper:.6f}; "
-            "turn the target",
-        )
+    def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
+        super().__init__(joint, value, lower, upper, linear)
+        self.args = (f"the target's orientation needs {joint} at {self.outside}; turn the target",)
 
 
 class BranchError(KinematicsError):
@@ -125,7 +132,7 @@ class NotFoundError(KinematicsError):
         self.tried, self.budget_s, self.hint = tried, budget_s, hint
         self.residual_m, self.residual_rad = residual_m, residual_rad
         seen = (
-            [f"the best attempt was {residual_m * 1e3:.3f} mm and {residual_rad:.6f} rad away"]
+            [f"the best attempt was {residual_m * 1e3:.3f} mm and {math.degrees(residual_rad):.4f} deg away"]
             if residual_m < 1e3
             else []
         )
@@ -242,9 +249,10 @@ class FarWaypointError(PlanningError):
 
     def __init__(self, waypoint: int, what: str, distance: float, reach: float):
         self.waypoint, self.distance, self.reach = waypoint, distance, reach
+        away = f"{distance * 1e3:.0f}" if distance < 1e6 else f"{distance * 1e3:.6g}"
         super().__init__(
-            f"waypoint {waypoint}: {what} is {distance:.6g} m from the arm, which reaches {reach:.3f} m; expected metres "
-            "in the frame of the request"
+            f"waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach * 1e3:.0f} mm; expected a "
+            "place near the arm, in the frame of the request: are unit and frame right?"
         )
 
 
@@ -306,10 +314,12 @@ class LimitError(PlanningError):
         [rad], [rad/s], ... ([m], ... for a prismatic joint); for a position `limit` is the end of the range that is passed.
     """
 
-    def __init__(self, where: str, joint: str, quantity: str, value: float, limit: float):
+    def __init__(self, where: str, joint: str, quantity: str, value: float, limit: float, linear: bool = False):
         self.where, self.joint, self.quantity = where, joint, quantity
         self.value, self.limit = value, limit
-        super().__init__(f"{where}: {joint} has a {quantity} of {value:.6g}; its limit is {limit:.6g} (SI); plan again")
+        unit = ("m" if linear else "rad") + {"velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}.get(quantity, "")
+        found, allowed = for_people(value, unit), for_people(limit, unit)
+        super().__init__(f"{where}: {joint} has a {quantity} of {found}; its limit is {allowed}; plan again")
 
 
 class CartesianPathError(PlanningError):
@@ -333,7 +343,7 @@ class CartesianPathError(PlanningError):
         self.reason, self.cause = reason, cause
         self.fraction, self.distance, self.waypoint = fraction, distance, waypoint
         super().__init__(
-            f"the path ends {distance:.4f} m along, on the way to waypoint {waypoint} (fraction {fraction:.4f}): {what}"
+            f"the path ends {distance * 1e3:.1f} mm along, on the way to waypoint {waypoint} (fraction {fraction:.4f}): {what}"
         )
 
 

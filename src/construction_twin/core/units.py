@@ -35,6 +35,26 @@ def from_wire(values: Sequence[float], linear: Sequence[bool]) -> tuple[float, .
     return tuple(value / 1e3 if slides else math.radians(value) for value, slides in zip(values, linear, strict=True))
 
 
+def for_people(value: float, unit: str) -> str:
+    """Return a quantity as a person enters it: angles in deg, lengths in mm.
+
+    Parameters
+    ----------
+    value : float
+    unit : str
+        Its unit: rad or m, alone or over a time (``rad/s^2``); another one is left as it is.
+    """
+    base, slash, per = unit.partition("/")
+    if base == "rad":
+        value, base = math.degrees(value), "deg"
+    elif base == "m":
+        value, base = value * 1e3, "mm"
+    # six digits, of a position as many decimals as the wire may have: what is out of range by the last one shows it
+    text = f"{value:.6f}" if not slash and abs(value) < 1e6 else f"{value:.6g}"
+    text = text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
+    return f"{text} {base}{slash}{per}".strip()
+
+
 def last_digit(decimals: int, linear: bool = False) -> float:
     """Return what one unit of the last decimal of a joint string's field is worth.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.limits import outside_tolerance
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.units import NANOSECONDS, for_people
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.playback import Braking, Playback
 from construction_twin.execution.speed_limit import PlayRate
@@ -58,7 +58,7 @@ def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> 
     off = outside_tolerance(start, pose, START_TOLERANCE)
     if off is not None:
         joint, unit = robot.joint_names[off], "m" if robot.linear[off] else "rad"
-        distance = f"{start[off] - pose[off]:.6f} {unit}"
+        distance = for_people(start[off] - pose[off], unit)
         raise ReviewError(f"plan {plan.id} starts {distance} from the present pose at {joint}; plan again")
 
 

@@ -336,7 +336,8 @@ class ClosedFormInverse(BranchInverse):
         if excess[row, joint] > 0.0:
             kind = OrientationError if placed.any() else PositionRangeError
             robot = self.chain.robot
-            raise kind(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])
+            low, high, linear = robot.lower[joint], robot.upper[joint], robot.linear[joint]
+            raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
 
     def is_too_close(self, flange: np.ndarray) -> bool:
         """Return whether an unreachable target, shape (4, 4), is inside the inner edge of the reach, not beyond the outer one."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from itertools import product
+from itertools import islice, product
 from typing import NoReturn
 
 import numpy as np
@@ -20,6 +20,7 @@ from construction_twin.core.motion_errors import (
     NotFoundError,
     UnreachableError,
 )
+from construction_twin.core.units import for_people
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.solution import (
     TURN,
@@ -190,9 +191,7 @@ class NumericInverse(InverseKinematics):
     def missing_position(self, pose: Pose, seed: np.ndarray) -> float:
         """Return the smallest distance found of the tip to a position within the ranges, orientation ignored [m]."""
         best = math.inf
-        starts = self.starts(seed)
-        for _ in range(_POSITION_STARTS):
-            q = next(starts)
+        for q in islice(self.starts(seed), _POSITION_STARTS):
             for _ in range(_POSITION_STEPS):
                 error = pose.position - self.chain.forward(q).position
                 length = float(np.linalg.norm(error))
@@ -327,7 +326,7 @@ class _Search:
     def _check_reach(self) -> None:
         chain = self._inverse.chain
         distance = float(np.linalg.norm(self._pose.position - chain.shoulder))
-        if distance > chain.reach:
+        if distance > chain.reach + self._settings.tolerance_m:
             raise UnreachableError(distance - chain.reach)
 
     def _explain(self) -> NoReturn:
@@ -340,8 +339,11 @@ class _Search:
         if self._outside:
             nearest = min(self._outside, key=lambda q: inverse.excess(q).max())
             joint = int(inverse.excess(nearest).argmax())
-            low, high = robot.lower[joint], robot.upper[joint]
-            return f"with {robot.joint_names[joint]} at {nearest[joint]:.6f} it would be, outside its range {low:.6f} to {high:.6f}"
+            unit = "m" if robot.linear[joint] else "rad"
+            at, low, high = (
+                for_people(value, unit) for value in (nearest[joint], robot.lower[joint], robot.upper[joint])
+            )
+            return f"with {robot.joint_names[joint]} at {at} it would be, outside its range {low} to {high}"
         missing = inverse.missing_position(self._pose, self._seed)
         if self._settings.tolerance_m < missing < math.inf:
             return f"the nearest position found was {missing * 1e3:.3f} mm away, in any orientation"

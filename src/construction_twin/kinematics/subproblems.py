@@ -216,7 +216,8 @@ class SubproblemInverse(BranchInverse):
         row = int(excess.max(axis=1).argmin())
         joint = int(excess[row].argmax())
         kind = OrientationError if placed else PositionRangeError
-        raise kind(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])
+        low, high, linear = robot.lower[joint], robot.upper[joint], robot.linear[joint]
+        raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
 
 
 def _refuse(configuration: Configuration | None) -> None:

@@ -144,4 +144,5 @@ def check_range(q: np.ndarray, robot: RobotModel) -> None:
     outside = np.argwhere((q < np.array(robot.lower) - SAME_POINT) | (q > np.array(robot.upper) + SAME_POINT))
     if len(outside):
         row, joint = outside[0]
-        raise JointRangeError(robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint])
+        where = robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint]
+        raise JointRangeError(*where, robot.linear[joint])

@@ -103,8 +103,8 @@ def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
         if len(beyond):
             row, joint = beyond[0]
             limit = getattr(robot, quantity)[joint]
-            when = f"at {sampled.times[row]:.3f} s"
-            raise LimitError(when, robot.joint_names[joint], quantity, float(fractions[row, joint] * limit), limit)
+            when, found = f"at {sampled.times[row]:.3f} s", float(fractions[row, joint] * limit)
+            raise LimitError(when, robot.joint_names[joint], quantity, found, limit, robot.linear[joint])
     return sampled.largest()
 
 
@@ -143,4 +143,6 @@ def _check_range(sampled: SampledUsage, robot: RobotModel) -> None:
     joint = int(np.argmax(excess[row]))
     value = float(sampled.positions[row, joint])
     limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
-    raise LimitError(f"at {sampled.times[row]:.3f} s", robot.joint_names[joint], "position", value, limit)
+    raise LimitError(
+        f"at {sampled.times[row]:.3f} s", robot.joint_names[joint], "position", value, limit, robot.linear[joint]
+    )

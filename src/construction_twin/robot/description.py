@@ -125,9 +125,9 @@ class RobotModel:
         """
         if len(q) != len(self.joint_names):
             raise ValueError(f"{len(q)} joint values for {len(self.joint_names)} joints of {self.name}")
-        for joint, value, lower, upper in zip(self.joint_names, q, self.lower, self.upper):
+        for joint, value, lower, upper, linear in zip(self.joint_names, q, self.lower, self.upper, self.linear):
             if not lower <= value <= upper:
-                raise JointRangeError(joint, float(value), lower, upper)
+                raise JointRangeError(joint, float(value), lower, upper, linear)
 
 
 @dataclass(frozen=True)

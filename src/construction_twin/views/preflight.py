@@ -17,6 +17,7 @@ CHOICES = {
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
+    "rsi_cycle": ("4", "12"),
 }
 SWITCHES = (
     "auto_approve",

@@ -183,6 +183,8 @@ def test_roles_and_their_topics_are_documented():
         "ros/commands/export_gateway_config",
         "broker/start",
         "broker/make_site",
+        "ros/commands/new_arm",
+        "scene/self_collision_command",
         "views/arguments",
     ],
 )

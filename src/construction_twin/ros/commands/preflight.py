@@ -82,7 +82,8 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     path = given["ethernet_xml"]
     load_ethernet_xml(path)
     settings = _mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
-    given_here = {"decimals": int(given["decimals"]), "ethernet_xml": read_text(path)}
+    cycle = int(given.get("rsi_cycle", "4"))
+    given_here = {"decimals": int(given["decimals"]), "cycle": cycle, "ethernet_xml": read_text(path)}
     gateway_config(robot, settings | given_here)
 
 
