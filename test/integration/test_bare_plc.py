@@ -39,7 +39,9 @@ class BarePlcTest(RobotTest):
 
     def test_a_person_arms_by_name_plans_are_executed_and_a_halt_stops(self):
         client = self.client
-        client.wait(lambda: client.link and client.link.state == Link.NEEDS_RESET, "a PLC that waits for a person", 60.0)
+        client.wait(
+            lambda: client.link and client.link.state == Link.NEEDS_RESET, "a PLC that waits for a person", 60.0
+        )
         self.assertIn("twin arm --responsible NAME", client.link.reason)
         self.refused_without_a_name()
         self.arm("Ada")
