@@ -15,7 +15,7 @@ import os
 import re
 import runpy
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 from unittest import mock
@@ -25,6 +25,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.state_table import cells
+from construction_twin.link.states import BARE_TABLE
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "reference"
@@ -75,11 +76,13 @@ _EXPLAINED = {
 COMMANDS: list[tuple[str, str, list[str]]] = [
     ("twin", "nodes/twin", []),
     *((f"twin {name}", "nodes/twin", [name]) for name in ("plan", "home", "preview", "approve", "reject")),
-    *((f"twin {name}", "nodes/twin", [name]) for name in ("status", "watch")),
+    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "watch")),
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
     ("ik_report", "nodes/ik_report", []),
+    ("new_arm", "nodes/new_arm", []),
+    ("self_collision", "nodes/self_collision", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),
@@ -338,7 +341,10 @@ def _shared_rows(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 
 
 def _state_table(module: str) -> str:
-    rows = state_rows(module)
+    return _rows_table(state_rows(module))
+
+
+def _rows_table(rows: Sequence[tuple[str, ...]]) -> str:
     columns = ["state", "event", "guard", "action", "next state"]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     return "\n".join([*lines, *(f"| {' | '.join(map(_cell, row))} |".replace("|  |", "| |") for row in rows), ""])
@@ -353,6 +359,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "messages": _message_page,
     "gateway states": lambda: _state_table("construction_twin.gateway.states"),
     "link states": lambda: _state_table("construction_twin.link.states"),
+    "bare link states": lambda: _rows_table(_shared_rows(cells(BARE_TABLE))),
     "executor states": lambda: _state_table("construction_twin.execution.states"),
     "monitor states": lambda: _state_table("construction_twin.monitor.states"),
 }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from krl_variants import NOTICE, SPAN, Variant
+from krl_variants import SPAN, Variant
+
+from construction_twin.rsi.ethernet_xml_text import NOTICE
 
 
 def program(variant: Variant, rsi41: bool) -> str:

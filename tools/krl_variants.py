@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-#: Address of the PC and its UDP port; the user edits the address.
-ADDRESS, PORT, SENTYPE = "192.168.1.10", 49152, "ImFree"
 TIMEOUT, FLAG, PRECISION = 100, 1, 6
 #: Length of each axis' range [deg]: a correction can never be larger, wherever the session starts. KR 120 R2500 pro.
 SPAN = {"A1": 370, "A2": 135, "A3": 275, "A4": 700, "A5": 250, "A6": 700}
 #: Placeholder for a track [mm]: longer than any.
 TRACK = 30000
-NOTICE = (
-    "construction_twin. Written from published facts, NOT TRIED ON A CONTROLLER: "
-    "check every value before use (docs/controller.md)."
-)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from krl_program import program
-from krl_variants import ADDRESS, FLAG, NOTICE, PORT, PRECISION, SENTYPE, SPAN, TIMEOUT, TRACK, VARIANTS, Variant
+from krl_variants import FLAG, PRECISION, SPAN, TIMEOUT, TRACK, VARIANTS, Variant
+
+from construction_twin.rsi.ethernet_xml_text import NOTICE, ethernet_xml_text
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -61,31 +63,8 @@ def objects(variant: Variant) -> list[RsiObject]:
 
 def ethernet_xml(variant: Variant) -> str:
     """Return the Ethernet XML."""
-    external = ("EIPos", "ESPos") if variant.external else ()
-    send = ["RIst", "RSol", "AIPos", "ASPos", *external]
-    lines = [
-        "<ROOT>",
-        f"  <!-- {NOTICE} -->",
-        "  <!-- Gateway and mock read this very file: give them the copy that is on the controller. -->",
-        "  <CONFIG>",
-        "    <!-- EDIT: address of the PC that runs rsi_gateway, in the RSI subnet -->",
-        f"    <IP_NUMBER>{ADDRESS}</IP_NUMBER>",
-        f"    <PORT>{PORT}</PORT>",
-        f"    <SENTYPE>{SENTYPE}</SENTYPE>",
-        f"    <ONLYSEND>{'TRUE' if variant.read_only else 'FALSE'}</ONLYSEND>",
-        "  </CONFIG>",
-        "  <SEND>",
-        "    <ELEMENTS>",
-        *(f'      <ELEMENT TAG="DEF_{name}" TYPE="DOUBLE" INDX="INTERNAL"/>' for name in send),
-        '      <ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/>',
-        "    </ELEMENTS>",
-        "  </SEND>",
-        "  <RECEIVE>",
-        "    <ELEMENTS>",
-    ]
-    for tag, kind, index, holdon in variant.channels:
-        lines.append(f'      <ELEMENT TAG="{tag}" TYPE="{kind}" INDX="{index}" HOLDON="{holdon}"/>')
-    return "\n".join([*lines, "    </ELEMENTS>", "  </RECEIVE>", "</ROOT>"]) + "\n"
+    axes = [*SPAN, *(["E1"] if variant.external else [])]
+    return ethernet_xml_text(axes, receives=not variant.read_only)
 
 
 # -- RSI 3: .rsi.xml, .rsi, .rsi.diagram ---------------------------------------------------------------------------------

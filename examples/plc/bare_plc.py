@@ -1,7 +1,7 @@
 """A PLC that knows only the joint string: the smallest that is still lawful, for bare mode (docs/broker.md). NOT SAFETY RATED.
 
-Python 3 and paho-mqtt only, nothing of this package: a pattern to copy into a PLC, as `bare_plc.st` is in Structured Text. Its arm is
-ideal: it is where the PLC tells it to be. Angles in deg, times in s, speeds in deg per cycle.
+Python 3 and paho-mqtt only, nothing of this package: a pattern to copy into a PLC, as `bare_plc.st` is in Structured Text. Its arm
+is ideal: it is where the PLC tells it to be. Angles in deg, times in s, speeds in deg per cycle.
 
 Under ``<prefix>/<robot>/`` it reads `command` and writes `state` (one joint string per cycle) and `status` (retained, and its last
 will): `ready` while it takes strings, `offline` while it does not.
@@ -9,7 +9,7 @@ will): `ready` while it takes strings, `offline` while it does not.
 - The first string must lie within the start tolerance of the pose that it holds.
 - Every string must have the format, lie in the range, be no more than one cycle's way from the last one, and leave room to brake.
 - In motion a string that is missing when it is due, or silence: every axis brakes with its own limit.
-- After a stop it takes nothing until strings have stopped, and the arm rests: strings of a stream that broke must not start another.
+- After a stop it takes nothing until strings have stopped and the arm rests: strings of a stream that broke must not start another.
 - A string with the retain flag is of unknown age: it is refused, and nothing else happens.
 
 It cannot tell two senders apart, nor notice a string that was delayed as a whole, lost at low speed, or sent twice.

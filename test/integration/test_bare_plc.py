@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A bare PLC: armed by a person's name, a plan reviewed and executed, halted in mid-motion, and what is not checked written down."""
+"""A bare PLC: armed by a person's name, a plan executed, halted in mid-motion, and what is not checked is recorded."""
 
 import json
 import subprocess

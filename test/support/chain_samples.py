@@ -10,7 +10,7 @@ import plan_samples
 import yaml
 from simulation import SimulatedChain, SimulatedLink
 
-from construction_twin.core.units import CYCLE, format_allowance, radians
+from construction_twin.core.units import format_allowance, radians
 from construction_twin.mock.program import MockSettings, build_controller
 from construction_twin.monitor.gate import GateSettings
 from construction_twin.planning.timing import time_path
@@ -33,7 +33,7 @@ def make_chain(
 ) -> SimulatedChain:
     """Return a chain that is ready for a plan; `settings` are the gateway's."""
     config = gateway_config(ROBOT, SETTINGS | {"decimals": decimals} | settings)
-    mock = MockSettings(gateway_host="simulated", gateway_port=1, servo=servo)
+    mock = MockSettings(gateway_host="simulated", gateway_port=1, servo=servo, cycle=config.cycle)
     chain = SimulatedChain(ROBOT, config, build_controller(mock, ROBOT), gate, link)
     assert chain.run_until(lambda: chain.ready, 5.0), (
         chain.supervisor.reason,
@@ -63,10 +63,10 @@ def assert_corrections_inside_limits(chain: SimulatedChain) -> None:
     # what the controller applies is rounded to the 6 decimals of AK
     applied = np.radians(np.round(np.degrees([correction for _, correction in chain.corrections]), 6))
     position = applied + np.array(ROBOT.home)
-    velocity = np.diff(applied, axis=0) / CYCLE
-    acceleration = np.diff(velocity, axis=0) / CYCLE
-    decimals = chain.gateway.config.decimals
+    decimals, cycle = chain.gateway.config.decimals, chain.gateway.config.period
+    velocity = np.diff(applied, axis=0) / cycle
+    acceleration = np.diff(velocity, axis=0) / cycle
     assert (position >= np.array(ROBOT.lower) - 1e-8).all() and (position <= np.array(ROBOT.upper) + 1e-8).all()
-    assert (np.abs(velocity) <= np.array(ROBOT.velocity) + math.radians(10.0**-decimals) / CYCLE).all()
-    allowed = np.array(ROBOT.acceleration) + format_allowance(decimals) + format_allowance(6)
+    assert (np.abs(velocity) <= np.array(ROBOT.velocity) + math.radians(10.0**-decimals) / cycle).all()
+    allowed = np.array(ROBOT.acceleration) + format_allowance(decimals, cycle=cycle) + format_allowance(6, cycle=cycle)
     assert (np.abs(acceleration) <= allowed).all()

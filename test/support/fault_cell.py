@@ -146,7 +146,16 @@ class FaultCell:
         self.resets = 0
         self.packets: list = []
         self._folder, self._with_udp, self._feedback_timeout = folder, udp, feedback_timeout
-        self._mock_options = ("--timeout", str(mock_timeout), "--restart-after", "1", "--realtime", "40")
+        self._mock_options = (
+            "--cycle",
+            str(self.config.cycle),
+            "--timeout",
+            str(mock_timeout),
+            "--restart-after",
+            "1",
+            "--realtime",
+            "40",
+        )
         self._cell_prefix = spaces.prefix(spaces.cell) if spaces else ()
         self._broker_host = ROS_PC if spaces else "127.0.0.1"
         self._traces: list[Path] = []
@@ -326,7 +335,7 @@ class FaultCell:
         """The corrections of every run of the gateway stayed inside the limits in every cycle."""
         for run in range(len(self._traces)):
             entries = self.entries(run)
-            found = trace_excesses(entries, self.config.limits, self.config.decimals)
+            found = trace_excesses(entries, self.config.limits, self.config.decimals, self.config.period)
             assert not found, f"run {run}: {len(found)} of {len(entries)} cycles: {'; '.join(map(str, found[:5]))}"
 
     def assert_nobody_restarted(self) -> None:

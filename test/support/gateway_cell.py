@@ -45,6 +45,7 @@ class Cell:
     def __init__(self, start=START, measures=False, **changes):
         self.config = dataclasses.replace(CONFIG, **changes)
         self.gateway = Gateway(self.config, RUN, measures=measures)
+        self._measures = measures
         self.codec = JointStringCodec(2, self.config.decimals)
         self.now = 50 * NANOSECONDS
         self.ipoc = 1_000_000
@@ -54,21 +55,23 @@ class Cell:
         self.seq = 0
         self.stamp = SENDER_EPOCH
         self.controls = 0
+        self._commands = 0
         self.replies = []
 
     # the controller
 
     def telegram(self, **changes):
         telegram = RobotTelegram(self.ipoc, self.measured, self.setpoint, self.delay)
-        self.gateway.clock.note(self.ipoc, self.now)
+        if self._measures:
+            self.gateway.clock.note(self.ipoc, self.now)
         reply = self.gateway.on_telegram(dataclasses.replace(telegram, **changes), self.source, self.now)
         if reply is not None:
             self.measured = tuple(start + value for start, value in zip(self.setpoint, reply))
         self.replies.append(reply)
         return reply
 
-    def cycle(self, count=1, step_ms=4, **changes):
-        self.step_ms = step_ms
+    def cycle(self, count=1, step_ms=None, **changes):
+        step_ms = self.step_ms = step_ms or self.config.cycle
         for _ in range(count):
             self.now += step_ms * 1_000_000
             self.ipoc += step_ms
@@ -91,9 +94,18 @@ class Cell:
         )
 
     def stream(self, poses, session="s1"):
-        """One command, one cycle, and so on."""
+        """A command every 4 ms, and a cycle after each, or after every third one."""
         for q in poses:
             self.send(q, session)
+            self.pass_command()
+
+    def pass_command(self):
+        """Let the 4 ms of a command pass, at the end of which a cycle of the controller may begin."""
+        self.now += CYCLE_NS
+        self._commands += 1
+        if self._commands * CYCLE_NS % self.config.cycle_ns == 0:
+            # `cycle` lets the time of a whole cycle pass
+            self.now -= self.config.cycle_ns
             self.cycle()
 
     def control(self, verb, session="s1", value=None):

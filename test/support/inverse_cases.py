@@ -42,6 +42,31 @@ def changed(joint: str, xyz: str | None = None, rpy: str | None = None, axis: st
 SEARCHED = changed("joint_a5", xyz="0.05 0.04 0")
 
 
+def arm_of(name: str, joints: list[tuple[str, str, str]], tip: str = "0 0 0.1", reach: float = 3.1):
+    """Return an arm of revolute joints, each with origin (xyz, rpy) and axis, all with the same range to both sides."""
+    parts = [f'<robot name="{name}"><link name="base"/>']
+    for number, (xyz, rpy, axis) in enumerate(joints, 1):
+        parent = "base" if number == 1 else f"link_{number - 1}"
+        parts.append(
+            f'<link name="link_{number}"/><joint name="joint_{number}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="link_{number}"/><origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+            f'<limit lower="{-reach}" upper="{reach}" velocity="2" effort="1"/></joint>'
+        )
+    parts.append(
+        f'<link name="tip"/><joint name="flange" type="fixed"><parent link="link_{len(joints)}"/><child link="tip"/>'
+        f'<origin xyz="{tip}" rpy="0.1 0.2 0.3"/></joint></robot>'
+    )
+    count = len(joints)
+    fields = {
+        field: (getattr(KR120, field) * 2)[:count] for field in ("velocity", "acceleration", "jerk", "axes", "linear")
+    }
+    names = tuple(f"joint_{number}" for number in range(1, count + 1))
+    return replace(
+        KR120, name=name, urdf="".join(parts), base_link="base", tip_link="tip", joint_names=names,
+        lower=(-reach,) * count, upper=(reach,) * count, home=(0.1,) * count, **fields,
+    )  # fmt: skip
+
+
 def joints(robot):
     """Return a strategy for joint values within the ranges."""
     return st.tuples(*(st.floats(low, high) for low, high in zip(robot.lower, robot.upper)))

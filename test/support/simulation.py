@@ -219,7 +219,7 @@ class SimulatedChain:
     def _control(self) -> None:
         """One cycle of the controller, and the gateway's answer to it."""
         self._controller_cycles += 1
-        elapsed = round(self._controller_cycles * CYCLE_NS * (1.0 + self._link.drift_ppm * 1e-6))
+        elapsed = round(self._controller_cycles * self.gateway.config.cycle_ns * (1.0 + self._link.drift_ppm * 1e-6))
         self._at(self._first_cycle + elapsed, self._control)
         self.faults.tick()
         packet = self.controller.begin_cycle()

@@ -16,7 +16,7 @@ from construction_twin.rsi.telegram import MAX_TELEGRAM
 #: After a step of IPOC beyond this the arm has come to a stand under HOLDON [cycles].
 STANDSTILL = 2
 #: After a longer gap it is unknown whether the controller still has the correction: a program may have started RSI anew, and the
-#: correction would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, or three of 12.
+#: correction would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, three of 12.
 LONGEST_GAP_MS = 40
 _IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,19})\s*</IPOC>").search
 

@@ -64,8 +64,8 @@ class Playout:
     governor : Governor, optional
         Slows playout time while a speed limit asks for it; None: nothing can.
     cycle_ns : int, optional
-        The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the margin, and
-        the delay's grid.
+        The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the
+        margin, and the delay's grid.
     """
 
     def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None, cycle_ns: int = CYCLE_NS):
@@ -153,7 +153,7 @@ class Playout:
         q : tuple, shape (n,)
             [rad]
         waited : int, optional
-            Time from the last telegram to this arrival [ns]; only the drift's estimate uses it.
+            Time from the last telegram to this arrival [ns]; the stream's beginning and the drift's estimate use it.
 
         Returns
         -------
@@ -162,7 +162,8 @@ class Playout:
         """
         commands = self._commands
         if not commands:
-            self._now = stamp - self.delay
+            # the next telegram adds all of its cycle, of which so much was over; in whole steps of the grid
+            self._now = stamp - self.delay - waited // CYCLE_NS * CYCLE_NS
             self._newest = stamp
         self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
         if self._put_off and self._resting > 3 and len(commands) > 3:

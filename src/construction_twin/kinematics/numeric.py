@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from itertools import product
+from itertools import islice, product
 from typing import NoReturn
 
 import numpy as np
@@ -191,9 +191,7 @@ class NumericInverse(InverseKinematics):
     def missing_position(self, pose: Pose, seed: np.ndarray) -> float:
         """Return the smallest distance found of the tip to a position within the ranges, orientation ignored [m]."""
         best = math.inf
-        starts = self.starts(seed)
-        for _ in range(_POSITION_STARTS):
-            q = next(starts)
+        for q in islice(self.starts(seed), _POSITION_STARTS):
             for _ in range(_POSITION_STEPS):
                 error = pose.position - self.chain.forward(q).position
                 length = float(np.linalg.norm(error))
@@ -328,7 +326,7 @@ class _Search:
     def _check_reach(self) -> None:
         chain = self._inverse.chain
         distance = float(np.linalg.norm(self._pose.position - chain.shoulder))
-        if distance > chain.reach:
+        if distance > chain.reach + self._settings.tolerance_m:
             raise UnreachableError(distance - chain.reach)
 
     def _explain(self) -> NoReturn:

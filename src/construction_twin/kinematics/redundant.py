@@ -38,9 +38,9 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 #: Joints to hold, those first whose model does not depend on the held value: the last joint, the first, then the others.
 _ORDER = (6, 0, 2, 4, 1, 5, 3)
 #: Values at which the joint is held, and how many times finer the division becomes where none of them leads to a solution.
-_VALUES, _FINER = 48, (4, 16)
+_VALUES, _FINER = 40, (4, 16)
 #: Samples from which the arm slides towards the seed: for the nearest solution, and for all.
-_SLID, _SLID_ALL = 2, 6
+_SLID, _SLID_ALL = 1, 6
 #: Samples that are nearer to each other than this are one [rad].
 _APART = 0.35
 #: Most samples that `all` returns.
@@ -232,7 +232,8 @@ class RedundantInverse(InverseKinematics):
         if not rows:
             return np.empty((0, len(seed))), np.empty(0)
         q, missed = np.concatenate(rows), np.concatenate([each for q, each in found if len(q)])
-        if self.form.exact:
+        # where all only miss the pose, the arm may be stretched to the edge of its reach, which rounding decides
+        if self.form.exact and not missed.all():
             q = q[~missed]
         q = q - self._turns * np.rint((q - seed) / self._per_turn)
         q = np.where((q > self._upper) & (q - self._turns >= self._lower), q - self._turns, q)

@@ -301,7 +301,12 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool
         if np.abs(error).max() < 1e-12:
             break
         # rcond: near a singularity, directions in which the tip hardly moves would need huge steps, and are left out
-        step = np.linalg.lstsq(chain.jacobian(q), error, rcond=1e-9)[0]
+        jacobian = chain.jacobian(q)
+        step = np.linalg.lstsq(jacobian, error, rcond=1e-9)[0]
+        # joints that would leave their range stand still, if enough others are left
+        stuck = ((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0))
+        if stuck.any() and len(q) - stuck.sum() >= 6:
+            step = np.linalg.lstsq(jacobian * ~stuck, error, rcond=1e-9)[0]
         q = np.clip(q + step, lower, upper)
     return q
 

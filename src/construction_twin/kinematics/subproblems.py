@@ -70,6 +70,7 @@ class SubproblemInverse(BranchInverse):
         self._solver = form.solver()
         self._target = np.eye(4)
         self._elements, self._ones = self._target.reshape(16), np.ones(16)
+        self._missed = np.zeros(0, dtype=bool)
         self._alignments = [each for triple in _TRIPLES if (each := _alignment(form.directions, triple)) is not None]
         near = _SINGULAR if form.exact else _SINGULAR_NEAR
         self._aligned = 1.0 - 0.5 * near * near
@@ -97,11 +98,9 @@ class SubproblemInverse(BranchInverse):
         _refuse(configuration)
         start = [float(value) for value in seed]
         rows = self.branches(pose)
-        polished = (
-            rows if self.form.exact else [each for row in rows if (each := self._polished(row, pose)) is not None]
-        )
+        polished, lost = (rows, False) if self.form.exact else self._all_polished(rows, pose)
         found = [solution for row in polished for solution in self.turned(np.array(row), pose, start, None)]
-        if self.is_singular(rows) or len(polished) < len(rows):
+        if self.is_singular(rows) or lost:
             try:
                 found += self._search.all(pose, start)
             except NotFoundError:
@@ -126,7 +125,9 @@ class SubproblemInverse(BranchInverse):
         self._target[:3, 3] = pose.position
         if not math.isfinite(self._elements.dot(self._ones)):
             check_pose(pose)
-        return self._solver.calculate_IK(self._target).Q.tolist()
+        found = self._solver.calculate_IK(self._target)
+        self._missed = found.is_LS
+        return found.Q.tolist()
 
     def is_singular(self, rows: Sequence[Sequence[float]]) -> bool:
         """Return whether a branch has two axes in line, so that it stands for a whole family of joint values."""
@@ -157,19 +158,27 @@ class SubproblemInverse(BranchInverse):
     def _nearest_polished(
         self, rows: Sequence[Sequence[float]], pose: Pose, seed: list[float]
     ) -> tuple[IkSolution | None, bool]:
-        best, complete = None, not self.is_singular(rows)
-        for row in rows:
-            polished = self._polished(row, pose)
-            turned = None if polished is None else self.nearest_turn(polished, seed)
-            complete = complete and polished is not None
+        polished, lost = self._all_polished(rows, pose)
+        best, complete = None, not (lost or self.is_singular(rows))
+        for row in polished:
+            turned = self.nearest_turn(row, seed)
             if turned is not None and (best is None or turned[0] < best.distance**2):
                 best = self.confirmed(turned[1], pose, seed, None) or best
         return best, complete
 
-    def _polished(self, row: Sequence[float], pose: Pose) -> list[float] | None:
-        """Return a branch of the nominal model moved onto the pose by the true chain, ranges ignored; None: it fails."""
-        q = refine(self.chain, np.array(row), pose, _POLISH, within=False)
-        return q.tolist() if self.is_solved(*residual(self.chain, q, pose)) else None
+    def _all_polished(self, rows: Sequence[Sequence[float]], pose: Pose) -> tuple[list[list[float]], bool]:
+        """Return the branches of the nominal model moved onto the pose by the true chain, and whether one of them was lost.
+
+        Ranges are ignored. Where the nominal model has no branch but only a nearest miss, the true arm may have one.
+        """
+        kept, lost = [], False
+        for row, missed in zip(rows, self._missed.tolist()):
+            q = refine(self.chain, np.array(row), pose, _POLISH, within=False)
+            if self.is_solved(*residual(self.chain, q, pose)):
+                kept.append(q.tolist())
+            elif not missed:
+                lost = True
+        return kept, lost
 
     def _of_search(self, pose: Pose, seed: list[float], best: IkSolution | None) -> list[IkSolution]:
         """Return the nearest solution of the search, and `best` if there is one; a typed error without any."""

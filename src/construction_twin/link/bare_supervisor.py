@@ -1,7 +1,7 @@
 """Bare mode: the link to a PLC that knows only the joint string, armed by a person who takes the responsibility by name.
 
-Pure; time is an argument [ns]. The PLC says two words, `ready` and `offline`, and its pose; it is asked nothing. So it is armed by no
-rule of this side, and everything that a gateway would have checked or told stands in `NOT_CHECKED`, for `link`, record and documents.
+Pure; time is an argument [ns]. The PLC says two words, `ready` and `offline`, and its pose; it is asked nothing. So no rule of this
+side arms it, and everything that a gateway would have checked or told stands in `NOT_CHECKED`, for `link`, record and documents.
 """
 
 from __future__ import annotations

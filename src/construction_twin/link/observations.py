@@ -146,8 +146,8 @@ class LinkObservations:
         if self.status.get("kind") == PLC and self.gateway != OFFLINE:
             return (
                 LinkEvent.MISMATCHED,
-                "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc, and read in docs/broker.md what is "
-                "not checked then",
+                "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc, and read in docs/broker.md what "
+                "is not checked then",
             )
         if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
             return LinkEvent.GATEWAY_LOST, "no gateway answers on the broker; start rsi_gateway on the cell PC"

@@ -14,7 +14,7 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 
 #: After more missed telegrams than one the gateway takes the arm to be standing, and begins from rest [ms].
-_STANDSTILL_MS = 8
+_STANDSTILL = 2
 #: Room for the last bits of differences of floating point numbers, as a fraction of a limit.
 _ROUNDING = 1e-6
 
@@ -51,7 +51,9 @@ class Excess:
 _LED = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 
 
-def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals: int) -> list[Excess]:
+def trace_excesses(
+    entries: Iterable[TraceEntry], limits: MotionLimits, decimals: int, cycle: float = CYCLE
+) -> list[Excess]:
     """Return every place where a trace leaves the limits; empty when it stays inside.
 
     Each reply is one step from the one before. An RSI session begins at rest; so does what follows two or more unanswered
@@ -64,9 +66,11 @@ def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals
         Of the axes, in the trace's order.
     decimals : int
         Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
+    cycle : float, optional
+        The controller's cycle [s].
     """
-    allowances = limits.allowances(decimals)
-    velocity = [v + allowance * CYCLE / 2 for v, allowance in zip(limits.velocity, allowances)]
+    allowances = limits.allowances(decimals, cycle)
+    velocity = [v + allowance * cycle / 2 for v, allowance in zip(limits.velocity, allowances)]
     acceleration = [a + allowance for a, allowance in zip(limits.acceleration, allowances)]
     rest = (0.0,) * len(limits.names)
     found: list[Excess] = []
@@ -75,7 +79,7 @@ def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals
     for index, entry in enumerate(entries):
         if last is None or entry.session != last.session:
             last, step = entry, rest
-        if entry.ipoc - last.ipoc > _STANDSTILL_MS:
+        if entry.ipoc - last.ipoc > _STANDSTILL * cycle * 1000:
             step = rest
         new = tuple([q - before for q, before in zip(entry.position, last.position)])
         if entry.state in _LED:
@@ -86,10 +90,10 @@ def trace_excesses(entries: Iterable[TraceEntry], limits: MotionLimits, decimals
             if not limits.lower[axis] - RANGE_SLACK <= q <= limits.upper[axis] + RANGE_SLACK:
                 end = limits.upper[axis] if q > limits.upper[axis] else limits.lower[axis]
                 found.append(Excess(index, entry.ipoc, name, "range", q, end))
-            speed = new[axis] / CYCLE
+            speed = new[axis] / cycle
             if abs(speed) > velocity[axis] * (1 + _ROUNDING):
                 found.append(Excess(index, entry.ipoc, name, "velocity", speed, velocity[axis]))
-            change = (new[axis] - step[axis]) / CYCLE**2
+            change = (new[axis] - step[axis]) / cycle**2
             if abs(change) > acceleration[axis] * (1 + _ROUNDING):
                 found.append(Excess(index, entry.ipoc, name, "acceleration", change, acceleration[axis]))
         last, step = entry, new

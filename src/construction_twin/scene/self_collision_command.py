@@ -26,9 +26,10 @@ _PART = 0.25
 def main(arguments: Sequence[str] | None = None) -> None:
     """Sample a robot's self collisions and write the file."""
     options = _parser().parse_args(arguments)
-    if options.samples < 1 or options.seed < 0 or options.processes < 1:
+    processes = cores() if options.processes is None else options.processes
+    if options.samples < 1 or options.seed < 0 or processes < 1:
         sys.exit(
-            f"self_collision: found {options.samples} samples, seed {options.seed}, {options.processes} processes; "
+            f"self_collision: found {options.samples} samples, seed {options.seed}, {processes} processes; "
             "expected 1 or more, 0 or more, 1 or more"
         )
     output = None if options.output == "-" else Path(options.output).absolute()
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _check_folder(output)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         with progress(options.samples) as report:
-            found = sample_self_collision(robot, options.samples, options.seed, options.processes, report)
+            found = sample_self_collision(robot, options.samples, options.seed, processes, report)
         text = self_collision_yaml(robot, found, options.samples, options.seed)
         if output is None:
             print(text, end="")
@@ -68,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
-    parser.add_argument("--processes", type=int, default=cores(), help="work on so many cores [all: %(default)s here]")
+    parser.add_argument("--processes", type=int, metavar="N", help="work on at most so many cores [all]")
     parser.add_argument("--no-hulls", action="store_true", help="propose no hulls")
     return parser
 

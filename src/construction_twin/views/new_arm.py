@@ -32,7 +32,7 @@ def launch_text(values: Mapping[str, str]) -> str:
     """
     lines = [
         "<launch>",
-        f"  <!-- {values['robot']}, its twin, and everything between them. Written by new_arm; the command stands in the robot YAML.",
+        f"  <!-- {values['robot']}, its twin, and what is between them. Written by new_arm; the command stands in the robot YAML.",
         "       Takes every argument of construction_twin's bringup.launch, e.g. arm:=real, gui:=true. -->",
         *(
             f"  <arg name={quoteattr(name)} default={quoteattr(values[name])}\n       doc={quoteattr(doc)}/>"

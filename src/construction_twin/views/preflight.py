@@ -17,6 +17,7 @@ CHOICES = {
     "servo": ("ideal", "realistic"),
     "protocol": ("5", "3.1.1"),
     "gateway_kind": ("rsi", "plc"),
+    "rsi_cycle": ("4", "12"),
 }
 SWITCHES = (
     "auto_approve",
@@ -115,7 +116,10 @@ def _anonymous_broker(given: Mapping[str, str], _is_file: Question, is_anonymous
 
 def _mock_without_track(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
     if is_bare(given) and given.get("arm") == "mock" and is_true(given, "track"):
-        return "track:=true with gateway_kind:=plc: the PLC of examples/plc, which is the mock arm then, has no track; give arm:=real"
+        return (
+            "track:=true with gateway_kind:=plc: the PLC of examples/plc, which is the mock arm then, has no track; give "
+            "arm:=real"
+        )
     return ""
 
 
@@ -134,9 +138,9 @@ def notes(given: Mapping[str, str]) -> list[str]:
     """Return what must be said of a start that can work, one sentence each."""
     if is_bare(given) and given.get("arm") == "real":
         return [
-            "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. Configuration, session, sequence and age "
-            "of strings, stops and speed limits are not checked, on neither side; a person is responsible for that, by name: "
-            "`rosrun construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
+            "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. Configuration, session, sequence and "
+            "age of strings, stops and speed limits are not checked, on neither side; a person is responsible for that, by "
+            "name: `rosrun construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
         ]
     return []
 

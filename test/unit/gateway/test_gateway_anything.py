@@ -88,7 +88,7 @@ class Guard:
             self.q, self.step = cell.setpoint, (0.0, 0.0)
             if reply is None:
                 return
-        if cell.step_ms > 8:
+        if cell.step_ms > 2 * cell.config.cycle:
             # under HOLDON the arm has come to a stand: the next step is one from standstill
             self.step = (0.0, 0.0)
         q = tuple(start + value for start, value in zip(cell.setpoint, reply))
@@ -96,8 +96,9 @@ class Guard:
         rounding = math.radians(10.0**-config.decimals)
         for k in range(2):
             assert config.lower[k] - 1.1e-9 <= q[k] <= config.upper[k] + 1.1e-9
-            assert abs(step[k]) <= config.velocity[k] * CYCLE + rounding + 1e-12
-            budget = (config.acceleration[k] + format_allowance(config.decimals)) * CYCLE**2
+            assert abs(step[k]) <= config.velocity[k] * config.period + rounding + 1e-12
+            allowance = format_allowance(config.decimals, cycle=config.period)
+            budget = (config.acceleration[k] + allowance) * config.period**2
             assert abs(step[k] - self.step[k]) <= budget * (1 + 1e-8) + 1e-14
         if cell.state in (State.READY, State.ARMED, State.HOLDING):
             assert step == (0.0, 0.0)
@@ -112,8 +113,14 @@ class Pilot:
         self.guard = Guard(cell)
 
     def cycle(self, **changes):
-        self.cell.cycle(**changes)
-        self.guard.check()
+        """Let the time of a command pass: a cycle of the controller, or a third of one."""
+        replies = len(self.cell.replies)
+        if changes:
+            self.cell.cycle(**changes)
+        else:
+            self.cell.pass_command()
+        if len(self.cell.replies) > replies:
+            self.guard.check()
 
     def send(self, cycles=1, acceleration=0.0, **changes):
         config = self.cell.config
@@ -233,7 +240,7 @@ class Pilot:
 
     def _skip(self, value, cycles):
         self.send()
-        self.cycle(step_ms=4 * (1 + cycles % 5))
+        self.cycle(step_ms=self.cell.config.cycle * (1 + cycles % 5))
 
     def _control(self, value, cycles):
         self.cell.control(("stop", "reset", "arm", "nonsense")[cycles % 4], value=str(value))
@@ -274,18 +281,27 @@ _EVENT = st.tuples(
     st.booleans(),
     st.sampled_from((0, 0, 2, 4)),
     st.sampled_from((0.02, 0.0213, 0.1)),
+    st.sampled_from((4, 12)),
 )
-def test_corrections_stay_inside_the_limits_whatever_arrives(events, decimals, properties, smoothing_cycles, delay):
+def test_corrections_stay_inside_the_limits_whatever_arrives(
+    events, decimals, properties, smoothing_cycles, delay, cycle
+):
     cell = Cell(
-        decimals=decimals, properties=properties, smoothing_cycles=smoothing_cycles, playout_delay=delay, silence=0.06
+        decimals=decimals,
+        properties=properties,
+        smoothing_cycles=smoothing_cycles,
+        playout_delay=delay,
+        silence=0.06,
+        cycle=cycle,
     )
     pilot = Pilot(cell)
-    pilot.cycle()
+    for _ in range(cycle // 4):
+        pilot.cycle()
     cell.arm()
     for event in events:
         pilot.do(*event)
     # and whatever it was, silence ends it
-    for _ in range(600):
+    for _ in range(600 * (cycle // 4)):
         pilot.cycle()
     assert cell.state not in (State.FOLLOWING, State.BRAKING)
     if cell.replies[-1] is not None:

@@ -189,6 +189,24 @@ def test_an_unknown_setting_is_refused(robot, settings):
         gateway_config(robot, settings | {"colour": "orange"})
 
 
+def test_timeout_is_counted_in_cycles_as_the_controller_does(robot, settings):
+    assert gateway_config(robot, settings).timeout == 0.4
+    assert gateway_config(robot, settings | {"cycle": 12}).timeout == 1.2
+    assert gateway_config(robot, settings | {"cycle": 12, "timeout": 10}).timeout == 0.12
+
+
+@pytest.mark.parametrize("timeout", [0.4, 0, -1, True, "100", None])
+def test_a_timeout_in_seconds_is_refused_with_what_it_is(robot, settings, timeout):
+    with pytest.raises(ConfigurationError, match="timeout: .*a whole number of cycles, 1 or more, as Timeout of the"):
+        gateway_config(robot, settings | {"timeout": timeout})
+
+
+@pytest.mark.parametrize("cycle", [8, "4", 4.0, None])
+def test_a_cycle_that_rsi_does_not_have_is_refused(robot, settings, cycle):
+    with pytest.raises(ConfigurationError, match="cycle: .*expected 4 or 12 ms"):
+        gateway_config(robot, settings | {"cycle": cycle})
+
+
 # -- the Ethernet XML --------------------------------------------------------------------------------------------------
 
 FILE = (ROOT / "krl" / "ethernet" / "ctwin_ethernet.xml").read_text()

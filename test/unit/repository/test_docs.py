@@ -30,6 +30,7 @@ from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.execution.states import TABLE, ExecutorEvent, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
+from construction_twin.link.bare_supervisor import NOT_CHECKED
 from construction_twin.link.remote_review import PlanView, review_answer
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
@@ -158,6 +159,12 @@ def test_keys_of_plan_review_and_account_files_are_documented():
     assert sorted(keys - code_words(BROKER)) == []
 
 
+def test_what_is_not_checked_with_a_bare_plc_is_documented_word_for_word():
+    table = BROKER.split("| not checked | so |")[1].split("\n\n")[0]
+    rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", table, re.MULTILINE)
+    assert tuple(sentence for sentence, _ in rows) == NOT_CHECKED and all(so.strip() for _, so in rows)
+
+
 def test_roles_and_their_topics_are_documented():
     rows = dict(re.findall(r"^\| (\w+)(?: \(`--plc`\))? \| `kr120-.*?\| (.*) \|$", BROKER, re.MULTILINE))
     assert set(rows) == {*ROLES, PLC}
@@ -176,6 +183,8 @@ def test_roles_and_their_topics_are_documented():
         "ros/commands/export_gateway_config",
         "broker/start",
         "broker/make_site",
+        "ros/commands/new_arm",
+        "scene/self_collision_command",
         "views/arguments",
     ],
 )

@@ -31,7 +31,8 @@ PACKAGE = ROOT / "src" / "construction_twin"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 LIBRARY = [path for path in SOURCES if "ros" not in path.relative_to(PACKAGE).parts]
 NODES = sorted(path for path in (ROOT / "nodes").iterdir() if path.is_file()) + [
-    ROOT / "examples/separation/separation"
+    ROOT / "examples/separation/separation",
+    ROOT / "examples/plc/plc",
 ]
 LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -47,7 +48,7 @@ GENERATED = {"msg", "srv", "action"}
 DEPLOYMENT = {
     "executor": {"arm", "auto_approve", "review_file", "neighbour", "realtime_priority"},
     "separation": set(),
-    "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
     "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},

@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import math
 import random
+import re
 import sys
 from pathlib import Path
 
 import pytest
 from bare_plc import AXES, CYCLE, DELAY, HOME, MOST, QUIET, SILENCE, START_TOLERANCE, Axis, BarePlc, State
+from blark.parse import parse_source_code
 
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import read_robot_files
@@ -26,8 +28,7 @@ class Cell:
     """A PLC, its clock, and a sender that sends a string per cycle."""
 
     def __init__(self, axes=SLOW, start=(0.0, 0.0), delay=3):
-        self.plc = BarePlc(axes, start, delay=delay)
-        self.axes = axes
+        self.axes, self.plc = axes, BarePlc(axes, start, delay=delay)
         self.now = 100.0
         self.poses = [self.plc.position]
         self.words = [self.plc.word]
@@ -188,6 +189,48 @@ def test_its_limits_home_and_string_are_the_arm_s():
     assert len(AXES) == len(robot.lower) and HOME == pytest.approx(tuple(map(math.degrees, robot.home)))
     assert BarePlc(AXES, HOME).joint_string == JointStringCodec.of(robot, 3).encode(robot.home)
     assert BarePlc(AXES, (-1e-5,) * 6).joint_string == b",".join([b"+000.000"] * 6)
+
+
+STRUCTURED_TEXT = ROOT / "examples/plc/bare_plc.st"
+
+
+def structured_text(text: str):
+    """Return the program in Structured Text, as a tree; raises when it is none."""
+    return parse_source_code(text).transform()
+
+
+def test_structured_text_is_parsed_and_says_that_it_was_only_parsed():
+    text = STRUCTURED_TEXT.read_text()
+    names = [str(getattr(item, "name", "")) for item in structured_text(text).items]
+    assert names[-3:] == ["F_ReadField", "F_WriteField", "FB_BarePlc"]
+    assert "THIS FILE HAS ONLY BEEN PARSED, never compiled and never run" in text and "NOT SAFETY RATED" in text
+
+
+@pytest.mark.parametrize("change", [(" THEN", ""), ("END_FOR", ""), (":= 0.0;", ":= 0.0"), ("nAxis :", "nAxis")])
+def test_structured_text_that_is_broken_is_not_parsed(change):
+    with pytest.raises(ValueError, match="not successfully parsed"):
+        structured_text(STRUCTURED_TEXT.read_text().replace(*change, 1))
+
+
+def test_structured_text_has_the_same_numbers_and_refuses_for_the_same_reasons():
+    text = STRUCTURED_TEXT.read_text()
+    constants = {
+        name: float(value) for name, value in re.findall(r"^    (\w+) : L?(?:REAL|INT) := ([\d.]+);", text, re.M)
+    }
+    assert constants == {
+        "CYCLE": CYCLE,
+        "SILENCE": round(SILENCE / CYCLE),
+        "QUIET": round(QUIET / CYCLE),
+        "START_TOLERANCE": START_TOLERANCE,
+        "DIGIT": 0.001,
+        "DELAY": DELAY,
+        "MOST": MOST,
+    }
+    assert f"stQueue : ARRAY[0..{MOST - 1}] OF ST_Pose" in text
+    python = (ROOT / "examples/plc/bare_plc.py").read_text()
+    reasons = set(re.findall(r"return \"(\w+)\"$", python, re.M))
+    assert {reason.replace(" ", "_") for reason in re.findall(r"'refused: ([a-z ]+)'", text)} == reasons
+    assert {"format", "range", "start", "step"} <= reasons
 
 
 def test_it_needs_paho_and_nothing_else():

@@ -131,4 +131,6 @@ def test_a_repository_in_a_path_with_a_space_is_one_sentence(tmp_path):
     shutil.copy(ROOT / "setup" / "setup.sh", folder)
     run = subprocess.run(["bash", str(folder / "setup.sh")], capture_output=True, text=True, timeout=60)
     assert run.returncode == 1 and run.stdout == "" and run.stderr.count("\n") == 1
-    assert run.stderr.startswith(f"[setup] cannot go on: the path {folder.parent} holds a space, and catkin, which builds ROS")
+    assert run.stderr.startswith(
+        f"[setup] cannot go on: the path {folder.parent} holds a space, and catkin, which builds ROS"
+    )

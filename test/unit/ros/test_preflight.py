@@ -84,6 +84,21 @@ def test_broken_contents_are_one_sentence_with_the_file_and_what_was_expected(tm
     assert "\n" not in said and "Traceback" not in said
 
 
+@pytest.mark.parametrize("words", [["accelerations"], ["accelerations", "axes"]])
+def test_a_real_arm_does_not_move_by_estimates(tmp_path, words):
+    described = yaml.safe_load(Path(KR120["robot_config"]).read_text()) | {"estimates": words}
+    file = tmp_path / "estimated.yaml"
+    file.write_text(yaml.safe_dump(described))
+    given = KR120 | {"robot_config": str(file)}
+    assert preflight.contents_problem(given | {"arm": "mock"}) == ""
+    assert preflight.contents_problem(given | {"arm": "none"}) == ""
+    said = preflight.contents_problem(given | {"arm": "real"})
+    assert said.startswith(
+        f"robot_config:={file}: estimates: found {words}, expected none with arm:=real: put in the right"
+    )
+    assert "acceleration_deg_s2" in said and ("rsi, sign" in said) == ("axes" in words)
+
+
 def test_a_range_that_the_wire_cannot_carry_is_refused(tmp_path):
     described = yaml.safe_load(Path(TRACK["robot_config"]).read_text())
     described["joints"]["track"]["offset_mm"] = 99_000.0

@@ -17,6 +17,7 @@ from construction_twin.rsi.ethernet_xml import (
     load_ethernet_xml,
     read_ethernet_xml,
 )
+from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
 from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 
@@ -216,3 +217,24 @@ def test_a_mutated_file_is_read_or_refused_and_never_anything_else(data):
     else:
         assert {"AIPos", "ASPos"} <= set(layout.send)
         assert layout.onlysend or {f"AK.{axis}" for axis in AXES} <= set(layout.receive)
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        ("A1", "A2", "A3", "A4"),
+        ("E1", "A1", "A2", "A3", "A4", "A5", "A6"),
+        ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2"),
+    ],
+)
+def test_a_written_file_serves_gateway_and_mock(axes):
+    ethernet = read_ethernet_xml(ethernet_xml_text(axes), "written")
+    check_gateway(ethernet.layout, axes, "written")
+    assert ethernet.layout.receive == ("Stop", *(f"{'EK' if axis[0] == 'E' else 'AK'}.{axis}" for axis in sorted(axes)))
+    assert ("EIPos" in ethernet.layout.send) == ("E1" in axes)
+    assert ethernet.layout.holdon == (False, *(True for _ in axes))
+
+
+def test_a_controller_that_sends_only_is_written_too():
+    layout = read_ethernet_xml(ethernet_xml_text(("A1", "A2"), receives=False), "written").layout
+    assert layout.onlysend and layout.receive == ()

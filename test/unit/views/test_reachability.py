@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inverse_cases import SEARCHED, make_inverse
 from planning_cell import CHAIN, HOME, ROBOT, WALL, solver, world
 
 from construction_twin.core.motion_errors import KinematicsError, OrientationError, UnreachableError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.ros.shared.tool_marker_shapes import COLOURS
 from construction_twin.scene.objects import SceneObject
 from construction_twin.views.reachability import Reach, judge_pose, why_out
 
@@ -43,6 +45,15 @@ def test_a_joint_in_the_way_is_named_with_its_range():
 
 def test_too_close_is_another_advice():
     assert why_out(UnreachableError(0.25, too_close=True), ROBOT) == "too close by 250 mm; move it further away"
+
+
+def test_what_was_not_found_is_not_called_out_of_reach():
+    hurried = make_inverse(SEARCHED, seeds=2, iterations=1)
+    pose = hurried.chain.forward(np.radians([40, -60, 70, 30, 50, 20]))
+    verdict = judge_pose(pose, SEARCHED.home, hurried, FREE)
+    assert verdict.reach is Reach.UNKNOWN and verdict.q is None
+    assert verdict.sentence == "no joint values found in 60 s; there may be some"
+    assert COLOURS[Reach.UNKNOWN] != COLOURS[Reach.OUT]
 
 
 def test_a_pose_in_the_floor_names_the_pair():

@@ -22,7 +22,7 @@ from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free
 from construction_twin.core.validation import configuration_error
 from construction_twin.mqtt.account import load_account
-from construction_twin.robot.description import RobotModel, load_robot
+from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.shared.gateway_config import gateway_config
@@ -60,6 +60,17 @@ def _read_robot(given: Given) -> RobotModel:
     return load_robot(urdf, description | {"name": given["robot"]})
 
 
+def _check_estimates(given: Given, robot: RobotModel) -> None:
+    """Refuse to move a real arm by values that nobody has looked up."""
+    if given.get("arm") == "real" and robot.estimates:
+        keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
+        raise ConfigurationError(
+            "estimates",
+            list(robot.estimates),
+            f"none with arm:=real: put in the right values of {keys}, then take the words out",
+        )
+
+
 def _check_self_collision(given: Given, robot: RobotModel) -> None:
     read_self_collision(given["self_collision"], robot)
 
@@ -71,7 +82,8 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     path = given["ethernet_xml"]
     load_ethernet_xml(path)
     settings = _mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
-    given_here = {"decimals": int(given["decimals"]), "ethernet_xml": read_text(path)}
+    cycle = int(given.get("rsi_cycle", "4"))
+    given_here = {"decimals": int(given["decimals"]), "cycle": cycle, "ethernet_xml": read_text(path)}
     gateway_config(robot, settings | given_here)
 
 
@@ -125,6 +137,7 @@ def _check_results(given: Given, _robot: RobotModel) -> None:
 
 #: What is checked of a file's contents, by the argument that names it, in this order; each raises a ConstructionTwinError.
 CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
+    ("robot_config", _check_estimates),
     ("self_collision", _check_self_collision),
     ("ethernet_xml", _check_ethernet_xml),
     ("scene", _check_scene),

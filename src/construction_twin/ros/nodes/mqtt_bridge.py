@@ -55,7 +55,10 @@ from construction_twin.srv import TakeResponsibility, TakeResponsibilityResponse
 #: Period at which the link is polled [s].
 POLL = 0.02
 #: What `halt` answers with a bare PLC, which takes no control message.
-HALTED_PLC = "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; a person arms again, by name"
+HALTED_PLC = (
+    "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; a person arms "
+    "again, by name"
+)
 #: Parameter in the robot's namespace: whether the arm leads. A node that is started again goes on with it.
 MIRROR_MODE = "mirror_mode"
 

@@ -16,6 +16,9 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
 
+#: Timeout of the ETHERNET object in every context that is known to be used with ROS [cycles] (docs/rsi.md, section 5).
+TIMEOUT = 100
+
 
 def config_from_parameters(namespace: str = "", needs_xml: bool = True) -> GatewayConfig:
     """Return the configuration that a namespace's `robot_description`, `robot` and `gateway` parameters describe.
@@ -49,7 +52,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         Its joint ranges are turned into ranges of the controller's axes (sign and offset).
     settings : Mapping
         The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `ethernet_xml`: the text
-        of the controller's Ethernet XML.
+        of the controller's Ethernet XML; `timeout` is a number of the controller's cycles, which its ETHERNET object counts.
 
     Returns
     -------
@@ -68,6 +71,10 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         ethernet = read_ethernet_xml(settings.pop("ethernet_xml"), "Ethernet XML")
         check_gateway(ethernet.layout, axes, ethernet.where)
         settings["layout"] = ethernet.layout
+    timeout, cycle = settings.pop("timeout", TIMEOUT), settings.get("cycle", 4)
+    if type(timeout) is not int or timeout < 1:
+        expected = "a whole number of cycles, 1 or more, as Timeout of the controller's ETHERNET object"
+        raise ConfigurationError("timeout", timeout, expected)
     ends = [
         sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
         for axis, low, high in zip(robot.axes, robot.lower, robot.upper)
@@ -81,6 +88,8 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
             velocity=robot.velocity,
             acceleration=robot.acceleration,
             linear=tuple(axis.rsi for axis, linear in zip(robot.axes, robot.linear) if linear),
+            # what is no cycle is refused there, with its name
+            timeout=timeout * cycle / 1000 if type(cycle) is int and cycle > 0 else 0.4,
             **settings,
         )
     except TypeError as error:

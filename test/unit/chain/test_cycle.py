@@ -1,0 +1,96 @@
+"""The whole chain with a controller at 12 ms, on a simulated clock: executor, gate, twin and bridge stay at 250 Hz."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+from chain_samples import REACH, ROBOT, assert_corrections_inside_limits, make_chain, make_plan, play_to_the_end
+from simulation import SimulatedChain, SimulatedLink
+
+from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS
+from construction_twin.evaluation.summary import evaluate
+from construction_twin.evaluation.tables import error_table
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.link.states import LinkState
+from construction_twin.mock.faults import Fault
+from construction_twin.monitor.states import SyncState
+
+
+def table(chain: SimulatedChain) -> tuple[float, float]:
+    """Return the largest error [rad] once the lag is removed, and the lag [ns]."""
+    result = evaluate(chain.recording())
+    errors = error_table(result.alignments["lag_removed"], ROBOT.joint_names)
+    return max(figures["max_rad"] for figures in errors.values()), result.lag_ns
+
+
+def test_a_task_is_followed_exactly_and_the_lag_is_that_of_two_cycles():
+    chain = make_chain(6, cycle=12)
+    play_to_the_end(chain, make_plan(chain, REACH, duration=10.0, waypoints=200))
+    error, lag = table(chain)
+    # AIPos of packet k answers reply k - 3; its command stamp is that of reply k - 1
+    assert lag == pytest.approx(24_000_000, abs=LAG_TOLERANCE_NS)
+    assert error <= 1.1e-8
+    counters, mock = chain.gateway.counters, chain.controller.counters
+    assert counters["telegrams"] == pytest.approx(len(chain.twin_poses) / 3, abs=60)
+    for name in ("settling", "cycles_without_command", "ipoc_steps_irregular", "commands_lost", "stops_refused"):
+        assert counters[name] == 0, name
+    assert (mock["missed"], chain.controller.reason) == (0, "")
+    assert np.allclose(chain.controller.measured, REACH, atol=1e-8)
+    assert_corrections_inside_limits(chain)
+
+
+@pytest.mark.parametrize("decimals", [3, 6])
+def test_full_speed_stays_inside_the_limits_of_12_ms(decimals):
+    chain = make_chain(decimals, cycle=12)
+    play_to_the_end(chain, make_plan(chain, REACH, speed_scale=0.9, acceleration_scale=0.9))
+    assert (chain.gateway.counters["settling"], chain.supervisor.state) == (0, LinkState.ARMED)
+    assert_corrections_inside_limits(chain)
+
+
+@pytest.mark.parametrize("phase", [0, 3_900_000, 4_100_000, 11_000_000])
+def test_where_the_controllers_cycle_begins_does_not_matter(phase):
+    chain = make_chain(6, cycle=12, link=SimulatedLink(phase=phase))
+    play_to_the_end(chain, make_plan(chain, REACH, speed_scale=0.6))
+    assert table(chain)[0] <= 1.1e-8
+    assert chain.gateway.status()["playout"]["delay_ms"] == 20.0
+    assert_corrections_inside_limits(chain)
+
+
+def test_jitter_and_drift_are_absorbed_as_at_4_ms():
+    jitter = random.Random(4)
+    link = SimulatedLink(command_delay=lambda: jitter.randrange(10_000_000, 30_000_001), drift_ppm=200.0)
+    chain = make_chain(6, cycle=12, link=link)
+    chain.run_for(3.0)
+    dry = chain.gateway.counters["cycles_without_command"]
+    play_to_the_end(chain, make_plan(chain, REACH, duration=30.0, waypoints=300))
+    assert (chain.gateway.counters["cycles_without_command"], chain.gateway.counters["settling"]) == (dry, 0)
+    assert chain.gateway.status()["playout"]["delay_ms"] <= 40.0
+    assert_corrections_inside_limits(chain)
+
+
+def test_a_silent_stream_brakes_the_arm_and_reset_brings_everything_back():
+    chain = make_chain(6, cycle=12)
+    chain.play(make_plan(chain, REACH, speed_scale=0.6))
+    chain.run_for(1.5)
+    chain.supervisor.on_connection(False)
+    assert chain.run_until(lambda: chain.gateway.state.value == "holding", 3.0)
+    assert chain.gateway.status()["stop"]["cause"] == "silence"
+    assert_corrections_inside_limits(chain)
+    chain.supervisor.on_connection(True)
+    chain.run_for(0.5)
+    chain.supervisor.request_reset(chain.now)
+    assert chain.run_until(lambda: chain.ready, 5.0), chain.supervisor.reason
+    play_to_the_end(chain, make_plan(chain, REACH, speed_scale=0.6))
+    assert np.allclose(chain.controller.measured, REACH, atol=1e-7)
+
+
+def test_a_stalled_joint_closes_the_gate():
+    chain = make_chain(6, cycle=12)
+    chain.play(make_plan(chain, REACH, speed_scale=0.5))
+    chain.run_for(1.0)
+    assert chain.gate.state is SyncState.IN_SYNC and chain.executor.state is ExecutorState.PLAYING
+    chain.faults.inject(Fault("stall", "A3"))
+    assert chain.run_until(lambda: chain.gate.state is SyncState.HOLDING, 2.0)
+    assert "joint_a3" in chain.gate.reason

@@ -1,0 +1,237 @@
+"""Six joints with a closed form of any kind: every branch, the nearest, arms that are only near a kind, and why there is none."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inverse_cases import (
+    KR120,
+    PANDA_LIKE,
+    SEARCHED,
+    TRACK,
+    UR_LIKE,
+    arm_of,
+    assert_solves,
+    changed,
+    joints,
+    make_inverse,
+)
+from scipy.spatial.transform import Rotation
+
+from construction_twin.core.motion_errors import (
+    BranchError,
+    JointRangeError,
+    KinematicsError,
+    NotFoundError,
+    UnreachableOrientationError,
+)
+from construction_twin.kinematics.axes import joint_axes
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.decomposition import ClosedForm, NoClosedForm, find_closed_form
+from construction_twin.kinematics.figures import Problem, brute_force
+from construction_twin.kinematics.inverse import Configuration
+from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.redundant import RedundantInverse
+from construction_twin.kinematics.subproblems import SubproblemInverse
+
+Z, Y, X = "0 0 1", "0 1 0", "1 0 0"
+NONE = "0 0 0"
+#: Arms of different kinds: origin and axis of each joint.
+ARMS = {
+    "UR-like": UR_LIKE,
+    "2 and 3 parallel, axis 4 oblique": [
+        ("0 0 .4", Z), (".1 0 0", Y), ("0 0 .6", Y), (".1 0 .5", "1 .3 0"), (NONE, Y), (NONE, X)
+    ],
+    "1 and 2 parallel": [("0 0 .4", Z), (".5 0 0", Z), (".4 0 0", Y), (".1 0 .5", X), (NONE, Y), (NONE, X)],
+    "1 and 2 meet": [("0 0 .4", Z), (NONE, Y), (".5 .1 0", X), (".1 .4 .2", X), (NONE, Y), (NONE, X)],
+    "shoulder in a point": [("0 0 .4", Z), (NONE, Y), (NONE, Z), ("0 .05 .5", Y), (".5 0 .1", Y), ("0 .1 .2", Z)],
+    "1, 2 and 3 parallel": [("0 0 .4", Z), (".5 0 .1", Z), (".4 0 0", Z), (".1 0 0", X), ("0 0 .2", Y), (NONE, X)],
+    "3, 4 and 5 parallel": [("0 0 .4", Z), (NONE, X), ("0 .1 .3", Y), ("0 0 .5", Y), (".3 0 .1", Y), (".1 .1 0", Z)],
+}  # fmt: skip
+ARMS = {
+    name: arm_of("made", [(xyz, NONE, axis) for xyz, axis in arm]) if isinstance(arm, list) else arm
+    for name, arm in ARMS.items()
+}
+INVERSES = {name: make_inverse(robot) for name, robot in ARMS.items()}
+UR = INVERSES["UR-like"]
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_each_of_these_arms_has_an_exact_closed_form(name):
+    inverse = INVERSES[name]
+    assert isinstance(inverse, SubproblemInverse) and inverse.form.exact
+    assert inverse.kind.name == "closed form" and "axes" in inverse.kind.why
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_every_reachable_pose_is_solved_and_no_known_solution_is_nearer(name):
+    inverse = INVERSES[name]
+
+    @given(joints(ARMS[name]), joints(ARMS[name]))
+    @settings(max_examples=40, deadline=None)
+    def check(q, seed):
+        pose = inverse.chain.forward(q)
+        solution = inverse.nearest(pose, seed)
+        assert_solves(inverse.chain, solution, pose, seed)
+        if np.linalg.svd(inverse.chain.jacobian(q), compute_uv=False)[-1] > 1e-3:
+            assert solution.distance <= np.linalg.norm(np.subtract(q, seed)) + 1e-5
+
+    check()
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_nearest_is_the_one_that_a_brute_force_finds(name):
+    inverse = INVERSES[name]
+    search = brute_force(inverse.chain, np.random.default_rng(1), 60)
+    robot = ARMS[name]
+    for q, seed in np.random.default_rng(2).uniform(robot.lower, robot.upper, (3, 2, 6)):
+        pose = inverse.chain.forward(q)
+        assert inverse.nearest(pose, seed).distance <= search(Problem(pose, seed)) + 1e-5
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_all_are_in_order_apart_and_complete(name):
+    inverse, robot = INVERSES[name], ARMS[name]
+    q, seed = np.random.default_rng(3).uniform(robot.lower, robot.upper, (2, 6))
+    pose = inverse.chain.forward(q)
+    solutions = inverse.all(pose, seed)
+    assert [one.distance for one in solutions] == sorted(one.distance for one in solutions)
+    assert solutions[0].distance == pytest.approx(inverse.nearest(pose, seed).distance, abs=1e-9)
+    for one in solutions:
+        assert_solves(inverse.chain, one, pose, seed)
+    found = np.array([one.q for one in solutions])
+    solver = NumericInverse(inverse.chain, inverse.settings, np.random.default_rng(4), lambda: 0.0)
+    for one in solver.all(pose, seed):
+        assert np.abs(found - one.q).max(axis=1).min() < 1e-3
+
+
+def test_a_ur_has_eight_branches_and_every_whole_turn_of_each():
+    q = np.array([0.4, -1.1, 0.9, -0.3, 1.2, 2.0])
+    solutions = UR.all(UR.chain.forward(q), np.zeros(6))
+    assert len(solutions) == 8 * 32  # five joints of two turns each
+
+
+@given(joints(UR_LIKE), joints(UR_LIKE), st.sampled_from([0.0, 1e-9, 1e-7, math.pi]))
+@settings(max_examples=25, deadline=None)
+def test_singular_wrists_are_solved(q, seed, wrist):
+    q = (*q[:4], wrist, q[5])
+    pose = UR.chain.forward(q)
+    assert_solves(UR.chain, UR.nearest(pose, seed), pose, seed)
+
+
+@pytest.mark.parametrize("elbow", [0.0, 1e-9, -1e-9, 1e-7, 1e-5])
+def test_a_stretched_elbow_is_solved_and_kept(elbow):
+    for q in np.random.default_rng(5).uniform(UR_LIKE.lower, UR_LIKE.upper, (20, 6)):
+        q[2] = elbow
+        pose = UR.chain.forward(q)
+        solution = UR.nearest(pose, q)
+        assert_solves(UR.chain, solution, pose, q)
+        assert solution.distance < 1e-3
+
+
+#: A UR as its maker calibrates it, and worse: tilted axes, lengths off.
+NEAR = [
+    changed("elbow", rpy="0.0001 0 0.0001", robot=UR_LIKE),
+    changed("elbow", rpy="0.004 0 0.003", robot=UR_LIKE),
+    changed("wrist_3", xyz="0.002 0.001 -0.12", rpy="0.002 0.003 0", robot=UR_LIKE),
+    changed("wrist_1", xyz="0.57 0.002 0.001", rpy="-0.003 0 0.002", robot=UR_LIKE),
+    changed("joint_a5", xyz="0.0 0.002 0.001"),
+    changed("joint_a5", xyz="0.0 0.002 0.001", rpy="0.003 0 0.002"),
+]
+
+
+def test_an_arm_may_miss_its_kind_by_a_little_but_not_by_more():
+    kinds = [make_inverse(robot).kind for robot in NEAR]
+    assert {kind.name for kind in kinds} == {"closed form"}
+    assert sum("to within" in kind.why for kind in kinds) >= 4
+    assert make_inverse(changed("elbow", rpy="0.02 0 0", robot=UR_LIKE)).kind.name == "search"
+
+
+@pytest.mark.parametrize("robot", NEAR)
+def test_an_arm_near_a_kind_is_solved_exactly(robot):
+    inverse = make_inverse(robot)
+    assert isinstance(inverse, SubproblemInverse) and inverse.form.exact == ("to within" not in inverse.kind.why)
+    nearer = 0
+    draws = np.random.default_rng(6).uniform(robot.lower, robot.upper, (40, 2, 6))
+    for q, seed in draws:
+        pose = inverse.chain.forward(q)
+        solution = inverse.nearest(pose, seed)
+        assert_solves(inverse.chain, solution, pose, seed)
+        nearer += solution.distance <= np.linalg.norm(q - seed) + 1e-5
+    assert nearer == len(draws)
+
+
+def test_a_tilt_of_rounding_is_no_reason_to_search():
+    robot = changed("elbow", rpy="1e-9 0 1e-10", robot=UR_LIKE)
+    assert make_inverse(robot).kind.name == "closed form"
+
+
+@pytest.mark.parametrize(
+    "robot, reason",
+    [
+        (SEARCHED, r"axes 4, 5 and 6 meet in a point .* they miss by \d+ mm"),
+        (changed("elbow", rpy="0.02 0 0", robot=UR_LIKE), r"axes 2, 3 and 4 are parallel .* and 0\.\d+ deg"),
+    ],
+)
+def test_an_arm_of_no_kind_is_told_what_is_missing(robot, reason):
+    found = find_closed_form(Chain(robot), joint_axes(Chain(robot)))
+    assert isinstance(found, NoClosedForm)
+    inverse = make_inverse(robot)
+    assert isinstance(inverse, NumericInverse) and inverse.kind.why == found.reason
+    assert re.search(reason, found.reason), found.reason
+
+
+def test_a_model_that_is_exact_is_the_arm():
+    for robot in (KR120, UR_LIKE):
+        chain = Chain(robot)
+        form = find_closed_form(chain, joint_axes(chain))
+        assert isinstance(form, ClosedForm) and form.exact and form.misses == 0.0
+        for q in np.random.default_rng(7).uniform(robot.lower, robot.upper, (5, 6)):
+            reached = form.solver().fwdkin(q)
+            np.testing.assert_allclose(reached[:3, 3], chain.forward(q).position, atol=1e-9)
+
+
+def test_wrong_numbers_of_joints_have_no_closed_form():
+    assert isinstance(find_closed_form(Chain(PANDA_LIKE), joint_axes(Chain(PANDA_LIKE))), NoClosedForm)
+    assert not isinstance(make_inverse(TRACK), RedundantInverse)
+
+
+def test_a_position_within_reach_in_no_such_orientation_says_so():
+    rng = np.random.default_rng(8)
+    stretched = UR.chain.forward([0.0, 0.0, 0.2, 0.0, 0.3, 0.0])
+    seen = set()
+    for quaternion in rng.normal(size=(40, 4)):
+        turned = Pose(stretched.position, Rotation.from_quat(quaternion).as_matrix())
+        try:
+            UR.nearest(turned, UR_LIKE.home)
+        except KinematicsError as error:
+            seen.add(type(error))
+            assert "whatever the joint ranges; its position can, turn the target" in str(error)
+    assert seen == {UnreachableOrientationError}
+
+
+def test_what_a_search_does_not_find_is_not_called_impossible():
+    error = NotFoundError(12, 0.5, 0.003, 0.02, "with a1 at 3.0 it would be")
+    assert str(error).startswith(
+        "no joint solution was found in the time given (0.5 s, 12 starting points); it may still be"
+    )
+    assert "3.000 mm" in str(error) and "with a1 at 3.0" in str(error)
+    assert "attempt" not in str(NotFoundError(0, 0.5, math.inf, math.inf))
+
+
+@pytest.mark.parametrize("ask", [UR.nearest, UR.all])
+def test_bad_seeds_poses_and_configurations_are_refused(ask):
+    home = UR.chain.forward(UR_LIKE.home)
+    with pytest.raises(JointRangeError, match="pan"):
+        ask(home, (9.0, *UR_LIKE.home[1:]))
+    with pytest.raises(KinematicsError, match="finite"):
+        ask(Pose(np.array([math.nan, 0.0, 0.0]), np.eye(3)), UR_LIKE.home)
+    with pytest.raises(KinematicsError, match="right-handed"):
+        ask(Pose(np.array([9.0, 0.0, 0.5]), -np.eye(3)), UR_LIKE.home)
+    with pytest.raises(BranchError, match="no meaning"):
+        ask(home, UR_LIKE.home, Configuration.parse("up"))
