@@ -120,9 +120,9 @@ def _worth(chain: Chain, q: np.ndarray) -> float:
         + min(0.0, height - 0.15)
         # the arm off the floor
         + raised
-        - 0.2 * float(tip.rotation[2, 2])
+        - 0.3 * float(tip.rotation[2, 2])
         + 0.5 * min(0.25, ends)
         # round numbers, and few of them
-        - 0.04 * float(turned.sum())
-        - 0.05 * int((turned > 1e-9).sum())
+        - 0.02 * float(turned.sum())
+        - 0.03 * int((turned > 1e-9).sum())
     )
