@@ -6,15 +6,13 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from xml.etree import ElementTree
-from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 import rosgraph
 import yaml
-from rosmaster.master import Master
+from ros_master import Node, ros_master
 
 from construction_twin.ros.commands import preflight
 from construction_twin.views.roslaunch_call import RoslaunchCall
@@ -147,33 +145,11 @@ def test_what_the_package_ships_is_fine(tmp_path):
 # -- what runs already
 
 
-class Node:
-    """A process that has registered as a node: it answers `getPid`, like every node."""
-
-    def __init__(self, master: str, name: str):
-        self.server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
-        self.server.register_function(lambda _caller: (1, "", 4711), "getPid")
-        self._thread = threading.Thread(target=self.server.serve_forever, args=(0.01,))
-        self._thread.start()
-        uri = f"http://127.0.0.1:{self.server.server_address[1]}"
-        rosgraph.Master(name, master).registerPublisher("/t", "std_msgs/String", uri)
-
-    def end(self) -> None:
-        self.server.shutdown()
-        self._thread.join()
-        self.server.server_close()
-
-
 @pytest.fixture
 def master(monkeypatch):
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    running = Master(port=port)
-    running.start()
-    yield running.uri
-    running.stop()
+    with ros_master() as uri:
+        yield uri
 
 
 def test_a_robot_that_runs_already_is_refused_with_who_runs_it(master):
@@ -198,8 +174,7 @@ def test_a_node_that_was_killed_and_is_still_registered_is_no_running_one(master
     assert preflight.running_problem({"robot": "kr120"}, master) == ""
 
 
-def test_a_node_that_does_not_answer_may_live(master, monkeypatch):
-    monkeypatch.setattr("construction_twin.ros.shared.master.NODE_TIMEOUT", 0.2)
+def test_a_node_that_does_not_answer_may_live(master):
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         mute.listen()
