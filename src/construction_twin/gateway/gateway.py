@@ -239,11 +239,11 @@ class Gateway:
         """Say that something sends of which nothing can be read: once a second, and as a change when it is for another reason."""
         if now < self._unread_told_at + NANOSECONDS:
             return
-        reason, why = self.refusals.last_unread
-        self._machine.add(f"datagrams refused: {self.refusals.unread}, the last one for {reason}: {why}")
-        if reason != self._unread_told:
+        last = self.refusals.last_unread
+        self._machine.add(f"datagrams refused: {self.refusals.unread}, the last one for {last.reason}: {last.why}")
+        if last.reason != self._unread_told:
             self._machine.changed = True
-        self._unread_told, self._unread_told_at = reason, now
+        self._unread_told, self._unread_told_at = last.reason, now
 
     def _judge_clock(self) -> None:
         wrong = self.clock.judge()

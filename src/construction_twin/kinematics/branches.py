@@ -24,6 +24,7 @@ from construction_twin.kinematics.solution import (
 )
 from construction_twin.robot.description import JointValues
 
+_HALF_TURN = 0.5 * TURN
 #: Candidates that miss the pose by less than this are refined; the others are not solutions [m], [rad].
 _REFINABLE = 1e-3
 
@@ -46,7 +47,9 @@ class BranchInverse(InverseKinematics, abc.ABC):
         ranges = [(joint, lower, upper) for joint, (lower, upper) in enumerate(self._slack)]
         self._narrow_first = sorted(ranges, key=lambda bounds: bounds[2] - bounds[1])
 
-    def nearest_turn(self, branch: Sequence[float], seed: Sequence[float]) -> tuple[float, list[float]] | None:
+    def nearest_turn(
+        self, branch: Sequence[float], seed: JointValues, most: float = math.inf
+    ) -> tuple[float, list[float]] | None:
         """Return squared distance and joint values of a branch with the whole turns nearest to the seed; None: out of range.
 
         Parameters
@@ -55,15 +58,19 @@ class BranchInverse(InverseKinematics, abc.ABC):
             nan in the joint with the narrowest range: there is no such branch.
         seed : sequence of float, length n
             Within the ranges.
+        most : float
+            A squared distance above which the branch is of no interest, and None is returned.
         """
         # plain floats, and the joint with the narrowest range first, because most branches fail at the first or second joint
         square = 0.0
         q = [0.0] * len(branch)
         for joint, lower, upper in self._narrow_first:
             value, near = branch[joint], seed[joint]
-            if value != value:  # nan
-                return None
-            value += TURN * round((near - value) / TURN)
+            away = near - value
+            if not -_HALF_TURN <= away <= _HALF_TURN:
+                if away != away:  # nan
+                    return None
+                value += TURN * round(away / TURN)
             # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
             if value > upper:
                 value -= TURN
@@ -71,7 +78,10 @@ class BranchInverse(InverseKinematics, abc.ABC):
                 value += TURN
             if not lower <= value <= upper:
                 return None
-            square += (value - near) ** 2
+            away = value - near
+            square += away * away
+            if square > most:
+                return None
             q[joint] = value
         return square, q
 

@@ -104,7 +104,9 @@ class ClosedFormInverse(BranchInverse):
         # Its private core takes matrices. The package's version is pinned.
         self._solver = model.solver()._robot
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
-        self._opw_T_base = np.linalg.inv(model.base_T_opw)
+        # None: the arm's base is the model's
+        at_base = bool(np.abs(model.base_T_opw - np.eye(4)).max() < 1e-15)
+        self._opw_T_base = None if at_base else np.linalg.inv(model.base_T_opw)
         self._tip_T_flange = np.linalg.inv(model.flange_T_tip)
         self._target = np.eye(4)
         self._elements, self._ones = self._target.reshape(16), np.ones(16)
@@ -119,8 +121,8 @@ class ClosedFormInverse(BranchInverse):
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`."""
-        self.chain.robot.check_range(seed)
-        start = [float(value) for value in seed]
+        start = seed.tolist() if isinstance(seed, np.ndarray) else [float(value) for value in seed]
+        self.chain.robot.check_range(start)
         best = self.find(pose, start, configuration)
         if best is None:
             self._explain(pose, start, configuration)
@@ -186,7 +188,8 @@ class ClosedFormInverse(BranchInverse):
         # the sum of the elements, as the quickest test; if it is not finite although they are, `check_pose` passes
         if not math.isfinite(self._elements.dot(self._ones)):
             check_pose(pose)
-        return self._opw_T_base @ self._target @ self._tip_T_flange
+        in_base = self._target @ self._tip_T_flange
+        return in_base if self._opw_T_base is None else self._opw_T_base @ in_base
 
     def _solve(self, flange: np.ndarray, seed: JointValues) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the branches, shape (8, 6), nan where there is none, and |sin| of each branch's wrist angle, shape (8,).
@@ -197,6 +200,8 @@ class ClosedFormInverse(BranchInverse):
         branches, wrist, _ = self.branches(flange)
         yield branches[0], wrist[0]
         x, y, z = self.model.wrist_centre(flange)
+        if _EDGE < abs(x) and math.isfinite(float(wrist[0].sum())):
+            return  # no branch is missing
         margins = [min(both) for both in self.model.margins(x, y, z)]
         others = [self._tilted(flange)] if _is_lost(wrist[0], margins) else []
         if math.hypot(x, y) < _EDGE:
@@ -278,19 +283,26 @@ class ClosedFormInverse(BranchInverse):
         configuration: Configuration | None,
     ) -> IkSolution | None:
         """Return the nearest of the branches that forward kinematics confirms, or None."""
-        candidates = []
-        for slot, branch in enumerate(branches.tolist()):
-            if configuration is None or SLOTS[slot].matches(configuration):
-                if wrist[slot] < _WRIST_SINGULAR:
-                    branch = next(iter(self._singular_wrist.families(np.array(branch), pose, seed)), branch)
-                candidate = self.nearest_turn(branch, seed)
+        rows = branches.tolist()
+        for slot, angle in enumerate(wrist.tolist()):
+            if angle < _WRIST_SINGULAR:
+                rows[slot] = next(iter(self._singular_wrist.families(branches[slot], pose, seed)), rows[slot])
+        left = [slot for slot in range(len(SLOTS)) if configuration is None or SLOTS[slot].matches(configuration)]
+        while left:
+            # almost always the first nearest one is confirmed, so the others need not be known to their ends
+            best, nearest = math.inf, -1
+            q: list[float] = []
+            for slot in left:
+                candidate = self.nearest_turn(rows[slot], seed, best)
                 if candidate is not None:
-                    candidates.append((*candidate, slot))
-        candidates.sort()
-        for _, q, slot in candidates:
-            solution = self.confirmed(q, pose, seed, SLOTS[slot])
+                    best, q = candidate
+                    nearest = slot
+            if nearest < 0:
+                return None
+            solution = self.confirmed(q, pose, seed, SLOTS[nearest])
             if solution is not None:
                 return solution
+            left.remove(nearest)
         return None
 
     def _explain(self, pose: Pose, seed: JointValues, configuration: Configuration | None) -> NoReturn:

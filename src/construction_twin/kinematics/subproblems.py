@@ -147,12 +147,22 @@ class SubproblemInverse(BranchInverse):
             return self._nearest_polished(rows, pose, seed)
         if self.is_singular(rows):
             return None, False
-        candidates = [turned for row in rows if (turned := self.nearest_turn(row, seed)) is not None]
-        candidates.sort()
-        for _, q in candidates:
+        left = list(rows)
+        while left:
+            # almost always the first nearest one is confirmed, so the others need not be known to their ends
+            best, nearest = math.inf, None
+            q: list[float] = []
+            for row in left:
+                candidate = self.nearest_turn(row, seed, best)
+                if candidate is not None:
+                    best, q = candidate
+                    nearest = row
+            if nearest is None:
+                break
             solution = self.confirmed(q, pose, seed, None)
             if solution is not None:
                 return solution, True
+            left.remove(nearest)
         return None, True
 
     def _nearest_polished(

@@ -34,7 +34,9 @@ ELBOWED = arm_of(
 #: An arm of the OPW kind would be solved by `rail`; with the wrist to one side it has a closed form of another kind.
 OBLIQUE_ON_TRACK = replace(
     TRACK,
-    urdf=TRACK.urdf.replace('<origin rpy="0 0 0" xyz="1.000 0 -0.041"/>', '<origin rpy="0 0 0.3" xyz="1.000 0 -0.041"/>'),
+    urdf=TRACK.urdf.replace(
+        '<origin rpy="0 0 0" xyz="1.000 0 -0.041"/>', '<origin rpy="0 0 0.3" xyz="1.000 0 -0.041"/>'
+    ),
 )
 ARMS = {"panda": PANDA_LIKE, "elbowed": ELBOWED}
 INVERSES = {name: make_inverse(robot) for name, robot in ARMS.items()}

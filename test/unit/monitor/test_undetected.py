@@ -72,5 +72,5 @@ def test_only_the_mock_is_granted_more():
     assert raised.get("if") == "$(eval arg('arm') == 'mock')" and raised.get("value") == "0.06"
 
 
-#: A1 to A6 at full speed, as docs/architecture.md states it [deg].
+#: A1 to A6 at full speed, as docs/reference/states.md states it [deg].
 DEGREES = [9.18, 8.62, 8.97, 13.1, 12.61, 15.9]
