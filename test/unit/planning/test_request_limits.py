@@ -102,7 +102,7 @@ def test_a_tool_that_creeps_is_refused(speed):
 
 def test_a_tool_path_of_kilometres_is_refused_before_it_is_followed():
     back_and_forth = [to(1.0 * (number % 2), 0.0, 0.0) for number in range(1, 200)]
-    with pytest.raises(PlanSizeError, match="length of the tool's path would be 199 m; .* at most 100 m"):
+    with pytest.raises(PlanSizeError, match="length of the tool's path would be 199000 mm; .* at most 100000 mm,"):
         pipeline().along(HOME, back_and_forth, None, REQUEST)
 
 

@@ -69,6 +69,12 @@ def test_a_file_of_another_arm_is_refused_by_the_argument_that_names_it(name):
         ("ethernet_xml", "<ROOT><CONFIG>"),
         ("scene", "objects: {wall: {shape: "),
         ("scene", "padding: -1"),
+        (
+            "scene",
+            "{padding: 0.0, objects: {wall: {shape: box, size: [1, 1, 1], position: [9, 0, 0], touch: [link_7]}}}",
+        ),
+        ("scene", "{padding: 0.0, objects: {tool: {shape: box, size: [1, 1, 1], link: tool_0}}}"),
+        ("scene", "{padding: 0.0, objects: {link_1: {shape: box, size: [1, 1, 1], position: [9, 0, 0]}}}"),
         ("cell", "kr120: {"),
         ("cell", "kr120: {xyz: [0, 0]}"),
         ("cell", "another: {xyz: [0.0, 0.0, 0.0], rpy_deg: [0.0, 0.0, 0.0]}"),
@@ -82,6 +88,14 @@ def test_broken_contents_are_one_sentence_with_the_file_and_what_was_expected(tm
     said = preflight.contents_problem(KR120 | {name: str(file)})
     assert f"{name}:={file}" in said and "expected" in said
     assert "\n" not in said and "Traceback" not in said
+
+
+def test_a_mesh_of_the_scene_that_cannot_be_used_is_refused(tmp_path):
+    scene, mesh = tmp_path / "scene.yaml", tmp_path / "pipe.stl"
+    scene.write_text("{padding: 0.0, objects: {pipe: {shape: mesh, size: [1, 1, 1], mesh: pipe.stl}}}")
+    mesh.write_text("solid pipe\nendsolid pipe\n")
+    said = preflight.contents_problem(KR120 | {"scene": str(scene)})
+    assert said.startswith(f"scene:={scene}: object 'pipe' mesh: found '{mesh} with 0 triangles', expected 1 to")
 
 
 @pytest.mark.parametrize("words", [["accelerations"], ["accelerations", "axes"]])

@@ -32,6 +32,7 @@ from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunc
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
+from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.views.preflight import has_gateway_here, is_bare, is_true, notes, problem
@@ -87,8 +88,12 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     gateway_config(robot, settings | given_here)
 
 
-def _check_scene(given: Given, _robot: RobotModel) -> None:
-    read_scene(given["scene"])
+def _check_scene(given: Given, robot: RobotModel) -> None:
+    """Place the objects as the nodes do: by names of links and objects that exist, with meshes that can be used."""
+    scene = read_scene(given["scene"])
+    bodies = RobotBodies(robot)
+    for item in scene.objects:
+        bodies.place(item, scene.names)
 
 
 def _check_cell(given: Given, robot: RobotModel) -> None:
