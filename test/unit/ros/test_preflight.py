@@ -273,7 +273,9 @@ def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_p
 
 def test_preflight_by_hand(capsys, tmp_path):
     assert preflight.main([f"{name}:={value}" for name, value in KR120.items() if name != "robot"]) == 0
-    assert capsys.readouterr().out == "ok\n"
+    few = ("robot", "robot_xacro", "robot_config", "ethernet_xml")
+    assert preflight.main([f"{name}:={KR120[name]}" for name in few]) == 0
+    assert capsys.readouterr().out == "ok\nok\n"
     assert preflight.main([f"robot_config:={tmp_path}"]) == 1
     assert preflight.main(["robot_config:=test_startup.py"]) == 1
     assert capsys.readouterr().err.count("preflight: robot_config:=") == 2

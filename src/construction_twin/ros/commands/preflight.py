@@ -84,7 +84,7 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     load_ethernet_xml(path)
     settings = _mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
     cycle = int(given.get("rsi_cycle", "4"))
-    given_here = {"decimals": int(given["decimals"]), "cycle": cycle, "ethernet_xml": read_text(path)}
+    given_here = {"decimals": int(given.get("decimals", "3")), "cycle": cycle, "ethernet_xml": read_text(path)}
     gateway_config(robot, settings | given_here)
 
 
