@@ -143,6 +143,25 @@ def test_what_an_experiment_would_end_with_is_found_before_it_starts(tmp_path, n
     assert said.startswith(f"{name}:={given}: ") and sentence in said
 
 
+def test_a_trace_that_the_gateway_could_not_write_is_refused(tmp_path):
+    """The gateway makes no folders, and would say so again each time that it is started."""
+    (file := tmp_path / "file").write_text("")
+    given = KR120 | {"gateway": "true"}
+    for trace, found in [
+        (f"{file}/a.trace", "Not a directory"),
+        (f"{tmp_path}/no/a.trace", "no such folder"),
+        (str(tmp_path), "a folder"),
+    ]:
+        said = preflight.contents_problem(given | {"gateway_trace": trace})
+        assert said.startswith(f"gateway_trace:={trace}: ") and found in said and "expected " in said
+        assert preflight.contents_problem(given | {"gateway_trace": trace, "arm": "none"}) == ""
+        assert preflight.contents_problem(given | {"gateway_trace": trace, "gateway": "false"}) == ""
+    for trace in ("", str(file), f"{tmp_path}/a.trace"):
+        assert preflight.contents_problem(given | {"gateway_trace": trace}) == ""
+    check = ElementTree.parse(ROOT / "launch" / "bringup.launch").getroot().find("arg[@name='check']")
+    assert check is not None and "gateway_trace:=$(arg gateway_trace)" in check.attrib["value"]
+
+
 def test_what_the_package_ships_is_fine(tmp_path):
     for file in sorted((ROOT / "config" / "scenarios").glob("*.yaml")):
         assert preflight.contents_problem(KR120 | {"scenario": str(file)}) == ""
@@ -240,6 +259,26 @@ def test_a_taken_port_is_refused_before_anything_starts():
     assert preflight.port_problem(here) == ""
 
 
+def test_a_taken_port_of_a_site_s_broker_is_refused_too(tmp_path):
+    file = tmp_path / "site.conf"
+    with socket.socket() as tcp:
+        tcp.bind(("127.0.0.1", 0))
+        tcp.listen()
+        taken = tcp.getsockname()[1]
+        file.write_text(
+            f"# listener 1\nlistener 0 {tmp_path}/socket\n  listener {taken} 127.0.0.1\nallow_anonymous false\n"
+        )
+        given = {"broker": "true", "broker_port": "18830", "broker_config": str(file), "arm": "none"}
+        assert preflight.port_problem(given) == (
+            f"broker_config:={file}: TCP port {taken} of its listener is taken, probably by another MQTT broker; end that one, or "
+            "use it with broker:=false"
+        )
+        assert preflight.port_problem(given | {"broker": "false"}) == ""
+        # the file's own listeners take the place of broker_port
+        file.write_text("listener 0\n")
+        assert preflight.port_problem(given | {"broker_port": str(taken)}) == ""
+
+
 # -- arguments that nothing reads
 
 
@@ -275,7 +314,9 @@ def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_p
 
 def test_preflight_by_hand(capsys, tmp_path):
     assert preflight.main([f"{name}:={value}" for name, value in KR120.items() if name != "robot"]) == 0
-    assert capsys.readouterr().out == "ok\n"
+    few = ("robot", "robot_xacro", "robot_config", "ethernet_xml")
+    assert preflight.main([f"{name}:={KR120[name]}" for name in few]) == 0
+    assert capsys.readouterr().out == "ok\nok\n"
     assert preflight.main([f"robot_config:={tmp_path}"]) == 1
     assert preflight.main(["robot_config:=test_startup.py"]) == 1
     assert capsys.readouterr().err.count("preflight: robot_config:=") == 2
