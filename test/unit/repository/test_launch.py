@@ -110,6 +110,17 @@ def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins(argument,
     assert sentence in run.stderr and "Traceback" not in run.stderr
 
 
+@pytest.mark.parametrize("given, refused", [("robott:=kr120_2", True), ("robot:=kr120_2", False)])
+def test_a_misspelt_argument_of_the_view_is_refused_too(given, refused):
+    """It would show the default robot."""
+    run = subprocess.run(
+        ["roslaunch", "--nodes", "construction_twin", "view.launch", given], capture_output=True, text=True, timeout=120
+    )
+    sentence = "preflight: robott:=kr120_2: view.launch has no such argument; did you mean robot:=kr120_2? "
+    assert (sentence in run.stderr) == refused and ("/view" in run.stdout) != refused, run.stderr
+    assert "Traceback" not in run.stderr
+
+
 def test_the_arm_alone_is_a_scene_that_roslaunch_passes_on():
     run = subprocess.run(
         ["roslaunch", "--dump-params", "construction_twin", "bringup.launch", "scene:=none"],
