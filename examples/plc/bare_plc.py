@@ -238,7 +238,6 @@ class Network:
         protocol = paho.MQTTv5 if options.protocol == "5" else paho.MQTTv311
         self._client = client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=protocol)
         client.will_set(self._topics["status"], "offline", qos=1, retain=True)
-        client.max_queued_messages_set(1)
         if options.user:
             with open(options.password_file, encoding="utf-8") as file:
                 client.username_pw_set(options.user, file.readline().rstrip("\n"))
@@ -285,7 +284,11 @@ class Network:
             if state != told:
                 told = state
                 print(f"plc: {plc.state.name.lower()}{f' ({plc.reason})' if plc.reason else ''}", flush=True)
-        client.publish(self._topics["status"], "offline", qos=1, retain=True).wait_for_publish(1.0)
+        if client.is_connected():
+            try:
+                client.publish(self._topics["status"], "offline", qos=1, retain=True).wait_for_publish(1.0)
+            except RuntimeError:
+                print("plc: the connection is lost; the last will says offline", flush=True)
         client.disconnect()
         client.loop_stop()
 

@@ -1,4 +1,4 @@
-"""What the tests of interruptions fraction: a fault in mid-motion, the arm's stop, `reset`, and a motion that works again."""
+"""What the tests of interruptions have in common: a fault in mid-motion, the arm's stop, `reset`, and a motion that works again."""
 
 import os
 import signal

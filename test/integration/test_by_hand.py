@@ -246,9 +246,9 @@ class ByHandTest(RobotTest):
 
     def test_command_line_refuses_in_one_sentence(self):
         for words, code, sentence in (
-            (("plan", "--pose", 4000, 0, 1500, 0, 90, 0), 1, "out of the arm's reach"),
+            (("plan", "--pose", 4000, 0, 1500, 0, 90, 0), 1, " mm; move it closer to the base"),
             (("plan", "--joints", 1, 2, 3), 2, "expected 6 values"),
-            (("plan", "--joints", 400, *LEFT[1:]), 1, "outside its range"),
+            (("plan", "--joints", 400, *LEFT[1:]), 1, "joint_a1 is 400 deg, outside its range -185 deg to 185 deg"),
             (("plan",), 2, "required"),
             (("--robot", "nobody", "--timeout", 1, "stop"), 3, "no robot of this name; known here: /kr120"),
         ):

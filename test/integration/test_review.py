@@ -34,6 +34,11 @@ class ReviewTest(RobotTest):
         positions = stream.positions(since)
         np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
 
+    def test_the_controller_has_the_cycle_of_the_launch_argument(self):
+        self.client.wait_until_ready()
+        shown = {pair.key: pair.value for pair in self.client.link.gateway_counters}
+        self.assertEqual((shown["cycle_expected_ms"], shown["cycle_ipoc_step_ms"]), ("12", "12"))
+
     def test_plan_without_approval_moves_nothing(self):
         with Stream("mock_rsi/joint_states") as arm:
             plan = self.client.plan_to(RIGHT)

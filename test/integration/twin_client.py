@@ -120,6 +120,8 @@ class TwinClient:
     def __init__(self):
         self.robot = robot_from_parameters()
         self.decimals = rospy.get_param("gateway/decimals")
+        #: The controller's cycle [s].
+        self.period = rospy.get_param("gateway/cycle", 4) / 1000
         self._limits = config_from_parameters(needs_xml=False).limits
         self._trace = rospy.get_param("~gateway_trace", "")
         self.link = self.sync = self.execution = None
@@ -321,10 +323,10 @@ class TwinClient:
         missed = self.mock_counter("missed") - missed_before
         numbers = np.array([message.header.seq for message in arm.messages])
         assert (np.diff(numbers) == 1).all(), "the recording of the arm has gaps"
-        velocity = np.diff(arm.positions(), axis=0) / CYCLE
-        acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / CYCLE
-        allowance = np.array(self._limits.allowances(self.decimals))
-        excess = (np.abs(velocity) > np.array(self.robot.velocity) + allowance * CYCLE).any(axis=1)
+        velocity = np.diff(arm.positions(), axis=0) / self.period
+        acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / self.period
+        allowance = np.array(self._limits.allowances(self.decimals, self.period))
+        excess = (np.abs(velocity) > np.array(self.robot.velocity) + allowance * self.period).any(axis=1)
         excess |= (np.abs(acceleration) > np.array(self.robot.acceleration) + allowance).any(axis=1)
         report = (
             f"the arm left its limits in cycles {np.flatnonzero(excess)[:20]} of {len(velocity)}, {missed} replies missed; "
@@ -346,7 +348,7 @@ class TwinClient:
         assert path, "give the test the private parameter gateway_trace, and the launch file the argument of this name"
         entries = read_trace(path)
         assert entries, f"{path}: the gateway has answered no telegram"
-        found = trace_excesses(entries, self._limits, self.decimals)
+        found = trace_excesses(entries, self._limits, self.decimals, self.period)
         assert not found, f"{len(found)} of {len(entries)} cycles of the gateway: {'; '.join(map(str, found[:5]))}"
 
     # -- subscriptions

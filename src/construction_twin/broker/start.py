@@ -45,7 +45,7 @@ def main(argv: list[str] | None = None) -> None:
         text = Path(arguments.config).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         sys.exit(f"broker: {arguments.config}: {getattr(error, 'strerror', error)}")
-    listeners = [int(port) for port in re.findall(r"^\s*listener\s+(\d+)", text, re.MULTILINE)]
+    listeners = listener_ports(text)
     for port in listeners or [arguments.port]:
         if not port_is_free(socket.SOCK_STREAM, port):
             sys.exit(
@@ -56,6 +56,22 @@ def main(argv: list[str] | None = None) -> None:
     text += _owner() if listeners else f"\nlistener {arguments.port} 127.0.0.1\n"
     print(f"broker: {request_realtime(arguments.realtime)}", flush=True)
     os.execv(program, [program, "-c", _in_memory(text)])
+
+
+def listener_ports(text: str) -> list[int]:
+    """Return the TCP ports of the listeners in a mosquitto configuration.
+
+    Parameters
+    ----------
+    text : str
+        Of the file.
+
+    Returns
+    -------
+    ports : list of int
+        Empty: mosquitto listens where it is told to on its command line.
+    """
+    return [int(port) for port in re.findall(r"^\s*listener\s+(\d+)", text, re.MULTILINE)]
 
 
 def _owner() -> str:

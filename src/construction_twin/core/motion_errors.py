@@ -231,9 +231,8 @@ class PlanSizeError(PlanningError):
 
     def __init__(self, quantity: str, value: float, limit: float, unit: str, to_do: str):
         self.quantity, self.value, self.limit = quantity, value, limit
-        super().__init__(
-            f"the plan's {quantity} would be {value:.6g}{unit}; this planner takes at most {limit:.6g}{unit}, {to_do}"
-        )
+        found, most = (for_people(number, "m") if unit == " m" else f"{number:.6g}{unit}" for number in (value, limit))
+        super().__init__(f"the plan's {quantity} would be {found}; this planner takes at most {most}, {to_do}")
 
 
 class FarWaypointError(PlanningError):

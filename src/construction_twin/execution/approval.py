@@ -54,7 +54,8 @@ class Approval:
         self._lock = lock
         # one verdict after the other: the record must keep the order in which verdicts took effect
         self._verdict = threading.RLock()
-        self._seen: tuple[str, int] = ("", 0)
+        # of the plan that waits, for `approve_by_itself`: its id, and when it was seen first [ns]
+        self._waiting, self._waits_since = "", 0
 
     def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Taken:
         """Record a verdict and carry it out.
@@ -105,9 +106,9 @@ class Approval:
             scene = self._executor.queue.scene
         if plan is None:
             return None
-        if self._seen[0] != plan.id:
-            self._seen = plan.id, now
-        if plan.scene != scene and now - self._seen[1] <= SCENE_DELAY:
+        if self._waiting != plan.id:
+            self._waiting, self._waits_since = plan.id, now
+        if plan.scene != scene and now - self._waits_since <= SCENE_DELAY:
             return None
         try:
             return self.review(plan.id, plan.hash, True, AUTO_APPROVE, "the launch argument auto_approve is on")

@@ -89,6 +89,7 @@ class Gateway:
         self.clock = ControllerClock(config.cycle)
         self._measures = measures
         self._began = ""
+        self._clock_told = False
         # why telegrams could not be read, as told last, and when [ns]
         self._unread_told = ""
         self._unread_told_at = -NANOSECONDS
@@ -234,16 +235,26 @@ class Gateway:
             self._judge_clock()
         elif self._machine.state is State.NO_CONTROLLER and self.refusals.unread:
             self._tell_unread(now)
+        elif self._machine.state is State.READ_ONLY and self._measures and not self._clock_told:
+            self._tell_clock()
 
     def _tell_unread(self, now: int) -> None:
         """Say that something sends of which nothing can be read: once a second, and as a change when it is for another reason."""
         if now < self._unread_told_at + NANOSECONDS:
             return
-        reason, why = self.refusals.last_unread
-        self._machine.add(f"datagrams refused: {self.refusals.unread}, the last one for {reason}: {why}")
-        if reason != self._unread_told:
+        last = self.refusals.last_unread
+        self._machine.add(f"datagrams refused: {self.refusals.unread}, the last one for {last.reason}: {last.why}")
+        if last.reason != self._unread_told:
             self._machine.changed = True
-        self._unread_told, self._unread_told_at = reason, now
+        self._unread_told, self._unread_told_at = last.reason, now
+
+    def _tell_clock(self) -> None:
+        """Say of a controller that takes no corrections, once, whether its clock is another one: the next program may take some."""
+        wrong = self.clock.judge()
+        self._clock_told = wrong is not None
+        if wrong:
+            self._machine.add(wrong)
+            self._machine.changed = True
 
     def _judge_clock(self) -> None:
         wrong = self.clock.judge()
@@ -279,7 +290,7 @@ class Gateway:
         self._ending = False
         self.correction = ()
         self.clock.restart()
-        self._unread_told = ""
+        self._unread_told, self._clock_told = "", False
 
     def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
         self._controller.end()

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 
 #: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
 LONGEST_REFUSAL = 300
-
-
 #: Refusals that follow a stop as long as the sender goes on: none of them takes the place of what the sender was stopped for.
 CONSEQUENCES = ("not_armed",)
+
+
+@dataclass(frozen=True)
+class Unread:
+    """Why a datagram was refused: the reason it is counted under, and a sentence; both empty before the first."""
+
+    reason: str = ""
+    why: str = ""
 
 
 class Refusals:
@@ -27,7 +34,7 @@ class Refusals:
         self.last = ""
         #: Datagrams refused since the last telegram that could be read, and the last one's reason and sentence.
         self.unread = 0
-        self.last_unread = ("", "")
+        self.last_unread = Unread()
         self._keeps = False
 
     def message(self, reason: str, why: object) -> None:
@@ -44,7 +51,7 @@ class Refusals:
         self._note(f"telegram_refused_{reason}", f"telegram {reason}", why)
         self._keeps = True
         self.unread += 1
-        self.last_unread = reason, str(why)[:LONGEST_REFUSAL]
+        self.last_unread = Unread(reason, str(why)[:LONGEST_REFUSAL])
 
     def forgive(self) -> None:
         """Begin with another command session: what stopped the one before is no longer the cause of anything."""

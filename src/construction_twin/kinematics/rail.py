@@ -255,8 +255,8 @@ class RailInverse(InverseKinematics):
         inner = (rows > 0) & (rows < len(places) - 1)
         before, here, after = (distances[np.clip(rows + step, 0, len(places) - 1), slots] for step in (-1, 0, 1))
         # ... elsewhere it falls hardly below the parabola through the places
-        bend = np.maximum(before + after - 2.0 * here, 1e-12)
-        fall = np.minimum((after - before) ** 2 / (8.0 * bend), _PROMISING)
+        second_difference = np.maximum(before + after - 2.0 * here, 1e-12)
+        fall = np.minimum((after - before) ** 2 / (8.0 * second_difference), _PROMISING)
         hopeful = np.where(inner & (hopeful == here - _PROMISING), here - fall - _CLOSE, hopeful)
         best = math.inf
         for index in squares[rows, slots].argsort():
@@ -502,8 +502,8 @@ def _vertex(x: list[float], f: list[float]) -> float | None:
     if not (left > 0.0 and right > 0.0):
         return None
     falling, rising = (f[1] - f[0]) / left, (f[2] - f[1]) / right
-    bend = rising - falling
-    if not bend > 0.0:
+    second_difference = rising - falling
+    if not second_difference > 0.0:
         return None
-    place = 0.5 * (x[0] + x[1]) - falling * 0.5 * (left + right) / bend
+    place = 0.5 * (x[0] + x[1]) - falling * 0.5 * (left + right) / second_difference
     return min(max(place, x[0]), x[2])

@@ -23,7 +23,7 @@ NOT_CHECKED = (
     "controller: what stands behind the PLC (RSI, servo, brakes) is not known",
     "comparison: the gate compares at the present moment, so the whole round trip counts as lag",
 )
-#: How a person arms; the robot's own namespace is the command's default.
+#: How a person arms; with --robot where the robot is not the command's default.
 ARM_COMMAND = "rosrun construction_twin twin arm --responsible NAME"
 #: Longest name of a person.
 _LONGEST_NAME = 64

@@ -402,9 +402,10 @@ class MockController:
         self._begin_own_motion(pose)
 
     def _check_range(self, pose: Sequence[float]) -> None:
-        for axis, value, lower, upper in zip(self.config.axes, pose, self.config.lower, self.config.upper):
+        config = self.config
+        for index, (axis, value, lower, upper) in enumerate(zip(config.axes, pose, config.lower, config.upper)):
             if not lower - _RANGE_SLACK <= value <= upper + _RANGE_SLACK:
-                raise JointRangeError(axis, value, lower, upper)
+                raise JointRangeError(axis, value, lower, upper, axis_units(config.axes, config.units)[index].linear)
 
     def _close_cycle(self) -> None:
         if self.program is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from construction_twin.core.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
-from construction_twin.core.units import CYCLE
+from construction_twin.core.units import CYCLE, for_people
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.batch_kinematics import angles_between
@@ -116,7 +116,7 @@ def plan_cartesian(
         If the path or an argument is invalid.
     """
     if speed is not None and not 0.0 < speed < math.inf:
-        raise PlanningError(f"the requested tool speed is {speed} m/s; expected a positive number")
+        raise PlanningError(f"the requested tool speed is {for_people(speed, 'm/s')}; expected a positive number")
     chain = inverse.chain
     chain.robot.check_range(start)
     q = np.array(start, dtype=float)
@@ -195,7 +195,7 @@ class _Part:
                 top_speed *= SPEED_FRACTION * speed / part.top_speed
             if part.deviation_m <= DEVIATION_M and part.deviation_rad <= DEVIATION_RAD and part.top_speed <= speed:
                 return part
-        found = f"{part.deviation_m * 1e3:.4f} mm, {math.degrees(part.deviation_rad):.4f} deg, {part.top_speed:.4f} m/s"
+        found = f"{part.deviation_m * 1e3:.4f} mm, {math.degrees(part.deviation_rad):.4f} deg, {part.top_speed * 1e3:.1f} mm/s"
         raise branch.end("deviation", piece.begin, f"the motion deviates by {found}; choose a lower speed")
 
     @classmethod
@@ -216,7 +216,7 @@ class _Part:
             return
         s = self.piece.begin + float(self.timed.parameter(np.array([max(row - 1, 0) * CYCLE]))[0])
         between = touching(world, self.samples[row])
-        cause = CollisionError(between, f"{s:.4f} m along the path")
+        cause = CollisionError(between, f"{s * 1e3:.1f} mm along the path")
         raise branch.end("collision", s, f"{between[0]} would touch {between[1]}; move the path or the object", cause)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.units import for_people
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.path_segments import ArcLine, Blend, Leg, Segment, StraightLine, Turn
 
@@ -195,7 +196,9 @@ def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
     at = start
     for number, waypoint in enumerate(waypoints):
         if not (0.0 <= waypoint.blend < math.inf):
-            raise PlanningError(f"waypoint {number}: the blend is {waypoint.blend} m; expected 0 or a positive number")
+            raise PlanningError(
+                f"waypoint {number}: the blend is {for_people(waypoint.blend, 'm')}; expected 0 or a positive number"
+            )
         leg = _leg(number, at, waypoint)
         if leg is not None:
             legs.append(_Leg(number, leg))
@@ -236,8 +239,8 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
         number, leg = one.waypoint, one.segment
         if cuts[index] + cuts[index + 1] > leg.length * (1.0 + 1e-9):
             raise PlanningError(
-                f"the segment to waypoint {number} is {leg.length:.4f} m long; the blends at its ends need "
-                f"{cuts[index] + cuts[index + 1]:.4f} m, choose smaller ones"
+                f"the segment to waypoint {number} is {for_people(leg.length, 'm')} long; the blends at its ends need "
+                f"{for_people(cuts[index] + cuts[index + 1], 'm')}, choose smaller ones"
             )
     segments: list[Segment] = []
     stops: list[int] = []

@@ -92,6 +92,15 @@ class Responsibility:
 Record = Verdict | Ending | Responsibility
 
 
+@dataclass(frozen=True)
+class _Deferred:
+    """A record that waits for the disk: when it was made, UTC [ns], and whose responsibility was in force then."""
+
+    time: int
+    record: Record
+    responsibility: Responsibility | None
+
+
 class ReviewLog:
     """Appends records to a review file, which is created when it does not exist; for use from several threads.
 
@@ -125,7 +134,7 @@ class ReviewLog:
         self.path = Path(path).expanduser()
         self._clock = clock
         self._lock = threading.Lock()
-        self._deferred: deque[tuple[int, Record, Responsibility | None]] = deque()
+        self._deferred: deque[_Deferred] = deque()
         self.responsibility: Responsibility | None = None
         # `defer` counts the one, `flush` the other: they are called from two threads
         self.lost = self._told = 0
@@ -149,7 +158,7 @@ class ReviewLog:
             # no verdict is taken meanwhile: `append` writes these first, and fails
             self.lost += 1
             return
-        self._deferred.append((self._clock(), record, self.responsibility))
+        self._deferred.append(_Deferred(self._clock(), record, self.responsibility))
 
     def flush(self) -> None:
         """Write what was deferred.
@@ -161,8 +170,8 @@ class ReviewLog:
         """
         with self._lock:
             while self._deferred:
-                now, record, responsibility = self._deferred[0]
-                self._append(now, _fields(record, responsibility))
+                first = self._deferred[0]
+                self._append(first.time, _fields(first.record, first.responsibility))
                 self._deferred.popleft()
             number = self.lost - self._told
             if number:

@@ -173,7 +173,7 @@ def robot_yaml(description: Mapping[str, Any], command: str, full_speed_in: floa
     """
     lines = [
         f"# {description['name']}: what its URDF cannot carry. Every key is explained in config/kr120.yaml. Written by",
-        f"#   {command}",
+        f"#   {' '.join(command.split())}",
         "",
         f"name: {description['name']}",
         f"base_link: {description['base_link']}",

@@ -145,7 +145,7 @@ def closed_volume(vertices: np.ndarray, triangles: np.ndarray) -> float | None:
 
 
 def estimated_volume(vertices: np.ndarray, triangles: np.ndarray, hull: ConvexHull) -> float:
-    """Return what a mesh of any kind encloses [m^3]: its share of points in its hull around which it winds more than half.
+    """Return what a mesh of any kind encloses [m^3]: the fraction of the points in its hull around which it winds more than half.
 
     The solid angle under which a point sees the whole mesh is 4 pi inside of a closed surface and 0 outside; a hole changes it
     little, and bodies that overlap each other count once. The solid angle of a triangle: tan(angle / 2) is its vertices' triple
@@ -227,10 +227,10 @@ def hull_lines(hulls: Sequence[Hull]) -> list[str]:
     lines = [f"{'link':<{width}}  {'triangles':>17}  {'mesh':>9}  {'hull':>9}  added"]
     for hull in hulls:
         about = "~" if hull.estimated else ""
-        share = f"{100 * hull.added / hull.volume:.0f} %" if hull.volume > 0 else "all of it"
+        fraction = f"{100 * hull.added / hull.volume:.0f} %" if hull.volume > 0 else "all of it"
         lines.append(
             f"{hull.link:<{width}}  {hull.triangles:>7} -> {len(hull.faces):>6}  {about + _litres(hull.volume):>9}  "
-            f"{_litres(hull.hull_volume):>9}  {about}{_litres(hull.added)} ({share})"
+            f"{_litres(hull.hull_volume):>9}  {about}{_litres(hull.added)} ({fraction})"
         )
     if any(hull.estimated for hull in hulls):
         lines.append("~ the mesh is not one closed surface: its volume is an estimate")

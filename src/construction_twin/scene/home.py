@@ -109,6 +109,7 @@ def _worth(chain: Chain, q: np.ndarray) -> float:
     smallest = float(np.linalg.svd(jacobian, compute_uv=False)[min(jacobian.shape) - 1])
     tip = chain.forward(q)
     forward, _, height = tip.position / max(chain.reach, 1e-6)
+    raised = float(chain.skeleton(q)[:, 2].mean()) / max(chain.reach, 1e-6)
     lower, upper = np.array(robot.lower), np.array(robot.upper)
     ends = float(np.minimum(q - lower, upper - q).min() / (upper - lower).max())
     turned = np.where(robot.linear, 0.0, np.abs(q))
@@ -117,9 +118,11 @@ def _worth(chain: Chain, q: np.ndarray) -> float:
         # the tip in front of the base, above it, and the tool down: where a person expects it
         + 0.3 * min(forward, 0.4)
         + min(0.0, height - 0.15)
-        - 0.2 * float(tip.rotation[2, 2])
+        # the arm off the floor
+        + raised
+        - 0.3 * float(tip.rotation[2, 2])
         + 0.5 * min(0.25, ends)
         # round numbers, and few of them
-        - 0.04 * float(turned.sum())
-        - 0.05 * int((turned > 1e-9).sum())
+        - 0.02 * float(turned.sum())
+        - 0.03 * int((turned > 1e-9).sum())
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from construction_twin.robot.description import ESTIMATES, RobotModel
+from construction_twin.robot.other_joints import other_joints_text
 from construction_twin.scene.home import Home
 
 #: What the launch file sets, with the explanation that `roslaunch --ros-args` prints.
@@ -51,8 +52,10 @@ def summary(robot: RobotModel, home: Home) -> list[str]:
     values = zip(robot.home, robot.linear)
     pose = ", ".join(f"{value * 1e3:g} mm" if linear else f"{math.degrees(value):.4g}" for value, linear in values)
     nearest = f"; closest {home.clearance:.3f} m ({home.between[0]} to {home.between[1]})" if home.between else ""
+    others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
     return [
         f"{robot.name}: {len(robot.joint_names)} joints from {robot.base_link} to {robot.tip_link}: {axes}",
+        *([others] if others else []),
         f"home [deg]: {pose}{nearest}",
     ]
 

@@ -138,8 +138,8 @@ def notes(given: Mapping[str, str]) -> list[str]:
     """Return what must be said of a start that can work, one sentence each."""
     if is_bare(given) and given.get("arm") == "real":
         return [
-            "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. Configuration, session, sequence and "
-            "age of strings, stops and speed limits are not checked, on neither side; a person is responsible for that, by "
+            "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. Configuration, session, sequence "
+            "and age of strings, stops and speed limits are not checked, on neither side; a person is responsible for that, by "
             "name: `rosrun construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
         ]
     return []

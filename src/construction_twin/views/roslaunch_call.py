@@ -1,13 +1,14 @@
 """What roslaunch was called with, and the arguments that its launch files know. Standard library only.
 
-roslaunch takes every ``name:=value``: a misspelt name is stored and never read, and an empty value is dropped, so that the default
-counts. Both are told here, with the name that was probably meant.
+roslaunch takes every ``name:=value``: a misspelt name is stored and never read; an empty value and one with a second ``:=`` are
+dropped, so that the default counts. All are told here, with what was probably meant.
 """
 
 from __future__ import annotations
 
 import difflib
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,6 +132,12 @@ def argument_problem(given: Mapping[str, str], known: Mapping[str, str], file: s
             near = difflib.get_close_matches(name, known, n=1)
             meant = f"did you mean {near[0]}:={value}? " if near else ""
             return f"{name}:={value}: {file} has no such argument; {meant}`roslaunch --ros-args` lists them"
+        if ":=" in value:
+            meant = shlex.quote(value.replace(":=", "="))
+            return (
+                f"{name}:={value}: roslaunch drops an argument with a second `:=`, and the default would count; "
+                f"write {name}:={meant}"
+            )
         if not value and known[name]:
             nothing = f"{name}:=none for nothing, " if name in NONE else ""
             dropped = "roslaunch drops an empty value, and the default would count"

@@ -178,6 +178,17 @@ def test_while_it_is_measured_the_held_pose_follows_a_program_of_the_controller(
     assert cell.arm() == (True, "armed")
 
 
+def test_of_a_controller_that_takes_no_corrections_another_cycle_is_named_too():
+    cell = Cell(measures=True, layout=dataclasses.replace(Cell().config.layout, onlysend=True))
+    cell.cycle(200, step_ms=12)
+    assert cell.state is State.READ_ONLY and cell.gateway.reason.startswith("RSI session began at IPOC ")
+    said = "; the controller's cycle is 12 ms (IPOC steps of 12); expected 4 ms: RSI_ON(..., #IPO_FAST)"
+    assert said in cell.gateway.reason
+    gap(cell)
+    cell.cycle(FIRST // 4 + 1)
+    assert cell.state is State.READ_ONLY and "the controller's cycle is" not in cell.gateway.reason
+
+
 def test_the_end_of_the_program_is_told_to_a_controller_of_another_cycle_too():
     plain = Cell().config.layout
     layout = dataclasses.replace(plain, receive=("Stop", *plain.receive), holdon=(False, *plain.holdon))

@@ -9,6 +9,7 @@ import pytest
 from processes import ROOT
 
 from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.program import (
@@ -72,6 +73,14 @@ def test_a_track_beyond_its_end_stops_rsi_like_any_axis():
     cell.cycle((0.001, 0.0, 0.0))
     assert cell.cycle() is None
     assert cell.mock.reason == "software limit E1: 5000.9 mm, range -2000 mm to 5000 mm"
+
+
+def test_a_start_of_the_track_beyond_its_end_is_refused_in_millimetres():
+    with pytest.raises(JointRangeError) as caught:
+        Cell().mock.restart((5.0009, 0.1, -1.0))
+    assert str(caught.value) == "E1 is 5000.9 mm, outside its range -2000 mm to 5000 mm"
+    with pytest.raises(JointRangeError, match="A1 is 180 deg, "):
+        Cell().mock.restart((1.5, math.pi, -1.0))
 
 
 def test_a_controller_with_another_unit_and_direction_moves_as_asked():

@@ -67,10 +67,10 @@ def test_what_is_shipped_for_a_real_arm():
 
 
 def test_only_the_mock_is_granted_more():
-    launch = ElementTree.parse(ROOT / "launch/twin.launch").getroot()
+    launch = ElementTree.parse(ROOT / "launch/gate.launch").getroot()
     (raised,) = [param for param in launch.iter("param") if param.get("name") == "lag_margin"]
     assert raised.get("if") == "$(eval arg('arm') == 'mock')" and raised.get("value") == "0.06"
 
 
-#: A1 to A6 at full speed, as docs/architecture.md states it [deg].
+#: A1 to A6 at full speed, as docs/reference/states.md states it [deg].
 DEGREES = [9.18, 8.62, 8.97, 13.1, 12.61, 15.9]

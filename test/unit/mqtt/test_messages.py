@@ -17,6 +17,7 @@ from construction_twin.mqtt.messages import (
     Topics,
     message_number,
     parse_control,
+    parse_presence,
     parse_status,
     read_command_properties,
     read_state_properties,
@@ -203,3 +204,14 @@ def test_a_status_that_is_no_json_object_is_refused(payload):
     with pytest.raises(PayloadError) as caught:
         parse_status(payload)
     assert caught.value.reason == "status"
+
+
+def test_a_bare_plc_s_words_are_told_from_a_gateway_s_status():
+    assert parse_presence(b"ready") == {"state": "ready", "kind": "plc"}
+    assert parse_presence(b"offline") == {"state": "offline", "kind": "plc"}
+    # what a gateway's JSON says of its kind does not count
+    assert parse_presence(b'{"state": "ready", "kind": "plc"}') == {"state": "ready", "kind": "rsi"}
+    for other in (b"Ready", b"ready ", b"ready\n", b"READY", b"armed", b"", b'"ready"'):
+        with pytest.raises(PayloadError) as refused:
+            parse_presence(other)
+        assert refused.value.reason == "status"

@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import CartesianPathError, CollisionError, JointRangeError, UnreachableError
+from construction_twin.core.motion_errors import (
+    CartesianPathError,
+    CollisionError,
+    JointRangeError,
+    PlanningError,
+    UnreachableError,
+)
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.kinematics.solution import IkSettings
@@ -28,9 +34,9 @@ HOME = np.array(CHAIN.robot.home)
 START = CHAIN.forward(HOME)
 
 
-def away(x=0.0, y=0.0, z=0.0, turn=(0, 0, 0), start=START) -> ToolWaypoint:
+def away(x=0.0, y=0.0, z=0.0, turn=(0, 0, 0), start=START, blend=0.0) -> ToolWaypoint:
     rotation = Rotation.from_rotvec(turn).as_matrix() @ start.rotation
-    return ToolWaypoint(Pose(start.position + [x, y, z], rotation))
+    return ToolWaypoint(Pose(start.position + [x, y, z], rotation), blend=blend)
 
 
 def singularity_distance(q) -> float:
@@ -122,6 +128,24 @@ def test_contact_names_the_pair_and_where():
     assert error.cause.between == ("link_6", "wall") and "wall" in str(error)
     assert error.distance == pytest.approx(0.3, abs=0.02) and error.distance < 0.3
     plan_cartesian(HOME, [away(0.0, 0.29)], INVERSE, Wall())
+
+
+def test_what_is_asked_in_millimetres_is_refused_in_millimetres():
+    """As by `twin plan --line`: speeds and lengths, in the sentence and in those behind it."""
+    assert "touches wall (296.6 mm along the path)" in str(ended([away(0.0, 0.5)], world=Wall()).cause)
+    refused = [
+        (dict(speed=-0.1), [away(0.1)], "the requested tool speed is -100 mm/s; expected a positive number"),
+        ({}, [away(0.1, blend=-0.02), away(0.2)], "waypoint 0: the blend is -20 mm; expected 0 or a positive number"),
+        (
+            {},
+            [away(0.1, blend=0.06), away(0.1, 0.05)],
+            "the segment to waypoint 1 is 50 mm long; the blends at its ends need 60 mm, choose smaller ones",
+        ),
+    ]
+    for options, waypoints, sentence in refused:
+        with pytest.raises(PlanningError) as caught:
+            plan_cartesian(HOME, waypoints, INVERSE, **options)
+        assert str(caught.value) == sentence
 
 
 def test_a_start_out_of_range_is_refused():

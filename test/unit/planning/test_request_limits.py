@@ -102,7 +102,7 @@ def test_a_tool_that_creeps_is_refused(speed):
 
 def test_a_tool_path_of_kilometres_is_refused_before_it_is_followed():
     back_and_forth = [to(1.0 * (number % 2), 0.0, 0.0) for number in range(1, 200)]
-    with pytest.raises(PlanSizeError, match="length of the tool's path would be 199 m; .* at most 100 m"):
+    with pytest.raises(PlanSizeError, match="length of the tool's path would be 199000 mm; .* at most 100000 mm,"):
         pipeline().along(HOME, back_and_forth, None, REQUEST)
 
 
@@ -112,7 +112,7 @@ ALMOST_STRAIGHT = to(0.2, 0.0, 0.0, via=START.position + np.array([0.3, 1e-5, 0.
 @pytest.mark.parametrize(
     "path, what",
     [
-        ([to(1e5, 0.0, 0.0)], "waypoint 0: its position is 100001000 mm"),
+        ([to(1e5, 0.0, 0.0)], "waypoint 0: its position is 10000[0-9]+ mm"),
         ([to(0.1, 0.0, 0.0), to(1e12, 0.0, 0.0)], "waypoint 1: its position"),
         ([to(1e300, 0.0, 0.0)], "its position"),
         ([to(0.1, 0.0, 0.0, via=START.position + np.array([1e6, 1e6, 0.0]))], "the via point of its arc is 1.41421e"),

@@ -184,6 +184,8 @@ def test_roles_and_their_topics_are_documented():
         "broker/start",
         "broker/make_site",
         "ros/commands/new_arm",
+        "ros/commands/scenario",
+        "views/ik_report",
         "scene/self_collision_command",
         "views/arguments",
     ],

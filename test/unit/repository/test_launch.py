@@ -110,6 +110,17 @@ def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins(argument,
     assert sentence in run.stderr and "Traceback" not in run.stderr
 
 
+@pytest.mark.parametrize("given, refused", [("robott:=kr120_2", True), ("robot:=kr120_2", False)])
+def test_a_misspelt_argument_of_the_view_is_refused_too(given, refused):
+    """It would show the default robot."""
+    run = subprocess.run(
+        ["roslaunch", "--nodes", "construction_twin", "view.launch", given], capture_output=True, text=True, timeout=120
+    )
+    sentence = "preflight: robott:=kr120_2: view.launch has no such argument; did you mean robot:=kr120_2? "
+    assert (sentence in run.stderr) == refused and ("/view" in run.stdout) != refused, run.stderr
+    assert "Traceback" not in run.stderr
+
+
 def test_the_arm_alone_is_a_scene_that_roslaunch_passes_on():
     run = subprocess.run(
         ["roslaunch", "--dump-params", "construction_twin", "bringup.launch", "scene:=none"],
@@ -171,3 +182,17 @@ def test_files_in_a_folder_with_a_space_are_found(tmp_path):
     command = ["roslaunch", "--args", "/broker", "construction_twin", "experiment.launch", *words]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert f"{folder}/mosquitto.conf" in run.stdout
+
+
+def test_the_monitor_ends_before_what_it_watches():
+    """roslaunch ends nodes in the reverse order of their start: what ends must not be reported as a fault. The broker is last."""
+    run = subprocess.run(
+        ["roslaunch", "--nodes", "construction_twin", "bringup.launch"], capture_output=True, text=True, timeout=120
+    )
+    nodes = run.stdout.split()
+    watched = ["mock_rsi", "mqtt_bridge", "rsi_gateway", "virtual_robot", "executor", "pca_monitor", "startup"]
+    assert sorted(nodes, key=nodes.index)[0] == "/broker"
+    places = {name: nodes.index(f"/kr120/{name}") for name in watched}
+    assert places["pca_monitor"] > max(places[name] for name in watched[:-2])
+    assert places["executor"] > max(places[name] for name in watched[:-3])
+    assert places["startup"] > places["pca_monitor"]

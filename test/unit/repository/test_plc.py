@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from bare_plc import AXES, CYCLE, DELAY, HOME, MOST, QUIET, SILENCE, START_TOLERANCE, Axis, BarePlc, State
 from blark.parse import parse_source_code
+from hypothesis import given
+from hypothesis import strategies as st
 
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import read_robot_files
@@ -179,6 +181,41 @@ def test_bursts_within_the_delay_are_absorbed():
             waiting.clear()
         cell.cycles(1)
     assert cell.plc.state is State.FOLLOWING and cell.plc.position[0] > 1.0
+
+
+CENTRES = st.tuples(st.integers(-10_500, 10_500), st.integers(-91_000, 91_000))
+STEPS = st.tuples(st.integers(-420, 420), st.integers(-220, 220))
+MESSAGES = st.one_of(
+    CENTRES.map(lambda pose: ("at", pose)),
+    st.tuples(st.just("by"), STEPS),
+    st.tuples(st.just("times"), st.integers(1, 40)),
+    st.tuples(st.just("nothing"), st.integers(1, 40)),
+    st.tuples(st.just("bytes"), st.binary(max_size=20)),
+)
+
+
+@given(st.lists(MESSAGES, max_size=40))
+def test_whatever_comes_no_step_is_longer_than_a_cycle_s_way_and_no_axis_leaves_its_range(messages):
+    """Poses in thousandths of a degree: jumps, steps, the same step many times over, silence, and bytes that mean nothing."""
+    cell, at, step = Cell(), (0, 0), (0, 0)
+    cell.cycles(10, string(0.0, 0.0))
+    for kind, value in messages:
+        if kind == "bytes":
+            cell.cycles(1, value)
+        elif kind == "nothing":
+            cell.cycles(value)
+        else:
+            step = value if kind == "by" else (0, 0) if kind == "at" else step
+            at = value if kind == "at" else at
+            for _ in range(value if kind == "times" else 1):
+                at = tuple(here + by for here, by in zip(at, step))
+                cell.cycles(1, string(*[here / 1000.0 for here in at]))
+    cell.cycles(200)
+    for before, after in zip(cell.poses, cell.poses[1:]):
+        for a, b, axis in zip(before, after, cell.axes):
+            assert abs(b - a) <= axis.speed * CYCLE + 0.0021 and axis.lower - 0.0011 <= b <= axis.upper + 0.0011
+    assert cell.poses[-1] == cell.poses[-50] and cell.plc.word == "ready"
+    assert len(cell.plc.joint_string) == len(string(0.0, 0.0))
 
 
 def test_its_limits_home_and_string_are_the_arm_s():

@@ -15,6 +15,7 @@ import rospy
 from bridge_bench import Published, Refusals
 from processes import ROOT, BrokerProcess, wait_until
 from rabbit_broker import RabbitBroker, is_installed
+from site_broker import Listener, SiteBroker
 
 from construction_twin.core.units import CYCLE
 from construction_twin.link.states import LinkState
@@ -218,3 +219,24 @@ def test_rabbitmq_with_mqtt_5_is_told_with_the_argument_that_helps(rabbit, topic
         wait_until(lambda: cell.links and ": broker 127.0.0.1:" in cell.link.reason, 20.0, "why there is no connection")
         assert cell.link.text == "DISCONNECTED" and "start with protocol:=3.1.1" in cell.link.reason
         assert "rotocol error" not in cell.link.reason
+
+
+def test_with_a_site_s_gateway_account_it_says_its_word_and_its_pose(tmp_path):
+    site = SiteBroker(tmp_path, certificates=False)
+    site.start()
+    account = site.account("one-gateway")
+    command = [sys.executable, str(ROOT / "examples/plc/bare_plc.py"), "--broker", f"localhost:{site.site.port}"]
+    command += ["--topics", "twin/one", "--user", account.user, "--password-file", account.password_file]
+    plc = subprocess.Popen([*command, "--ca-file", account.ca_file], stdout=subprocess.DEVNULL)
+    try:
+        viewer = Listener(site.broker(site.account("one-viewer")), "twin/one/#")
+        wait_until(lambda: ("twin/one/status", b"ready") in viewer.messages, 20.0, "`ready`")
+        wait_until(lambda: ("twin/one/state", CODEC.encode(HOME)) in viewer.messages, what="a pose")
+        plc.send_signal(signal.SIGTERM)
+        wait_until(lambda: ("twin/one/status", b"offline") in viewer.messages, what="`offline`")
+        assert plc.wait(10.0) == 0
+        viewer.close()
+    finally:
+        plc.kill()
+        plc.wait(5.0)
+        site.stop()

@@ -6,15 +6,13 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from xml.etree import ElementTree
-from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 import rosgraph
 import yaml
-from rosmaster.master import Master
+from ros_master import Node, ros_master
 
 from construction_twin.ros.commands import preflight
 from construction_twin.views.roslaunch_call import RoslaunchCall
@@ -71,6 +69,12 @@ def test_a_file_of_another_arm_is_refused_by_the_argument_that_names_it(name):
         ("ethernet_xml", "<ROOT><CONFIG>"),
         ("scene", "objects: {wall: {shape: "),
         ("scene", "padding: -1"),
+        (
+            "scene",
+            "{padding: 0.0, objects: {wall: {shape: box, size: [1, 1, 1], position: [9, 0, 0], touch: [link_7]}}}",
+        ),
+        ("scene", "{padding: 0.0, objects: {tool: {shape: box, size: [1, 1, 1], link: tool_0}}}"),
+        ("scene", "{padding: 0.0, objects: {link_1: {shape: box, size: [1, 1, 1], position: [9, 0, 0]}}}"),
         ("cell", "kr120: {"),
         ("cell", "kr120: {xyz: [0, 0]}"),
         ("cell", "another: {xyz: [0.0, 0.0, 0.0], rpy_deg: [0.0, 0.0, 0.0]}"),
@@ -84,6 +88,14 @@ def test_broken_contents_are_one_sentence_with_the_file_and_what_was_expected(tm
     said = preflight.contents_problem(KR120 | {name: str(file)})
     assert f"{name}:={file}" in said and "expected" in said
     assert "\n" not in said and "Traceback" not in said
+
+
+def test_a_mesh_of_the_scene_that_cannot_be_used_is_refused(tmp_path):
+    scene, mesh = tmp_path / "scene.yaml", tmp_path / "pipe.stl"
+    scene.write_text("{padding: 0.0, objects: {pipe: {shape: mesh, size: [1, 1, 1], mesh: pipe.stl}}}")
+    mesh.write_text("solid pipe\nendsolid pipe\n")
+    said = preflight.contents_problem(KR120 | {"scene": str(scene)})
+    assert said.startswith(f"scene:={scene}: object 'pipe' mesh: found '{mesh} with 0 triangles', expected 1 to")
 
 
 @pytest.mark.parametrize("words", [["accelerations"], ["accelerations", "axes"]])
@@ -131,6 +143,25 @@ def test_what_an_experiment_would_end_with_is_found_before_it_starts(tmp_path, n
     assert said.startswith(f"{name}:={given}: ") and sentence in said
 
 
+def test_a_trace_that_the_gateway_could_not_write_is_refused(tmp_path):
+    """The gateway makes no folders, and would say so again each time that it is started."""
+    (file := tmp_path / "file").write_text("")
+    given = KR120 | {"gateway": "true"}
+    for trace, found in [
+        (f"{file}/a.trace", "Not a directory"),
+        (f"{tmp_path}/no/a.trace", "no such folder"),
+        (str(tmp_path), "a folder"),
+    ]:
+        said = preflight.contents_problem(given | {"gateway_trace": trace})
+        assert said.startswith(f"gateway_trace:={trace}: ") and found in said and "expected " in said
+        assert preflight.contents_problem(given | {"gateway_trace": trace, "arm": "none"}) == ""
+        assert preflight.contents_problem(given | {"gateway_trace": trace, "gateway": "false"}) == ""
+    for trace in ("", str(file), f"{tmp_path}/a.trace"):
+        assert preflight.contents_problem(given | {"gateway_trace": trace}) == ""
+    check = ElementTree.parse(ROOT / "launch" / "bringup.launch").getroot().find("arg[@name='check']")
+    assert check is not None and "gateway_trace:=$(arg gateway_trace)" in check.attrib["value"]
+
+
 def test_what_the_package_ships_is_fine(tmp_path):
     for file in sorted((ROOT / "config" / "scenarios").glob("*.yaml")):
         assert preflight.contents_problem(KR120 | {"scenario": str(file)}) == ""
@@ -147,33 +178,11 @@ def test_what_the_package_ships_is_fine(tmp_path):
 # -- what runs already
 
 
-class Node:
-    """A process that has registered as a node: it answers `getPid`, like every node."""
-
-    def __init__(self, master: str, name: str):
-        self.server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
-        self.server.register_function(lambda _caller: (1, "", 4711), "getPid")
-        self._thread = threading.Thread(target=self.server.serve_forever, args=(0.01,))
-        self._thread.start()
-        uri = f"http://127.0.0.1:{self.server.server_address[1]}"
-        rosgraph.Master(name, master).registerPublisher("/t", "std_msgs/String", uri)
-
-    def end(self) -> None:
-        self.server.shutdown()
-        self._thread.join()
-        self.server.server_close()
-
-
 @pytest.fixture
 def master(monkeypatch):
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    running = Master(port=port)
-    running.start()
-    yield running.uri
-    running.stop()
+    with ros_master() as uri:
+        yield uri
 
 
 def test_a_robot_that_runs_already_is_refused_with_who_runs_it(master):
@@ -198,8 +207,7 @@ def test_a_node_that_was_killed_and_is_still_registered_is_no_running_one(master
     assert preflight.running_problem({"robot": "kr120"}, master) == ""
 
 
-def test_a_node_that_does_not_answer_may_live(master, monkeypatch):
-    monkeypatch.setattr("construction_twin.ros.shared.master.NODE_TIMEOUT", 0.2)
+def test_a_node_that_does_not_answer_may_live(master):
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         mute.listen()
@@ -224,7 +232,9 @@ def test_no_master_is_nothing_that_runs():
 
 def test_every_node_of_a_robot_is_looked_for():
     """Those of bringup.launch in its group, and of the files it includes there."""
-    trees = [ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link")]
+    trees = [
+        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link", "gate")
+    ]
     names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view"}
     assert set(preflight.ROBOT_NODES) == names
 
@@ -247,6 +257,26 @@ def test_a_taken_port_is_refused_before_anything_starts():
         assert preflight.port_problem(elsewhere | {"gateway": "false"}) == ""
         assert preflight.port_problem(elsewhere | {"arm": "none"}) == ""
     assert preflight.port_problem(here) == ""
+
+
+def test_a_taken_port_of_a_site_s_broker_is_refused_too(tmp_path):
+    file = tmp_path / "site.conf"
+    with socket.socket() as tcp:
+        tcp.bind(("127.0.0.1", 0))
+        tcp.listen()
+        taken = tcp.getsockname()[1]
+        file.write_text(
+            f"# listener 1\nlistener 0 {tmp_path}/socket\n  listener {taken} 127.0.0.1\nallow_anonymous false\n"
+        )
+        given = {"broker": "true", "broker_port": "18830", "broker_config": str(file), "arm": "none"}
+        assert preflight.port_problem(given) == (
+            f"broker_config:={file}: TCP port {taken} of its listener is taken, probably by another MQTT broker; end that one, or "
+            "use it with broker:=false"
+        )
+        assert preflight.port_problem(given | {"broker": "false"}) == ""
+        # the file's own listeners take the place of broker_port
+        file.write_text("listener 0\n")
+        assert preflight.port_problem(given | {"broker_port": str(taken)}) == ""
 
 
 # -- arguments that nothing reads
@@ -284,7 +314,9 @@ def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_p
 
 def test_preflight_by_hand(capsys, tmp_path):
     assert preflight.main([f"{name}:={value}" for name, value in KR120.items() if name != "robot"]) == 0
-    assert capsys.readouterr().out == "ok\n"
+    few = ("robot", "robot_xacro", "robot_config", "ethernet_xml")
+    assert preflight.main([f"{name}:={KR120[name]}" for name in few]) == 0
+    assert capsys.readouterr().out == "ok\nok\n"
     assert preflight.main([f"robot_config:={tmp_path}"]) == 1
     assert preflight.main(["robot_config:=test_startup.py"]) == 1
     assert capsys.readouterr().err.count("preflight: robot_config:=") == 2

@@ -10,7 +10,7 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.ros.transport import subscriber as module
-from construction_twin.ros.transport.subscriber import PUBLISHERS, Subscriber, publisher_of
+from construction_twin.ros.transport.subscriber import FOR_ANYBODY, PUBLISHERS, Subscriber, publisher_of
 
 #: What the issue names: the gate opens, stays open or the arm moves because of these.
 GATE = {"physical/feedback", "twin/joint_states", "physical/joint_states", "sync", "link", "scene", "conflict", "plan"}
@@ -81,6 +81,18 @@ def test_another_publisher_can_be_named_for_all_nodes_of_a_robot(master):
     }
     assert publisher_of("plan") == "/kr120/my_planner" and publisher_of("/kr120_b/plan") == "/elsewhere/planner"
     assert publisher_of("sync") == "/kr120/pca_monitor"
+
+
+@pytest.mark.parametrize("topic", FOR_ANYBODY)
+def test_a_request_is_heard_from_anybody_until_one_node_is_named(master, topic):
+    assert publisher_of(topic) is None
+    master.parameters = {"/kr120/publishers": {topic: "separation"}}
+    assert publisher_of(topic) == "/kr120/separation"
+    heard = []
+    Subscriber(topic, object, heard.append, master.refuse, queue_size=5)
+    master.hear(callerid="/play_1790000000123")
+    master.hear(callerid="/kr120/separation")
+    assert len(heard) == 1 and [reason for reason, _ in master.refused] == ["publisher"]
 
 
 @pytest.mark.parametrize("named", [[], "planner", {"plans": "planner"}, {"plan": 5}, {"plan": ""}])

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import rosgraph
+import yaml
+from ros_master import Node, ros_master
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
+from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
+from construction_twin.views.arguments import Exit
+
+ROOT = Path(__file__).resolve().parents[3]
 
 OPTIONS = SimpleNamespace(timeout=0.3, robot="kr120")
 
@@ -41,6 +51,39 @@ def test_somebody_who_takes_the_call_and_says_nothing_is_no_master(monkeypatch):
         with pytest.raises(SilenceError, match="no ROS master answers"):
             connect(monkeypatch, f"http://127.0.0.1:{mute.getsockname()[1]}")
     assert socket.getdefaulttimeout() is None
+
+
+@pytest.mark.parametrize(
+    "command, executor",
+    [(["show"], "never started"), (["show"], "killed"), (["show"], "hangs"), (["approve", "--yes"], "killed")],
+)
+def test_an_executor_that_is_down_is_told_without_waiting_for_it(monkeypatch, command, executor):
+    """The time that is given for the system is an hour: it is not used."""
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    with ros_master() as uri, socket.socket() as mute:
+        parameters = rosgraph.Master("/bringup", uri)
+        description = yaml.safe_load((ROOT / "config" / "kr120.yaml").read_text())
+        parameters.setParam("/kr120/robot", description | {"name": "kr120"})
+        parameters.setParam("/kr120/robot_description", expand_xacro(ROOT / "urdf" / "kr120r2500.urdf.xacro"))
+        said = "no node publishes it"
+        if executor == "killed":
+            Node(uri, "/kr120/executor", "/kr120/execution").end()
+        elif executor == "hangs":
+            mute.bind(("127.0.0.1", 0))
+            mute.listen()
+            address = f"http://127.0.0.1:{mute.getsockname()[1]}"
+            rosgraph.Master("/kr120/executor", uri).registerPublisher("/kr120/execution", "std_msgs/String", address)
+        if executor != "never started":
+            said = "/kr120/executor has ended, or does not answer"
+        run = subprocess.run(
+            [sys.executable, str(ROOT / "nodes" / "twin"), "--timeout", "3600", *command],
+            capture_output=True,
+            text=True,
+            timeout=60.0,
+            env={**os.environ, "ROS_MASTER_URI": uri},
+        )
+    assert run.returncode == Exit.SILENT and run.stdout == ""
+    assert run.stderr == f"twin: /kr120/execution: {said}; start bringup, or see why the node is down\n"
 
 
 @pytest.mark.parametrize("error", [KeyError, OSError])

@@ -75,6 +75,16 @@ def test_an_empty_value_that_roslaunch_drops_is_told_where_the_default_is_anothe
     assert problem("bringup.launch", bridge_account="") == ""
 
 
+def test_a_second_sign_in_a_value_is_told_because_roslaunch_drops_the_argument():
+    call = roslaunch_call(["roslaunch", "construction_twin", "bringup.launch", "robot_xacro_args:=prefix:=left_ a:=b"])
+    assert call is not None
+    assert problem("bringup.launch", **call.given) == (
+        "robot_xacro_args:=prefix:=left_ a:=b: roslaunch drops an argument with a second `:=`, and the default would count; "
+        "write robot_xacro_args:='prefix=left_ a=b'"
+    )
+    assert problem("bringup.launch", robot_xacro_args="prefix=left_") == ""
+
+
 def test_a_file_of_the_user_with_its_own_arguments(tmp_path):
     file = tmp_path / "my.launch"
     file.write_text(

@@ -7,6 +7,7 @@ nothing.
 
 from __future__ import annotations
 
+import os
 import socket
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,7 @@ import rosgraph
 import rospkg
 import yaml
 
+from construction_twin.broker.start import listener_ports
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free
@@ -32,6 +34,7 @@ from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunc
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
+from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.views.preflight import has_gateway_here, is_bare, is_true, notes, problem
@@ -83,12 +86,16 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     load_ethernet_xml(path)
     settings = _mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
     cycle = int(given.get("rsi_cycle", "4"))
-    given_here = {"decimals": int(given["decimals"]), "cycle": cycle, "ethernet_xml": read_text(path)}
+    given_here = {"decimals": int(given.get("decimals", "3")), "cycle": cycle, "ethernet_xml": read_text(path)}
     gateway_config(robot, settings | given_here)
 
 
-def _check_scene(given: Given, _robot: RobotModel) -> None:
-    read_scene(given["scene"])
+def _check_scene(given: Given, robot: RobotModel) -> None:
+    """Place the objects as the nodes do: by names of links and objects that exist, with meshes that can be used."""
+    scene = read_scene(given["scene"])
+    bodies = RobotBodies(robot)
+    for item in scene.objects:
+        bodies.place(item, scene.names)
 
 
 def _check_cell(given: Given, robot: RobotModel) -> None:
@@ -135,6 +142,18 @@ def _check_results(given: Given, _robot: RobotModel) -> None:
     check_writable(Path(given["results_dir"]).expanduser())
 
 
+def _check_trace(given: Given, _robot: RobotModel) -> None:
+    """Check that the gateway can make the file: it makes no folders."""
+    if not given["gateway_trace"] or given.get("arm") == "none" or not has_gateway_here(given):
+        return
+    path = ros_home() / given["gateway_trace"]
+    if path.is_dir():
+        raise ConfigurationError(str(path), "a folder", "the path of a file in it")
+    if not os.path.lexists(path.parent):
+        raise ConfigurationError(str(path.parent), "no such folder", "one that is there, make it first")
+    check_writable(path.parent)
+
+
 #: What is checked of a file's contents, by the argument that names it, in this order; each raises a ConstructionTwinError.
 CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("robot_config", _check_estimates),
@@ -149,6 +168,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("results_dir", _check_results),
     ("review_file", _check_folder_of("review_file")),
     ("transition_file", _check_folder_of("transition_file")),
+    ("gateway_trace", _check_trace),
 )
 
 
@@ -221,9 +241,16 @@ def running_problem(given: Given, uri: str) -> str:
 
 def port_problem(given: Given) -> str:
     """Return a sentence about the first port on this machine that another program holds; empty when all are free."""
-    port = given.get("broker_port", "")
-    # the listeners of a site's configuration are the broker's own matter
-    listens = is_true(given, "broker") and "listener" not in _words(given.get("broker_config", ""))
+    port, listeners = given.get("broker_port", ""), []
+    if is_true(given, "broker"):
+        listeners = _listeners(given.get("broker_config", ""))
+    for number in listeners:
+        if not port_is_free(socket.SOCK_STREAM, number):
+            return (
+                f"broker_config:={given['broker_config']}: TCP port {number} of its listener is taken, probably by another MQTT "
+                "broker; end that one, or use it with broker:=false"
+            )
+    listens = is_true(given, "broker") and not listeners
     if listens and port and not port_is_free(socket.SOCK_STREAM, int(port)):
         return (
             f"broker_port:={port}: TCP port {port} on 127.0.0.1 is taken, probably by another MQTT broker; use it with "
@@ -242,13 +269,12 @@ def port_problem(given: Given) -> str:
     return ""
 
 
-def _words(path: str) -> list[str]:
-    """Return the first word of each line of a mosquitto configuration."""
+def _listeners(path: str) -> list[int]:
+    """Return the ports of a mosquitto configuration's own listeners."""
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        return listener_ports(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return []
-    return [words[0] for line in lines if (words := line.split())]
 
 
 # -- the whole

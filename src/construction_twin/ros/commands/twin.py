@@ -16,7 +16,7 @@ from construction_twin.msg import Execution
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.watch import watch
-from construction_twin.ros.shared.master import TO_DO, await_master
+from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
@@ -126,6 +126,7 @@ class Command:
 
     def _under_review(self, listener: RobotListener) -> Plan:
         """Return the plan under review; RequestRefused if there is none, or if another one was named."""
+        expect_publisher(f"{self._namespace}/execution")
         if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
             topic = f"{self._namespace}/execution"
             raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")

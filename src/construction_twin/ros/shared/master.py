@@ -125,7 +125,34 @@ def wait_for_master(name: str) -> None:
         time.sleep(_POLL)
 
 
-def running(names: Iterable[str], uri: str) -> list[RunningNode]:
+def expect_publisher(topic: str, patience: float = 0.5) -> None:
+    """Return when a node that publishes a topic answers; to tell a node that is down from one that has nothing to say yet.
+
+    Parameters
+    ----------
+    topic : str
+        Absolute.
+    patience : float, optional
+        How long a node may take to answer [s].
+
+    Raises
+    ------
+    SilenceError
+        When none is registered, or those that are do not answer.
+    """
+    uri = rosgraph.get_master_uri()
+    try:
+        _, (publishers, _, _) = _ask(uri, TIMEOUT, "getSystemState")
+    except _FAILURES as error:
+        raise SilenceError(uri, f"no ROS master answers ({error})", TO_DO) from error
+    names = [name for published, nodes in publishers if published == topic for name in nodes]
+    if not any(node.pid for node in running(names, uri, patience)):
+        who = " and ".join(names)
+        problem = f"{who} has ended, or does not answer" if names else "no node publishes it"
+        raise SilenceError(topic, problem, "start bringup, or see why the node is down")
+
+
+def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> list[RunningNode]:
     """Return which nodes run now; none when there is no master.
 
     A node that was killed stays registered: whether it lives, it is asked itself. One whose machine refuses the connection has
@@ -137,19 +164,21 @@ def running(names: Iterable[str], uri: str) -> list[RunningNode]:
         Absolute.
     uri : str
         Of the master.
+    patience : float, optional
+        How long a node may take to answer [s].
     """
     try:
         found = {name: _ask(uri, TIMEOUT, "lookupNode", name) for name in names}
     except _FAILURES:
         return []
-    nodes = (_asked(name, str(address)) for name, (code, address) in found.items() if code == 1)
+    nodes = (_asked(name, str(address), patience) for name, (code, address) in found.items() if code == 1)
     return [node for node in nodes if node is not None]
 
 
-def _asked(name: str, address: str) -> RunningNode | None:
+def _asked(name: str, address: str, patience: float) -> RunningNode | None:
     host = urllib.parse.urlsplit(address).hostname or address
     try:
-        _, pid = _ask(address, NODE_TIMEOUT, "getPid")
+        _, pid = _ask(address, patience, "getPid")
     except ConnectionRefusedError:
         return None
     except _FAILURES:

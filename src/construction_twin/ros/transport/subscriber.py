@@ -15,7 +15,7 @@ import rospy
 from construction_twin.core.errors import ConfigurationError
 
 #: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
-#: that is not in the table is heard from everybody.
+#: that is neither here nor in `FOR_ANYBODY` is heard from everybody.
 PUBLISHERS = {
     "next/joint_states": "executor",
     "command/joint_states": "pca_monitor",
@@ -30,6 +30,8 @@ PUBLISHERS = {
     "review": "executor",
     "conflict": "neighbour",
 }
+#: Requests that other programs may make: heard from everybody, unless `publishers` names one node.
+FOR_ANYBODY = ("joint_trajectory", "speed_limit")
 
 
 def publisher_of(topic: str) -> str | None:
@@ -45,16 +47,19 @@ def publisher_of(topic: str) -> str | None:
     ConfigurationError
         When the parameter `publishers` is no mapping from these streams to names.
     """
-    stream = next((name for name in PUBLISHERS if topic == name or topic.endswith(f"/{name}")), None)
+    streams = (*PUBLISHERS, *FOR_ANYBODY)
+    stream = next((name for name in streams if topic == name or topic.endswith(f"/{name}")), None)
     if stream is None:
         return None
     namespace = topic.removesuffix(stream)
     named = rospy.get_param(f"{namespace}publishers", {})
-    known = isinstance(named, dict) and named.keys() <= PUBLISHERS.keys()
+    known = isinstance(named, dict) and named.keys() <= set(streams)
     if not known or not all(isinstance(name, str) and name for name in named.values()):
-        expected = f"a mapping from streams ({', '.join(PUBLISHERS)}) to names of nodes"
+        expected = f"a mapping from streams ({', '.join(streams)}) to names of nodes"
         raise ConfigurationError(rospy.resolve_name(f"{namespace}publishers"), named, expected)
-    name = named.get(stream, PUBLISHERS[stream])
+    name = named.get(stream, PUBLISHERS.get(stream))
+    if name is None:
+        return None
     return rospy.resolve_name(name if name.startswith("/") else namespace + name)
 
 

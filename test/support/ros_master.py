@@ -1,0 +1,55 @@
+"""A ROS master in this process, and nodes that are registered with it: what a test needs of ROS without roscore."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from contextlib import contextmanager
+from xmlrpc.server import SimpleXMLRPCServer
+
+import rosgraph
+from rosmaster.master import Master
+
+#: What every node here says its process is.
+PID = 4711
+
+
+class Node:
+    """A process that has registered as a node: it answers `getPid`, like every node.
+
+    Parameters
+    ----------
+    master : str
+        URI.
+    name : str
+    topic : str, optional
+        What it publishes.
+    """
+
+    def __init__(self, master: str, name: str, topic: str = "/t"):
+        self.server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        self.server.register_function(lambda _caller: (1, "", PID), "getPid")
+        self._thread = threading.Thread(target=self.server.serve_forever, args=(0.01,))
+        self._thread.start()
+        uri = f"http://127.0.0.1:{self.server.server_address[1]}"
+        rosgraph.Master(name, master).registerPublisher(topic, "std_msgs/String", uri)
+
+    def end(self) -> None:
+        """As if it were killed: it stays registered, and its port is closed."""
+        self.server.shutdown()
+        self._thread.join()
+        self.server.server_close()
+
+
+@contextmanager
+def ros_master():
+    """Run a master on loopback; yields its URI. ROS_IP must be 127.0.0.1."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    running = Master(port=port)
+    running.start()
+    try:
+        yield running.uri
+    finally:
+        running.stop()
