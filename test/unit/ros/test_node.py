@@ -145,10 +145,12 @@ def test_a_node_without_a_master_waits_and_says_so_in_one_line(started, name):
         f"{name} waits: http://127.0.0.1:{port}: no ROS master answers ([Errno 111] Connection refused); start bringup"
     )
     assert said.read_text().startswith(sentence)
-    # a second question, answered by a master that is not one: it is asked again, and nothing is said again
+    # questions to a master that is not one, each tried again once by xmlrpc: the third connection is of the second question, and
+    # the first was dealt with, without another word
     with socket.create_server(("127.0.0.1", port)) as server:
         server.settimeout(60.0)
-        server.accept()[0].close()
+        for _ in range(3):
+            server.accept()[0].close()
     assert said.read_text().count("\n") == 1 and process.poll() is None
     process.send_signal(signal.SIGINT)
     process.wait(60.0)
