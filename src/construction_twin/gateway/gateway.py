@@ -231,11 +231,17 @@ class Gateway:
             said = self._said.sentence
             last = f"; the last one said: {said}" if said else ""
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
-        if self._machine.state is State.MEASURING or self._machine.state is State.OTHER_CYCLE:
+        state = self._machine.state
+        if state is State.MEASURING or state is State.OTHER_CYCLE:
             self._judge_clock()
-        elif self._machine.state is State.NO_CONTROLLER and self.refusals.unread:
+        elif state is State.READY and self._measures:
+            self._judge_cycle()
+        elif state is State.ARMED or state is State.FOLLOWING:
+            if self.clock.changed and self._measures:
+                self._brake(Event.CYCLE_REFUSED, self.clock.changed)
+        elif state is State.NO_CONTROLLER and self.refusals.unread:
             self._tell_unread(now)
-        elif self._machine.state is State.READ_ONLY and self._measures and not self._clock_told:
+        elif state is State.READ_ONLY and self._measures and not self._clock_told:
             self._tell_clock()
 
     def _tell_unread(self, now: int) -> None:
@@ -262,6 +268,17 @@ class Gateway:
             self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
         elif wrong is not None:
             self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
+
+    def _judge_cycle(self) -> None:
+        """Notice that a program began RSI anew in the other mode, where nothing else shows that it did."""
+        wrong = self.clock.judge(rates=False)
+        wrong = self._changed_cycle if wrong is None else wrong
+        if wrong:
+            self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
+
+    @property
+    def _changed_cycle(self) -> str:
+        return self.clock.changed if self._measures else ""
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
@@ -502,6 +519,8 @@ class Gateway:
     def _refusal_of_arm(self, occasion: Occasion) -> str:
         if refusal := self._refusal_of_session(occasion.session) or self._refusal_without_origin(occasion):
             return refusal
+        if self._changed_cycle:
+            return self._changed_cycle
         measured, follower = self._controller.measured, self._player.follower
         distance = measured and follower and distance_off(measured, follower.position, self.config, DISPLACED)
         if distance:
