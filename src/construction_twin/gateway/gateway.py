@@ -401,7 +401,7 @@ class Gateway:
         try:
             stamp, q = self._read_command(payload, properties, now)
         except PayloadError as error:
-            self.refusals.message(error.reason, error)
+            self.refusals.message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
                 self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
@@ -409,6 +409,8 @@ class Gateway:
             self._take(stamp, q, now)
         except MotionRefused as refusal:
             self.refusals.message(refusal.reason, refusal)
+            if self._machine.state is State.FOLLOWING:
+                self.refusals.stopped()
             self._brake(Event.COMMAND_REFUSED, str(refusal))
         except StreamBroken as broken:
             self._brake(broken.event, str(broken))
@@ -466,7 +468,10 @@ class Gateway:
 
     def _limit_speed(self, control: Control, now: int) -> Answer:
         if refusal := self.speed.refusal(control, self.session):
-            return self._refuse("speed_limit", refusal)
+            # one that only lacks an armed session may have been under way when a stop came
+            follows = not self.session and not self.speed.refusal(control, control.session)
+            self.refusals.message("speed_limit", refusal, follows)
+            return Answer(False, refusal)
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
@@ -588,6 +593,7 @@ class Gateway:
     def _on_reset(self, event: Event, occasion: Occasion) -> None:
         self._disarm()
         self.fault = self._ending = False
+        self.refusals.forgive()
         if self.mode is Mode.COMMISSIONING or not any(self.correction):
             # the arm stands at its origin, or where a program of the controller took it: the next stream begins there
             self._controller.renew_origin()
@@ -627,5 +633,6 @@ class Gateway:
             stop=self._stopping.report(),
             intruder={"session": owners.intruder, "count": owners.intrusions},
             last_refusal=self.refusals.last,
+            later_refusal=self.refusals.later,
             counters=dict(self.counters),
         ).to_dict()
