@@ -28,8 +28,8 @@ class Refusals:
 
     def __init__(self, counters: Counter[str]):
         self._counters = counters
-        #: Reason and sentence of the last one that is no mere consequence of a stop; of the one that stopped the arm, until `forgive`;
-        #: "" for none yet.
+        #: Reason and sentence of the last one that is no mere consequence of a stop; of the one that stopped the arm, until
+        #: `forgive`; "" for none yet.
         self.last = ""
         #: Of the last one since the one that stopped the arm; "" for none.
         self.later = ""
@@ -47,8 +47,8 @@ class Refusals:
         why : object
             The sentence.
         follows : bool, optional
-            It is refused only because nobody is armed, as what is still under way when a stop comes: its sentence takes the place of
-            no other.
+            It is refused only because nobody is armed, as what is still under way when a stop comes: its sentence takes the
+            place of no other.
         """
         if follows and self._keeps:
             self._counters[f"refused_{reason}"] += 1
