@@ -39,6 +39,8 @@ LOOK = 0.5
 #: Least fraction of the picture's width and height that the arm covers.
 LARGE = 0.2
 GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
+#: The arm alone, large.
+NEAR = {"Distance": 4.0, "Focal Point": {"X": 0.65, "Y": 0.0, "Z": 1.05}}
 #: Further away and higher, so that the text over the arm is in the picture.
 WITH_TEXT = {"Distance": 5.4, "Focal Point": {"X": 0.5, "Y": 0.0, "Z": 1.55}}
 #: For two texts, one over the other.
@@ -133,7 +135,7 @@ def keep(picture: Path) -> Path:
 def shoot_one(camera: Camera) -> None:
     """One robot: in sync, a plan under review with its ghost, a joint that stalls in motion."""
     client = ready_client()
-    camera.shoot("in_sync", "twin", {"orange": 0.015, "green": 0.002})
+    camera.shoot("in_sync", "twin", {"orange": 0.015, "green": 0.002}, **NEAR)
     plan = make_plan(client, GOAL)
     with Stream("preview/joint_states") as ghost:
         rospy.ServiceProxy("preview_plan", PreviewPlan)(speed=2.0, loop=False)

@@ -25,8 +25,8 @@ COLOURS = {
     SyncState.STOPPED: (0.9, 0.05, 0.1, 0.6),
     SyncState.FAULT: (0.9, 0.05, 0.1, 0.6),
 }
-#: Room between the text and the highest place that the arm can reach [m].
-TEXT_ROOM = 0.35
+#: Room between the middle of the text and the length of the stretched arm, which no pose quite reaches [m].
+TEXT_ROOM = 0.15
 #: Longest line of the text.
 LINE_LENGTH = 70
 

@@ -182,3 +182,17 @@ def test_files_in_a_folder_with_a_space_are_found(tmp_path):
     command = ["roslaunch", "--args", "/broker", "construction_twin", "experiment.launch", *words]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert f"{folder}/mosquitto.conf" in run.stdout
+
+
+def test_the_monitor_ends_before_what_it_watches():
+    """roslaunch ends nodes in the reverse order of their start: what ends must not be reported as a fault. The broker is last."""
+    run = subprocess.run(
+        ["roslaunch", "--nodes", "construction_twin", "bringup.launch"], capture_output=True, text=True, timeout=120
+    )
+    nodes = run.stdout.split()
+    watched = ["mock_rsi", "mqtt_bridge", "rsi_gateway", "virtual_robot", "executor", "pca_monitor", "startup"]
+    assert sorted(nodes, key=nodes.index)[0] == "/broker"
+    places = {name: nodes.index(f"/kr120/{name}") for name in watched}
+    assert places["pca_monitor"] > max(places[name] for name in watched[:-2])
+    assert places["executor"] > max(places[name] for name in watched[:-3])
+    assert places["startup"] > places["pca_monitor"]

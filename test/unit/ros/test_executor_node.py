@@ -248,3 +248,16 @@ def test_a_verdict_is_published_with_its_reason(world):
     (verdict,) = [message[0] for name, message in world.said if name == "review"]
     assert (verdict.plan_id, verdict.approved, verdict.reviewer) == ("p", False, "executor")
     assert verdict.reason == "replaced by plan q"
+
+
+def test_an_approval_without_a_reason_is_no_warning(world, monkeypatch):
+    warned, told = [], []
+    monkeypatch.setattr(rospy, "logwarn", lambda *words: warned.append(words[0] % words[1:]))
+    monkeypatch.setattr(rospy, "loginfo", lambda *words: told.append(words[0] % words[1:]))
+    world.playing()
+    assert world.node.on_pause(None).success
+    world.node.write_records()
+    assert warned == []
+    assert [line for line in told if line.endswith(" approved by Ada")] and [
+        line for line in told if line.startswith("pause: ")
+    ]

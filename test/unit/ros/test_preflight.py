@@ -233,7 +233,9 @@ def test_no_master_is_nothing_that_runs():
 
 def test_every_node_of_a_robot_is_looked_for():
     """Those of bringup.launch in its group, and of the files it includes there."""
-    trees = [ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link")]
+    trees = [
+        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link", "gate")
+    ]
     names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view"}
     assert set(preflight.ROBOT_NODES) == names
 

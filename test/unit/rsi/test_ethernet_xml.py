@@ -81,22 +81,36 @@ def test_names_order_and_holdon_are_those_of_the_file():
     check_gateway(ethernet.layout, ("A1", "A2"), "eth.xml")
 
 
+#: What stands in the driver's file for the KR C4: two Cartesian blocks in front, no Stop, eight digital outputs.
+ROS_INDUSTRIAL = "".join(
+    (
+        "<ROOT><CONFIG><IP_NUMBER>192.168.1.25</IP_NUMBER><PORT>59152</PORT><SENTYPE>ImFree</SENTYPE>",
+        "<ONLYSEND>FALSE</ONLYSEND></CONFIG><SEND><ELEMENTS>",
+        *(
+            f'<ELEMENT TAG="DEF_{name}" TYPE="{kind}" INDX="INTERNAL" />'
+            for name, kind in (
+                ("RIst", "DOUBLE"), ("RSol", "DOUBLE"), ("AIPos", "DOUBLE"), ("ASPos", "DOUBLE"), ("Delay", "LONG"),
+            )
+        ),
+        "</ELEMENTS></SEND><RECEIVE><ELEMENTS>",
+        *(f'<ELEMENT TAG="AK.A{axis}" TYPE="DOUBLE" INDX="{axis}" HOLDON="1" />' for axis in range(1, 7)),
+        *(f'<ELEMENT TAG="Out.0{out}" TYPE="BOOL" INDX="{out + 6}" HOLDON="1" />' for out in range(1, 9)),
+        "</ELEMENTS></RECEIVE></ROOT>",
+    )
+)  # fmt: skip
+
+
 def test_the_file_of_the_ros_industrial_driver_is_used_as_it_is():
-    outputs = "".join(
-        f'      <ELEMENT TAG="Out.0{number}" TYPE="BOOL" INDX="{number + 6}" HOLDON="1" />\n' for number in range(1, 9)
-    )
-    corrections = "".join(
-        f'      <ELEMENT TAG="AK.A{axis}" TYPE="DOUBLE" INDX="{axis}" HOLDON="1" />\n' for axis in range(1, 7)
-    )
-    start = TEXT.index("<RECEIVE>")
-    text = TEXT[:start] + f"<RECEIVE>\n    <ELEMENTS>\n{corrections}{outputs}    </ELEMENTS></RECEIVE>\n</ROOT>"
-    layout = read_ethernet_xml(text, "ros_rsi_ethernet.xml").layout
+    ethernet = read_ethernet_xml(ROS_INDUSTRIAL, "ros_rsi_ethernet.xml")
+    layout = ethernet.layout
     check_gateway(layout, AXES, "ros_rsi_ethernet.xml")
+    assert (ethernet.address, layout.port) == ("192.168.1.25", 59152)
+    assert layout.send == ("RIst", "RSol", "AIPos", "ASPos", "Delay")
     assert layout.receive == RsiLayout.plain(AXES).receive
     assert layout.not_filled == tuple(f"Out.0{number}" for number in range(1, 9))
     assert b"Out" not in SensorEncoder.of(layout, AXES).encode((0.0,) * 6, 4)
     # an output of another type has a meaning that nobody knows here
-    assert refusal(changed('"Out.03" TYPE="BOOL"', '"Out.03" TYPE="LONG"', text)).element == "RECEIVE Out.03"
+    assert refusal(changed('"Out.03" TYPE="BOOL"', '"Out.03" TYPE="LONG"', ROS_INDUSTRIAL)).element == "RECEIVE Out.03"
 
 
 def test_a_track_needs_its_channel_and_its_positions():

@@ -117,8 +117,9 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     # what the gateway would refuse is told before the long part
     gateway_config(robot, yaml.safe_load(read_text(_shipped("config/gateway.yaml"))) | {"ethernet_xml": ethernet})
     coarse = sample_self_collision(robot, min(_COARSE, options.samples))
-    scene, left_out = _scene(robot, coarse, read_scene(shipped))
-    robot, description, pairs, home = _settle(robot, description, coarse, scene, options.samples)
+    print("looking for a home pose", file=sys.stderr, flush=True)
+    scene, left_out, home = _scene(robot, coarse, read_scene(shipped))
+    robot, description, pairs, home = _settle(robot, description, home, scene, options.samples)
     texts = {
         "robot_config": robot_yaml(description, command, options.full_speed_in),
         "ethernet_xml": ethernet,
@@ -160,23 +161,21 @@ def _shipped(relative: str) -> Path:
     return Path(rospkg.RosPack().get_path("construction_twin"), relative)
 
 
-def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene, str]:
-    """Return the scene that the launch file begins with, and why it is empty: when the arm cannot stand free on the floor."""
+def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene, str, Home]:
+    """Return the scene that the launch file begins with, why it is empty (no pose is free with the floor), and a home in it."""
     try:
-        find_home(CollisionWorld(robot, floor, pairs), np.random.default_rng(SEED))
+        return floor, "", find_home(CollisionWorld(robot, floor, pairs), np.random.default_rng(SEED))
     except ConfigurationError as error:
         # in contact without a floor, too: then it is not the floor's fault, and the search says so
-        find_home(CollisionWorld(robot, Scene(), pairs), np.random.default_rng(SEED))
-        return Scene(), f"no pose is free with a floor at the height of {robot.base_link} ({error.value})"
-    return floor, ""
+        home = find_home(CollisionWorld(robot, Scene(), pairs), np.random.default_rng(SEED))
+        return Scene(), f"no pose is free with a floor at the height of {robot.base_link} ({error.value})", home
 
 
 def _settle(
-    robot: RobotModel, description: dict[str, Any], pairs: SelfCollision, scene: Scene, samples: int
+    robot: RobotModel, description: dict[str, Any], home: Home, scene: Scene, samples: int
 ) -> tuple[RobotModel, dict[str, Any], SelfCollision, Home]:
-    """Find a home that is free with the pairs of the full sampling, which begins with home itself."""
+    """Sample the arm with its home, and seek another home while the pairs that this finds are in contact there."""
     for _ in range(_ATTEMPTS):
-        home = find_home(CollisionWorld(robot, scene, pairs), np.random.default_rng(SEED))
         description = with_home(description, home.q)
         robot = load_robot(robot.urdf, description)
         with progress(samples) as report:
@@ -185,6 +184,7 @@ def _settle(
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)
             return robot, description, pairs, replace(home, clearance=measured.distance, between=measured.between)
+        home = find_home(world, np.random.default_rng(SEED))
     raise ConfigurationError(
         "home pose", home.q, f"a pose that {samples} samples leave free, within {_ATTEMPTS} attempts"
     )

@@ -51,7 +51,7 @@ PAUSE = 0.0005
 
 
 class Settings(NodeSettings):
-    """Private parameters; see config/executor.yaml, the others are given in launch/twin.launch."""
+    """Private parameters; see config/executor.yaml, the others are given in launch/gate.launch."""
 
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
@@ -273,7 +273,7 @@ class ExecutorNode:
         except ConstructionTwinError as error:
             rospy.logwarn("%s refused: %s", name, error)
             return TriggerResponse(False, str(error))
-        rospy.logwarn("%s: %s", name, sentence)
+        rospy.loginfo("%s: %s", name, sentence)
         return TriggerResponse(True, sentence)
 
     # -- in the background
@@ -316,9 +316,9 @@ class ExecutorNode:
     # -- reports
 
     def _publish_verdict(self, verdict: Verdict) -> None:
-        reason = verdict.reason or "no reason given"
+        reason = f": {verdict.reason}" if verdict.reason else ""
         self._said.add(
-            rospy.logwarn, "plan %s %s by %s: %s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
+            rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
         )
         message = Review(
             plan_id=verdict.plan_id,

@@ -27,7 +27,7 @@ PAUSE = 0.02
 
 
 class Settings(NodeSettings):
-    """Private parameters, given in launch/twin.launch: the physical arm."""
+    """Private parameters, given in launch/gate.launch: the physical arm."""
 
     arm: Literal["mock", "real", "none"]
 
