@@ -7,6 +7,7 @@ actions do. Standard library only; rad and ns.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 DISPLACED = 2.0
 #: What could not be read is told until nothing more of it has come for this long [s].
 UNREAD_QUIET = 10.0
+#: Figures in a sentence about the clock that are measured.
+_MEASURED = re.compile(r"\d+\.\d+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,8 @@ class Gateway:
         self.clock = ControllerClock(config.cycle)
         self._measures = measures
         self._began = ""
-        self._clock_told = False
+        # what was said of the controller's clock, without figures that waver
+        self._clock_told = ""
         # why telegrams could not be read, as told last, and when [ns]
         self._unread_told = ""
         self._unread_told_at = -NANOSECONDS
@@ -245,7 +249,7 @@ class Gateway:
                 self._brake(Event.CYCLE_REFUSED, self.clock.changed)
         elif state is State.NO_CONTROLLER and self.refusals.unread:
             self._tell_unread(now)
-        elif state is State.READ_ONLY and self._measures and not self._clock_told:
+        elif state is State.READ_ONLY and self._measures:
             self._tell_clock()
 
     def _tell_unread(self, now: int) -> None:
@@ -268,25 +272,35 @@ class Gateway:
         self._unread_told, self._unread_told_at = last.reason, now
 
     def _tell_clock(self) -> None:
-        """Say of a controller that takes no corrections, once, whether its clock is another one: the next program may take some."""
+        """Say of a controller that takes no corrections whether its clock is another one: the next program may take some."""
         wrong = self.clock.judge()
-        self._clock_told = wrong is not None
+        if wrong is None or not self._note_clock(wrong):
+            return
         if wrong:
             self._machine.add(wrong)
             self._machine.changed = True
+        else:
+            self._machine.drop()
+
+    def _note_clock(self, wrong: str) -> bool:
+        """Take note of a sentence about the clock; return whether it is another one: a measured rate that wavers makes none."""
+        before, self._clock_told = self._clock_told, _MEASURED.sub("", wrong)
+        return self._clock_told != before
 
     def _judge_clock(self) -> None:
         wrong = self.clock.judge()
-        if wrong:
-            self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
-        elif wrong is not None:
-            self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
+        if wrong is None:
+            return
+        if self._note_clock(wrong) or not wrong:
+            event = Event.CYCLE_REFUSED if wrong else Event.CYCLE_FITS
+            self._machine.on(event, Occasion(wrong or self._began))
 
     def _judge_cycle(self) -> None:
         """Notice that a program began RSI anew in the other mode, where nothing else shows that it did."""
         wrong = self.clock.judge(rates=False)
         wrong = self._changed_cycle if wrong is None else wrong
         if wrong:
+            self._note_clock(wrong)
             self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
 
     @property
@@ -320,7 +334,7 @@ class Gateway:
         self._ending = False
         self.correction = ()
         self.clock.restart()
-        self._unread_told, self._unread_count, self._clock_told = "", 0, False
+        self._unread_told, self._unread_count, self._clock_told = "", 0, ""
 
     def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
         self._controller.end()

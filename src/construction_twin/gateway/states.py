@@ -127,7 +127,7 @@ TABLE: tuple[Row, ...] = (
     *_rows(_LIVE, Event.SESSION_BEGAN, State.MEASURING, Action.BEGIN_SESSION, Guard.ANSWERS),
     *_rows(_LIVE, Event.SESSION_BEGAN, State.READ_ONLY, Action.BEGIN_SESSION, Guard.READS_ONLY),
     *_rows(_UNMEASURED, Event.CYCLE_FITS, State.READY),
-    *_rows((State.MEASURING, State.READY), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
+    *_rows((State.MEASURING, State.READY, State.OTHER_CYCLE), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
     *_rows((State.ARMED, State.FOLLOWING), Event.CYCLE_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
     *_rows((State.MEASURING, State.READY), Event.ORIGIN_REFUSED, State.JOINED),
     *_rows(_LIVE[1:], Event.CONTROLLER_SILENT, State.NO_CONTROLLER, Action.END_SESSION),

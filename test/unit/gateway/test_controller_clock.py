@@ -338,6 +338,46 @@ def test_of_a_controller_that_takes_no_corrections_another_cycle_is_named_too():
     assert cell.state is State.READ_ONLY and "the controller's cycle is" not in cell.gateway.reason
 
 
+def test_of_a_controller_that_takes_no_corrections_the_sentence_goes_with_its_clock():
+    cell = Cell(measures=True, layout=dataclasses.replace(Cell().config.layout, onlysend=True))
+    cell.cycle(FIRST // 4 + 1)
+    plain = cell.gateway.reason
+    assert "the controller's cycle is" not in plain
+    cell.gateway.take_change()
+    # the program begins RSI anew in the other mode
+    cell.cycle(1200, step_ms=12)
+    assert f"; {TWELVE}" in cell.gateway.reason and cell.gateway.take_change()
+    cell.cycle(1200, step_ms=12)
+    assert not cell.gateway.take_change()
+    cell.cycle(1200)
+    assert cell.state is State.READ_ONLY and cell.gateway.reason == plain and cell.gateway.take_change()
+    cell.cycle(1200)
+    assert not cell.gateway.take_change()
+
+
+def test_of_another_cycle_the_sentence_goes_with_the_clock_and_is_told_once():
+    cell = Cell(measures=True)
+    cell.cycle(200, step_ms=12)
+    assert cell.gateway.reason.startswith(TWELVE) and cell.gateway.take_change()
+    cell.cycle(1200, step_ms=8)
+    assert cell.state is State.OTHER_CYCLE and cell.gateway.take_change()
+    assert cell.gateway.reason.startswith("the controller's cycle is 8 ms (IPOC steps of 8); expected 4 ms")
+    cell.cycle(1200, step_ms=8)
+    assert not cell.gateway.take_change()
+
+
+def test_a_rate_that_wavers_is_no_news():
+    cell, rng = Cell(measures=True), random.Random(2)
+    for _ in range(6000):
+        cell.now += round(rng.uniform(7.0, 9.0 + (cell.ipoc % 8000 > 4000)) * MS)
+        cell.ipoc += 4
+        cell.telegram()
+        cell.gateway.poll(cell.now)
+        if cell.state is State.OTHER_CYCLE and cell.ipoc < 1_012_000:
+            cell.gateway.take_change()
+    assert cell.state is State.OTHER_CYCLE and not cell.gateway.take_change()
+
+
 def test_the_end_of_the_program_is_told_to_a_controller_of_another_cycle_too():
     plain = Cell().config.layout
     layout = dataclasses.replace(plain, receive=("Stop", *plain.receive), holdon=(False, *plain.holdon))

@@ -144,6 +144,7 @@ HAPPENS = [
     *[(state, Event.CYCLE_FITS, lambda cell: cell.cycle(1200), State.READY) for state in UNMEASURED],
     (State.MEASURING, Event.CYCLE_REFUSED, lambda cell: cell.cycle(200, step_ms=12), State.OTHER_CYCLE),
     (State.READY, Event.CYCLE_REFUSED, change_cycle, State.OTHER_CYCLE),
+    (State.OTHER_CYCLE, Event.CYCLE_REFUSED, lambda cell: cell.cycle(1200, step_ms=8), State.OTHER_CYCLE),
     *[(state, Event.CYCLE_REFUSED, change_cycle, State.HOLDING) for state in (State.ARMED, State.FOLLOWING)],
     (State.MEASURING, Event.ORIGIN_REFUSED, join, State.JOINED),
     (State.READ_ONLY, Event.SESSION_BEGAN, jump, State.READ_ONLY),
