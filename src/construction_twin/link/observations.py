@@ -67,6 +67,7 @@ class LinkObservations:
         self._command: tuple[float, ...] | None = None
         self._command_at = 0
         self._command_moved_at = 0
+        self._command_rests_since = 0
 
     # -- what comes in
 
@@ -94,8 +95,11 @@ class LinkObservations:
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
         """Take a command that wants to be sent [rad]."""
+        if self._command is None or now - self._command_at >= FRESH:
+            # how it moved before is not known
+            self._command_rests_since = now
         if self._command is not None and q != self._command:
-            self._command_moved_at = now
+            self._command_moved_at = self._command_rests_since = now
         self._command, self._command_at = q, now
 
     def forget_command(self) -> None:
@@ -196,6 +200,14 @@ class LinkObservations:
     def stream_moves(self, now: int) -> bool:
         """Return whether commands come, and one of them differed from the one before it within `REST`."""
         return self._command is not None and now - self._command_moved_at < REST and now - self._command_at < FRESH
+
+    def stream_rests(self, now: int) -> bool:
+        """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""
+        return (
+            self._command is not None
+            and now - self._command_at < FRESH
+            and self._command_at - self._command_rests_since >= REST
+        )
 
     def within_tolerance(self, now: int) -> bool:
         """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""
