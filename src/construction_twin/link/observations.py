@@ -81,6 +81,16 @@ class LinkObservations:
         """Take the gateway's status."""
         self.status, self._status_at = status, now
 
+    def why_not_believed(self, status: dict, now: int) -> str:
+        """Return why what was said on `status` is not to be taken, as a sentence; empty when it is.
+
+        While a gateway answers, a bare PLC's word is not its: it must not stop a motion.
+        """
+        silent = self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT
+        if status.get("kind") != PLC or self.status.get("kind") == PLC or silent:
+            return ""
+        return f"a bare PLC's word `{status['state']}` on `status`, while rsi_gateway answers there: see to who else writes on it"
+
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
         """Take the arm's pose [rad]."""
         if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:

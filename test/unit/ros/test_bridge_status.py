@@ -14,6 +14,7 @@ from gateway_cell import following
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import NOT_CHECKED
+from construction_twin.link.observations import STATUS_TIMEOUT
 from construction_twin.link.states import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE
@@ -373,6 +374,29 @@ def test_what_answers_in_the_other_mode_is_named_with_the_argument(clocks):
     bench.bridge.on_status(b"offline")
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
+
+
+@pytest.mark.parametrize("word", [b"ready", b"offline"])
+def test_a_word_on_status_stops_nothing_while_the_gateway_answers(bench, word):
+    bench.arm()
+    bench.bridge.on_status(word)
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.ARMED and bench.refused == {"status": 1}
+    # the gateway's own word counts at once
+    bench.bridge.on_status(b'{"state": "offline"}')
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
+    bench.bridge.on_status(b"ready")
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.MISMATCH and bench.refused == {"status": 1}
+
+
+def test_a_word_on_status_is_believed_once_the_gateway_is_silent(bench):
+    bench.arm()
+    bench.clocks.run(STATUS_TIMEOUT / NANOSECONDS + 0.02)
+    bench.bridge.on_status(b"ready")
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.MISMATCH and bench.refused == {}
 
 
 def test_without_a_bare_plc_nobody_is_responsible(bench):

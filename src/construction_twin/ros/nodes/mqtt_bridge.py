@@ -284,11 +284,16 @@ class MqttBridge:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
-        if status.get("state") == "offline":
-            self._state_check.restart()
         with self._lock:
-            self._supervisor.on_status(status, time.monotonic_ns())
-            self._gateway_values = values
+            now = time.monotonic_ns()
+            problem = self._supervisor.inputs.why_not_believed(status, now)
+            if not problem:
+                self._supervisor.on_status(status, now)
+                self._gateway_values = values
+        if problem:
+            self._diagnostics.refuse("status", problem)
+        elif status.get("state") == "offline":
+            self._state_check.restart()
 
     def on_answer(self, payload: bytes) -> None:
         """Take the gateway's answer to a control message."""
