@@ -145,7 +145,7 @@ class Cell:
 def following(cycles=100, **changes) -> Cell:
     """Return a cell in the middle of a motion of A1."""
     cell = Cell(**changes)
-    cell.cycle(3)
+    cell.cycle(110 if changes.get("measures") else 3)
     assert cell.arm() == (True, "armed")
     cell.stream(slow(k) for k in range(cycles))
     assert cell.state is State.FOLLOWING

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import socket
 import threading
+from collections.abc import Callable
 from contextlib import contextmanager
+from socketserver import ThreadingMixIn
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph
@@ -14,8 +16,13 @@ from rosmaster.master import Master
 PID = 4711
 
 
+class _Server(ThreadingMixIn, SimpleXMLRPCServer):
+    allow_reuse_address = True
+    daemon_threads = True
+
+
 class Node:
-    """A process that has registered as a node: it answers `getPid`, like every node.
+    """A process that has registered as a node: it answers `getPid`, like every node, and `getName`, like those of rospy.
 
     Parameters
     ----------
@@ -24,11 +31,23 @@ class Node:
     name : str
     topic : str, optional
         What it publishes.
+    port : int, optional
+        Of its own XML-RPC server; 0: any that is free.
+    get_pid : callable, optional
+        Its answer to `getPid`; questions that come meanwhile are answered, too.
     """
 
-    def __init__(self, master: str, name: str, topic: str = "/t"):
-        self.server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
-        self.server.register_function(lambda _caller: (1, "", PID), "getPid")
+    def __init__(
+        self,
+        master: str,
+        name: str,
+        topic: str = "/t",
+        port: int = 0,
+        get_pid: Callable[[str], tuple[int, str, int]] = lambda _caller: (1, "", PID),
+    ):
+        self.server = _Server(("127.0.0.1", port), logRequests=False)
+        self.server.register_function(get_pid, "getPid")
+        self.server.register_function(lambda _caller: (1, "", name), "getName")
         self._thread = threading.Thread(target=self.server.serve_forever, args=(0.01,))
         self._thread.start()
         uri = f"http://127.0.0.1:{self.server.server_address[1]}"

@@ -22,6 +22,11 @@ BASE = 200
 TOLERANCE = 0.05
 #: Beyond this the time between telegrams does not bear out what IPOC says of the cycle: then it is not called a cycle.
 FAR_OFF = 0.25
+#: So many steps in a row of RSI's other cycle, where it is the longer one, are no lost telegrams any more: with a third of all lost
+#: at random it takes decades until they look like this.
+LOSSES = 10
+#: So many of the shorter one: no loss makes a step shorter than a cycle, and a telegram behind a newer one makes no step.
+SHORTER = 3
 #: Telegrams that the figures of the status are taken from.
 SHOWN = 250
 #: Names of the cycles in KRL (docs/rsi.md, section 1).
@@ -41,12 +46,18 @@ class ControllerClock:
         self._cycle = cycle_ms
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
         self._heard: deque[tuple[int, int]] = deque(maxlen=self._patient)
+        self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in _MODES if mode != cycle_ms}
         self.restart()
 
     def restart(self) -> None:
         """Begin with another session."""
         self._heard.clear()
         self._to_judge = self._first
+        #: In one sentence, that the last telegrams have RSI's other cycle, whatever came before; "" until they do. Stays until
+        #: `judge` finds the expected one.
+        self.changed = ""
+        # the last step that was another cycle, where it led, and how many of it came in a row
+        self._other = self._other_ipoc = self._in_a_row = 0
 
     def note(self, ipoc: int, arrived: int) -> None:
         """Take a telegram, also one that is not answered.
@@ -66,21 +77,42 @@ class ControllerClock:
                     # came twice, or behind a newer one
                     return
                 self.restart()
+            elif step != self._cycle and step in self._others:
+                self._note_other(ipoc, step)
         heard.append((ipoc, arrived))
         self._to_judge -= 1
 
-    def judge(self) -> str | None:
+    def _note_other(self, ipoc: int, step: int) -> None:
+        """Take a step of the other cycle; the session is measured anew from where the first row of them began."""
+        follows = step == self._other and ipoc - step == self._other_ipoc
+        self._in_a_row = self._in_a_row + 1 if follows else 1
+        self._other, self._other_ipoc = step, ipoc
+        if self.changed or self._in_a_row != self._others[step]:
+            return
+        self.changed = self._sentence(step, 1.0)
+        heard = self._heard
+        while len(heard) > self._in_a_row:
+            heard.popleft()
+        self._to_judge = self._first - len(heard)
+
+    def judge(self, rates: bool = True) -> str | None:
         """Return in one sentence what is wrong with the clock, "" when nothing is; None when there is nothing new to say.
 
         It takes as long as an answer, and is due every 0.4 s at most: call it when nothing waits for it.
+
+        Parameters
+        ----------
+        rates : bool, optional
+            False: only the cycle is judged. A rate that once was right becomes wrong by a machine that stalls, not by a program.
         """
         if self._to_judge > 0:
             return None
         self._to_judge = self._first
-        step, rate = self._figures(self._patient)
+        step, rate = self._figures(self._patient) if rates else (self._step(list(self._heard)), 1.0)
         in_time = abs(rate - 1.0) <= TOLERANCE
         if step != self._cycle:
             return self._sentence(step, rate)
+        self.changed = ""
         if in_time:
             return ""
         return self._sentence(step, rate) if len(self._heard) == self._patient else None
@@ -100,11 +132,14 @@ class ControllerClock:
     def _figures(self, count: int) -> tuple[float, float]:
         """Return the step of IPOC [ms] and the rate of the clock, from the last `count` telegrams."""
         heard = list(self._heard)[-count:]
-        step = median([later[0] - earlier[0] for earlier, later in zip(heard, heard[1:])])
         pace = median(
             [(later[1] - earlier[1]) / (later[0] - earlier[0]) for earlier, later in zip(heard, heard[self._base :])]
         )
-        return step, IPOC_NS / pace if pace > 0.0 else 0.0
+        return self._step(heard), IPOC_NS / pace if pace > 0.0 else 0.0
+
+    @staticmethod
+    def _step(heard: list[tuple[int, int]]) -> float:
+        return median([later[0] - earlier[0] for earlier, later in zip(heard, heard[1:])])
 
     def _sentence(self, step: float, rate: float) -> str:
         cycle, mode = self._cycle, _MODES[self._cycle]

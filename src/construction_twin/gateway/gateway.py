@@ -231,11 +231,17 @@ class Gateway:
             said = self._said.sentence
             last = f"; the last one said: {said}" if said else ""
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(f"no telegram for {self.config.timeout:g} s{last}"))
-        if self._machine.state is State.MEASURING or self._machine.state is State.OTHER_CYCLE:
+        state = self._machine.state
+        if state is State.MEASURING or state is State.OTHER_CYCLE:
             self._judge_clock()
-        elif self._machine.state is State.NO_CONTROLLER and self.refusals.unread:
+        elif state is State.READY and self._measures:
+            self._judge_cycle()
+        elif state is State.ARMED or state is State.FOLLOWING:
+            if self.clock.changed and self._measures:
+                self._brake(Event.CYCLE_REFUSED, self.clock.changed)
+        elif state is State.NO_CONTROLLER and self.refusals.unread:
             self._tell_unread(now)
-        elif self._machine.state is State.READ_ONLY and self._measures and not self._clock_told:
+        elif state is State.READ_ONLY and self._measures and not self._clock_told:
             self._tell_clock()
 
     def _tell_unread(self, now: int) -> None:
@@ -262,6 +268,17 @@ class Gateway:
             self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
         elif wrong is not None:
             self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
+
+    def _judge_cycle(self) -> None:
+        """Notice that a program began RSI anew in the other mode, where nothing else shows that it did."""
+        wrong = self.clock.judge(rates=False)
+        wrong = self._changed_cycle if wrong is None else wrong
+        if wrong:
+            self._machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
+
+    @property
+    def _changed_cycle(self) -> str:
+        return self.clock.changed if self._measures else ""
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
@@ -384,7 +401,7 @@ class Gateway:
         try:
             stamp, q = self._read_command(payload, properties, now)
         except PayloadError as error:
-            self.refusals.message(error.reason, error)
+            self.refusals.message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
                 self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
@@ -392,6 +409,8 @@ class Gateway:
             self._take(stamp, q, now)
         except MotionRefused as refusal:
             self.refusals.message(refusal.reason, refusal)
+            if self._machine.state is State.FOLLOWING:
+                self.refusals.stopped()
             self._brake(Event.COMMAND_REFUSED, str(refusal))
         except StreamBroken as broken:
             self._brake(broken.event, str(broken))
@@ -449,7 +468,10 @@ class Gateway:
 
     def _limit_speed(self, control: Control, now: int) -> Answer:
         if refusal := self.speed.refusal(control, self.session):
-            return self._refuse("speed_limit", refusal)
+            # one that only lacks an armed session may have been under way when a stop came
+            follows = not self.session and not self.speed.refusal(control, control.session)
+            self.refusals.message("speed_limit", refusal, follows)
+            return Answer(False, refusal)
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
@@ -502,6 +524,8 @@ class Gateway:
     def _refusal_of_arm(self, occasion: Occasion) -> str:
         if refusal := self._refusal_of_session(occasion.session) or self._refusal_without_origin(occasion):
             return refusal
+        if self._changed_cycle:
+            return self._changed_cycle
         measured, follower = self._controller.measured, self._player.follower
         distance = measured and follower and distance_off(measured, follower.position, self.config, DISPLACED)
         if distance:
@@ -569,6 +593,7 @@ class Gateway:
     def _on_reset(self, event: Event, occasion: Occasion) -> None:
         self._disarm()
         self.fault = self._ending = False
+        self.refusals.forgive()
         if self.mode is Mode.COMMISSIONING or not any(self.correction):
             # the arm stands at its origin, or where a program of the controller took it: the next stream begins there
             self._controller.renew_origin()
@@ -608,5 +633,6 @@ class Gateway:
             stop=self._stopping.report(),
             intruder={"session": owners.intruder, "count": owners.intrusions},
             last_refusal=self.refusals.last,
+            later_refusal=self.refusals.later,
             counters=dict(self.counters),
         ).to_dict()

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 #: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
 LONGEST_REFUSAL = 300
-#: Refusals that follow a stop as long as the sender goes on: none of them takes the place of what the sender was stopped for.
-CONSEQUENCES = ("not_armed",)
 
 
 @dataclass(frozen=True)
@@ -30,21 +28,37 @@ class Refusals:
 
     def __init__(self, counters: Counter[str]):
         self._counters = counters
-        #: Reason and sentence of the last one that is no mere consequence of a stop; "" for none yet.
+        #: Reason and sentence of the last one that is no mere consequence of a stop; of the one that stopped the arm, until
+        #: `forgive`; "" for none yet.
         self.last = ""
+        #: Of the last one since the one that stopped the arm; "" for none.
+        self.later = ""
         #: Datagrams refused since the last telegram that could be read, and the last one's reason and sentence.
         self.unread = 0
         self.last_unread = Unread()
-        self._keeps = False
+        self._keeps = self._stopped = False
 
-    def message(self, reason: str, why: object) -> None:
-        """Count a message on MQTT as ``refused_<reason>``."""
-        consequence = reason in CONSEQUENCES
-        if consequence and self._keeps:
+    def message(self, reason: str, why: object, follows: bool = False) -> None:
+        """Count a message on MQTT as ``refused_<reason>``.
+
+        Parameters
+        ----------
+        reason : str
+        why : object
+            The sentence.
+        follows : bool, optional
+            It is refused only because nobody is armed, as what is still under way when a stop comes: its sentence takes the
+            place of no other.
+        """
+        if follows and self._keeps:
             self._counters[f"refused_{reason}"] += 1
             return
         self._note(f"refused_{reason}", reason, why)
-        self._keeps = not consequence
+        self._keeps = not follows
+
+    def stopped(self) -> None:
+        """Keep the last one: the arm was stopped for it."""
+        self._stopped, self.later = True, ""
 
     def telegram(self, reason: str, why: object) -> None:
         """Count a datagram on RSI's port as ``telegram_refused_<reason>``."""
@@ -54,9 +68,14 @@ class Refusals:
         self.last_unread = Unread(reason, str(why)[:LONGEST_REFUSAL])
 
     def forgive(self) -> None:
-        """Begin with another command session: what stopped the one before is no longer the cause of anything."""
-        self._keeps = False
+        """After a reset, or with another command session: what stopped the one before is no longer the cause of anything."""
+        self.last, self.later = self.later or self.last, ""
+        self._keeps = self._stopped = False
 
     def _note(self, counter: str, reason: str, why: object) -> None:
         self._counters[counter] += 1
-        self.last = f"{reason}: {why}"[:LONGEST_REFUSAL]
+        said = f"{reason}: {why}"[:LONGEST_REFUSAL]
+        if self._stopped:
+            self.later = said
+        else:
+            self.last = said

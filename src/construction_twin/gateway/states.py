@@ -80,7 +80,10 @@ class Guard(Enum):
     ANSWERS = "the controller expects answers"
     READS_ONLY = "ONLYSEND"
     HAS_ORIGIN = "the origin is known"
-    MAY_ARM = "the origin is known; no fault; the arm is where it is held; the session has not had its turn"
+    MAY_ARM = (
+        "the origin is known; no fault; the arm is where it is held; the session has not had its turn; "
+        "the controller's cycle is still the one that was measured"
+    )
     SAME_SESSION = "from the armed session"
     MAY_RESET = "the origin is known; the arm is at rest"
     OWNER_MAY_RESET = "from the commanding session; the arm is at rest"
@@ -124,7 +127,8 @@ TABLE: tuple[Row, ...] = (
     *_rows(_LIVE, Event.SESSION_BEGAN, State.MEASURING, Action.BEGIN_SESSION, Guard.ANSWERS),
     *_rows(_LIVE, Event.SESSION_BEGAN, State.READ_ONLY, Action.BEGIN_SESSION, Guard.READS_ONLY),
     *_rows(_UNMEASURED, Event.CYCLE_FITS, State.READY),
-    *_rows((State.MEASURING,), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
+    *_rows((State.MEASURING, State.READY), Event.CYCLE_REFUSED, State.OTHER_CYCLE),
+    *_rows((State.ARMED, State.FOLLOWING), Event.CYCLE_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
     *_rows((State.MEASURING, State.READY), Event.ORIGIN_REFUSED, State.JOINED),
     *_rows(_LIVE[1:], Event.CONTROLLER_SILENT, State.NO_CONTROLLER, Action.END_SESSION),
     *_rows((State.READY,), Event.ARM, State.ARMED, Action.OWN, Guard.MAY_ARM),
@@ -159,6 +163,7 @@ CAUSES = {
     Event.COMMAND_REFUSED: "refused",
     Event.SPEED_IGNORED: "speed_limit",
     Event.DRIFTED: "drift",
+    Event.CYCLE_REFUSED: "cycle",
     Event.STOP: "stop",
 }
 

@@ -39,6 +39,7 @@ class Status:
     stop: dict
     intruder: dict
     last_refusal: str
+    later_refusal: str
     counters: dict[str, int]
 
     def to_dict(self) -> dict:

@@ -265,51 +265,30 @@ class RailInverse(InverseKinematics):
             if most is not None and hopeful[index] > best:
                 continue
             row, slot = int(rows[index]), int(slots[index])
-            around = slice(max(row - 1, 0), row + 2)
-            solution = self._narrowed(
-                pose, seed, along.flange, slot, turn, places[around], squares[around, slot], excess[around, slot]
-            )
+            valley_here = _Valley(*_around(places, squares, excess, row, slot))
+            solution = self._narrowed(pose, seed, along.flange, slot, turn, valley_here)
             if solution is not None:
                 best = min(best, solution.distance)
                 yield solution
                 most = None if most is None else most - 1
 
     def _narrowed(
-        self,
-        pose: Pose,
-        seed: np.ndarray,
-        flange: np.ndarray,
-        slot: int,
-        turn: np.ndarray,
-        places: np.ndarray,
-        squares: np.ndarray,
-        excess: np.ndarray,
+        self, pose: Pose, seed: np.ndarray, flange: np.ndarray, slot: int, turn: np.ndarray, valley: _Valley
     ) -> IkSolution | None:
         """Return the nearest solution of one branch around the best of two or three places; None: there is none."""
-        best, q = math.inf, np.zeros(0)
-        known = places[int(_cost(squares, excess).argmin())]
-        for _ in range(_NARROWINGS):
-            near = _promising(places, squares, excess, _LEFT[int(best < math.inf)])
-            if best == math.inf:
-                near = np.append(near, known)
-            elif not len(near):
+        q = np.zeros(0)
+        for number in range(_NARROWINGS):
+            near = valley.promising(number)
+            if not near:
                 break
-            branches, new_squares, new_excess = self._turned(self._branches(flange, near).q[:, slot], seed, near, turn)
-            cost = _cost(new_squares, new_excess)
-            row = int(cost.argmin())
-            if cost[row] < best:
-                best, q = cost[row], np.concatenate([near[row : row + 1], branches[row]])
-            every = np.concatenate([places, near])
-            places, order = np.unique(every, return_index=True)
-            squares = np.concatenate([squares, new_squares])[order]
-            excess = np.concatenate([excess, new_excess])[order]
-            row = int(_cost(squares, excess).argmin())
-            around = slice(max(row - 1, 0), row + 2)
-            places, squares, excess = places[around], squares[around], excess[around]
-            spread = math.sqrt(squares.max()) - math.sqrt(squares.min())  # nan where a branch ends
-            if spread < _FLAT or not spread < _JUMP and places[-1] - places[0] < _NARROW:
+            places = np.array(near)
+            branches, squares, excess = self._turned(self._branches(flange, places).q[:, slot], seed, places, turn)
+            row = valley.take(near, squares.tolist(), excess.tolist())
+            if row >= 0:
+                q = np.concatenate([places[row : row + 1], branches[row]])
+            if valley.done:
                 break
-        return None if best >= _OUTSIDE else self._confirmed(q, pose, seed, SLOTS[slot])
+        return None if valley.best >= _OUTSIDE else self._confirmed(q, pose, seed, SLOTS[slot])
 
     def _confirmed(
         self, q: np.ndarray, pose: Pose, seed: np.ndarray, configuration: Configuration | None
@@ -438,33 +417,83 @@ def _cost(squares: np.ndarray, excess: np.ndarray) -> np.ndarray:
     return np.where(inside, squares, _OUTSIDE + np.where(np.isfinite(excess), excess, np.inf))
 
 
-def _promising(places: np.ndarray, squares: np.ndarray, excess: np.ndarray, left_over: float) -> np.ndarray:
-    """Return places around which the best one lies, from what is known at two or three: minima, and where a branch ends.
+def _around(
+    places: np.ndarray, squares: np.ndarray, excess: np.ndarray, row: int, slot: int
+) -> tuple[list[float], list[float], list[float]]:
+    """Return what is known of a branch at a place and its neighbours: places, squared distances, excesses."""
+    around = slice(max(row - 1, 0), row + 2)
+    return places[around].tolist(), squares[around, slot].tolist(), excess[around, slot].tolist()
 
-    `left_over` is the fraction of the surroundings that is left where they are smooth.
+
+class _Valley:
+    """The surroundings of a place that may hold the nearest solution of a branch, in plain floats, because they are few.
+
+    Attributes
+    ----------
+    best : float
+        Least cost so far, see `_costs`.
+    done : bool
+        Nothing is left to narrow.
     """
-    x, f, e = places.tolist(), squares.tolist(), excess.tolist()
-    found: list[float] = []
-    broken = False
-    for left in range(len(x) - 1):
-        x0, wide = x[left], x[left + 1] - x[left]
-        e0, e1 = e[left], e[left + 1]
-        # the branch ends between the two, or goes on with another whole turn
-        if not abs(math.sqrt(f[left + 1]) - math.sqrt(f[left])) < _JUMP:
-            broken = True
-            found += [x0 + wide * part / _DIVIDED for part in range(1, _DIVIDED)]
-        elif (e0 <= _ROUNDING) != (e1 <= _ROUNDING):
-            root = x0 + wide * e0 / (e0 - e1)
-            found += [root - left_over * wide, root, root + left_over * wide]
-    if len(x) == 3 and not broken:
-        wide = x[2] - x[0]
-        for values in [f] if min(e) <= _ROUNDING else [e, f]:
-            middle = _vertex(x, values)
-            if middle is not None:
-                found += [middle - left_over * wide, middle, middle + left_over * wide]
-    if not found and len(x) == 2:
-        found = [x[0] + (x[1] - x[0]) * part / _DIVIDED for part in range(1, _DIVIDED)]
-    return np.array([place for place in found if x[0] < place < x[-1] and place not in x])
+
+    def __init__(self, places: list[float], squares: list[float], excess: list[float]):
+        self.best, self.done = math.inf, False
+        self._x, self._f, self._e = places, squares, excess
+
+    def promising(self, number: int) -> list[float]:
+        """Return places around which the best one lies: minima, and where a branch ends or leaves the ranges."""
+        x, f, e = self._x, self._f, self._e
+        left_over = _LEFT[min(number, 1)]
+        found: list[float] = []
+        broken = False
+        for left in range(len(x) - 1):
+            x0, wide = x[left], x[left + 1] - x[left]
+            e0, e1 = e[left], e[left + 1]
+            # the branch ends between the two, or goes on with another whole turn
+            if not abs(math.sqrt(f[left + 1]) - math.sqrt(f[left])) < _JUMP:
+                broken = True
+                found += [x0 + wide * part / _DIVIDED for part in range(1, _DIVIDED)]
+            elif (e0 <= _ROUNDING) != (e1 <= _ROUNDING):
+                root = x0 + wide * e0 / (e0 - e1)
+                found += [root - left_over * wide, root, root + left_over * wide]
+        if len(x) == 3 and not broken:
+            wide = x[2] - x[0]
+            for values in [f] if min(e) <= _ROUNDING else [e, f]:
+                middle = _vertex(x, values)
+                if middle is not None:
+                    found += [middle - left_over * wide, middle, middle + left_over * wide]
+        if not found and len(x) == 2:
+            found = [x[0] + (x[1] - x[0]) * part / _DIVIDED for part in range(1, _DIVIDED)]
+        found = [place for place in found if x[0] < place < x[-1] and place not in x]
+        if number == 0:
+            costs = [_costs(*each) for each in zip(f, e)]
+            found.append(x[costs.index(min(costs))])  # its joint values are not known yet
+        return found
+
+    def take(self, places: list[float], squares: list[float], excess: list[float]) -> int:
+        """Take what was found at the promising places; return the number of the best of them, -1 if none is better than before."""
+        costs = [_costs(*each) for each in zip(squares, excess)]
+        row = costs.index(min(costs))
+        better = costs[row] < self.best
+        if better:
+            self.best = costs[row]
+        known = dict(zip(self._x, zip(self._f, self._e))) | dict(zip(places, zip(squares, excess)))
+        x = sorted(known)
+        every = [_costs(*known[place]) for place in x]
+        middle = every.index(min(every))
+        self._x = x[max(middle - 1, 0) : middle + 2]
+        self._f, self._e = ([known[place][part] for place in self._x] for part in (0, 1))
+        spread = math.nan if any(map(math.isnan, self._f)) else math.sqrt(max(self._f)) - math.sqrt(min(self._f))
+        wide = self._x[-1] - self._x[0]
+        self.done = spread < _FLAT or (not spread < _JUMP and wide < _NARROW)
+        return row if better else -1
+
+
+def _costs(square: float, excess: float) -> float:
+    """Return the cost to minimise: the squared distance in range, a larger cost out of range; rounding counts as in range."""
+    if excess <= _ROUNDING:
+        return square
+    return _OUTSIDE + excess
 
 
 def _vertex(x: list[float], f: list[float]) -> float | None:

@@ -47,6 +47,8 @@ _APART = 0.35
 _MOST = 64
 #: A sample out of range by less may slide into it [rad].
 _NEARLY = 0.4
+#: A solution that misses the pose by more is improved by Newton steps [m], [rad].
+_EXACT = 1e-8
 #: Most steps of a slide, the longest of them, and the one at which it ends [rad].
 _STEPS, _LONGEST, _SETTLED = 8, 0.3, 2e-3
 
@@ -298,7 +300,7 @@ class RedundantInverse(InverseKinematics):
         """Return joint values as a solution if forward kinematics confirms them, after Newton steps where needed; as a list."""
         q = np.clip(q, self._lower, self._upper)
         error = residual(self.chain, q, pose)
-        if not self._is_solved(error):
+        if max(error) > _EXACT:
             q = refine(self.chain, q, pose)
             error = residual(self.chain, q, pose)
             if not self._is_solved(error):

@@ -8,7 +8,7 @@ from construction_twin.core.errors import PayloadError
 
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
-_SINGLE = ("mode", "last_refusal", "last_ipoc_jump_ms")
+_SINGLE = ("mode", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
 _LONGEST = 300
 #: Members that are lists, one value per axis, and how many at most.
 _LISTS = ("stop.distance_deg", "stop.moved_deg")

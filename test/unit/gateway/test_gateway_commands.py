@@ -391,6 +391,10 @@ def last_refusal(cell):
     return cell.gateway.status()["last_refusal"]
 
 
+def later_refusal(cell):
+    return cell.gateway.status()["later_refusal"]
+
+
 def test_what_a_stream_was_stopped_for_is_not_overwritten_by_the_commands_that_still_come():
     cell = following()
     cell.send((0.4, 3.0))
@@ -400,11 +404,58 @@ def test_what_a_stream_was_stopped_for_is_not_overwritten_by_the_commands_that_s
         cell.send(slow(k))
         cell.cycle()
     assert (cell.state, cell.count("refused_not_armed"), last_refusal(cell)) == (State.HOLDING, 100, cause)
-    # any other refusal is news
+    assert later_refusal(cell) == ""
+    # any other refusal is news, but no cause
     assert cell.control("nonsense") == (False, "unknown verb 'nonsense'")
-    assert last_refusal(cell).startswith("verb: ")
+    assert (last_refusal(cell), later_refusal(cell)) == (cause, "verb: unknown verb 'nonsense'")
     cell.send(slow(200))
-    assert last_refusal(cell).startswith("verb: ")
+    assert (last_refusal(cell), later_refusal(cell)) == (cause, "verb: unknown verb 'nonsense'")
+
+
+def arm_again(cell):
+    assert not cell.arm("s2")[0]
+
+
+def limit_speed(cell):
+    assert not cell.control("speed_limit", value=0.5)[0]
+
+
+def stray_datagram(cell):
+    cell.gateway.refusals.telegram("source", "a datagram from 10.0.0.9:1 while another sender's session is alive")
+
+
+@pytest.mark.parametrize(
+    "later, told",
+    [
+        (limit_speed, ""),
+        (arm_again, "arm: stopped since the last reset; reset first"),
+        (stray_datagram, "telegram source: a datagram from 10.0.0.9:1 while another sender's session is alive"),
+    ],
+)
+def test_what_stopped_a_stream_is_kept_until_a_reset_and_what_is_refused_later_stands_beside_it(later, told):
+    cell = following()
+    cell.send((0.4, 3.0))
+    cause = last_refusal(cell)
+    assert cause.startswith("velocity: A1") and later_refusal(cell) == ""
+    for _ in range(100):
+        later(cell)
+        cell.cycle()
+    assert (cell.state, last_refusal(cell), later_refusal(cell)) == (State.HOLDING, cause, told)
+    assert cell.control("reset")[0]
+    assert (last_refusal(cell), later_refusal(cell)) == (told or cause, "")
+    stray_datagram(cell)
+    assert last_refusal(cell).startswith("telegram source: ") and later_refusal(cell) == ""
+
+
+def test_a_speed_limit_still_under_way_does_not_hide_a_refused_message_after_any_stop():
+    cell = following()
+    assert cell.control("stop")[0] and not cell.arm("s2")[0]
+    said = last_refusal(cell)
+    limit_speed(cell)
+    assert last_refusal(cell) == said == "arm: stopped since the last reset; reset first"
+    # one that could not be taken of an armed session either is news
+    assert not cell.control("speed_limit", value=2)[0]
+    assert last_refusal(cell).startswith("speed_limit: speed limit '2': expected a number")
 
 
 def test_without_another_cause_not_armed_is_the_last_refusal():

@@ -65,11 +65,11 @@ def test_nothing_leads_out_of_failed():
     assert {row.state for row in TABLE if row.target is State.FAILED} == set(State) - {State.FAILED}
 
 
-def in_state(state: State) -> Cell:
+def in_state(state: State, measures: bool = False) -> Cell:
     if state is State.NO_CONTROLLER:
         return Cell()
     if state in (State.FOLLOWING, State.BRAKING, State.HOLDING):
-        cell = following()
+        cell = following(measures=measures)
         if state is not State.FOLLOWING:
             cell.control("stop")
         if state is State.HOLDING:
@@ -85,8 +85,8 @@ def in_state(state: State) -> Cell:
         cell = Cell()
         cell.cycle(3, setpoint=(0.2, -1.0))
     else:
-        cell = Cell()
-        cell.cycle(3)
+        cell = Cell(measures=measures)
+        cell.cycle(110 if measures else 3)
         if state is State.ARMED:
             assert cell.arm()[0]
     assert cell.state is state
@@ -125,6 +125,14 @@ def join(cell):
     cell.cycle(2, measured=None, setpoint=None)
 
 
+def change_cycle(cell):
+    following = cell.state is State.FOLLOWING
+    for k in range(30):
+        for command in range(3 if following else 0):
+            cell.send(slow(100 + 3 * k + command))
+        cell.cycle(step_ms=12)
+
+
 UNMEASURED = (State.MEASURING, State.OTHER_CYCLE)
 HAPPENS = [
     *[
@@ -135,6 +143,8 @@ HAPPENS = [
     *[(state, Event.SESSION_BEGAN, jump, State.MEASURING) for state in UNMEASURED],
     *[(state, Event.CYCLE_FITS, lambda cell: cell.cycle(1200), State.READY) for state in UNMEASURED],
     (State.MEASURING, Event.CYCLE_REFUSED, lambda cell: cell.cycle(200, step_ms=12), State.OTHER_CYCLE),
+    (State.READY, Event.CYCLE_REFUSED, change_cycle, State.OTHER_CYCLE),
+    *[(state, Event.CYCLE_REFUSED, change_cycle, State.HOLDING) for state in (State.ARMED, State.FOLLOWING)],
     (State.MEASURING, Event.ORIGIN_REFUSED, join, State.JOINED),
     (State.READ_ONLY, Event.SESSION_BEGAN, jump, State.READ_ONLY),
     *[
@@ -174,7 +184,7 @@ HAPPENS = [
 
 @pytest.mark.parametrize("state, event, cause, end", HAPPENS, ids=lambda value: getattr(value, "name", None))
 def test_a_row_happens(state, event, cause, end, changes):
-    cell = in_state(state)
+    cell = in_state(state, measures=event is Event.CYCLE_REFUSED)
     changes.clear()
     cause(cell)
     assert (state, event) in [change[:2] for change in changes[:2]]

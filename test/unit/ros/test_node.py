@@ -16,8 +16,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import rosgraph
 import rospy
+import yaml
+from ros_master import ros_master
 
+from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.shared import node as module
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -88,6 +92,24 @@ def test_a_typed_error_is_one_sentence():
     assert ended.returncode == 1 and "cannot run: nan" in ended.stderr and "Traceback" not in ended.stderr
 
 
+def test_a_master_that_is_killed_while_a_node_starts_is_one_sentence(monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:1")
+    ended = run("raise ConnectionResetError(104, 'Connection reset by peer')")
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines() == [
+        "node ends: http://127.0.0.1:1: no ROS master answers ([Errno 111] Connection refused); start bringup, "
+        "or set ROS_MASTER_URI"
+    ]
+
+
+def test_a_connection_that_is_lost_beside_a_living_master_is_no_known_end(monkeypatch):
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    with ros_master() as uri:
+        monkeypatch.setenv("ROS_MASTER_URI", uri)
+        ended = run("raise ConnectionResetError(104, 'Connection reset by peer')")
+    assert ended.returncode != 0 and "Traceback" in ended.stderr
+
+
 def test_while_ros_shuts_down_an_error_is_only_written_down(monkeypatch):
     said = []
     monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: True)
@@ -145,14 +167,47 @@ def test_a_node_without_a_master_waits_and_says_so_in_one_line(started, name):
         f"{name} waits: http://127.0.0.1:{port}: no ROS master answers ([Errno 111] Connection refused); start bringup"
     )
     assert said.read_text().startswith(sentence)
-    # a second question, answered by a master that is not one: it is asked again, and nothing is said again
+    # questions to a master that is not one, each tried again once by xmlrpc: the third connection is of the second question, and
+    # the first was dealt with, without another word
     with socket.create_server(("127.0.0.1", port)) as server:
         server.settimeout(60.0)
-        server.accept()[0].close()
+        for _ in range(3):
+            server.accept()[0].close()
     assert said.read_text().count("\n") == 1 and process.poll() is None
     process.send_signal(signal.SIGINT)
     process.wait(60.0)
     assert said.read_text().count("\n") == 1
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_running_node_says_one_line_at_most_when_its_master_is_killed_and_ctrl_c_is_no_warning(
+    started, monkeypatch, killed
+):
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    port = free_port()
+    uri = f"http://127.0.0.1:{port}"
+    master = subprocess.Popen(["rosmaster", "--core", "-p", str(port)])
+    try:
+        wait_for(lambda: rosgraph.is_master_online(uri), "the master")
+        parameters = rosgraph.Master("/bringup", uri)
+        description = yaml.safe_load((ROOT / "config" / "kr120.yaml").read_text())
+        parameters.setParam("/kr120/robot", description | {"name": "kr120"})
+        parameters.setParam("/kr120/robot_description", expand_xacro(ROOT / "urdf" / "kr120r2500.urdf.xacro"))
+        parameters.setParam("/kr120/static_frames", {"prefixes": ["kr120/twin"], "chain_only": []})
+        process, said = started("static_frames", {"ROS_MASTER_URI": uri, "ROS_NAMESPACE": "kr120"})
+        wait_for(lambda: "scheduling" in said.read_text(), "the last word of its start")
+        before = said.read_text()
+        if killed:
+            master.kill()
+            master.wait()
+        process.send_signal(signal.SIGINT)
+        process.wait(60.0)
+    finally:
+        master.kill()
+        master.wait()
+    text = said.read_text()
+    assert "Traceback" not in text and "WARN" not in text and "ERROR" not in text
+    assert text.removeprefix(before).count("\n") <= 1
 
 
 def test_ctrl_c_while_a_node_is_loaded_is_no_traceback(started):

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import pytest
 import rosgraph
 import yaml
+from processes import listens, wait_until
 from ros_master import Node, ros_master
 
 from construction_twin.ros.commands import preflight
@@ -343,3 +344,23 @@ def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_f
     run = subprocess.run([sys.executable, "-c", parent], capture_output=True, text=True, timeout=60, env=os.environ)
     lines = run.stderr.splitlines()
     assert lines == ["refused", " and much more", "the sentence"]
+
+
+def test_what_waits_to_say_a_sentence_holds_no_socket_of_the_process_that_ended(tmp_path):
+    """A node's peers would connect to it, and wait for an answer."""
+    code = (
+        "import socket, sys; from construction_twin.ros.shared.roslaunch_above import say_below; "
+        "server = socket.create_server(('127.0.0.1', 0)); print(server.getsockname()[1]); "
+        "say_below('the sentence', int(sys.argv[1]))"
+    )
+    said = tmp_path / "said"
+    awaited = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    try:
+        with said.open("w") as file:
+            command = [sys.executable, "-c", code, str(awaited.pid)]
+            run = subprocess.run(command, stdout=subprocess.PIPE, stderr=file, text=True, timeout=60, check=True)
+        wait_until(lambda: not listens(int(run.stdout)), what="the port to be closed")
+        assert said.read_text() == ""
+    finally:
+        awaited.communicate()
+    wait_until(lambda: said.read_text() == "the sentence\n", what="the sentence")

@@ -152,3 +152,13 @@ def test_a_longer_text_ends_further_below_and_begins_where_a_short_one_does():
     assert longer.pose.position.z < short.pose.position.z < -0.5
     half = 0.5 * 1.2 * short.scale.z
     assert longer.pose.position.z + 4 * half == pytest.approx(short.pose.position.z + half)
+
+
+@pytest.mark.parametrize("reach", [*Reach, None])
+def test_the_tool_path_is_seen_through_the_marker(reach):
+    """Through the shell around the sphere and the sphere itself, one behind the other: the near and the far side of each."""
+    pose = Pose()
+    handle = tool_marker("base_link", pose, 0.4).controls[0].markers[0]
+    sphere, _text = verdict_markers("base_link", pose, 0.4, reach, ["free"]).markers
+    assert 0.0 < handle.color.a <= 0.6 and 0.0 < sphere.color.a <= 0.6
+    assert (1.0 - handle.color.a) * (1.0 - sphere.color.a) > 0.3

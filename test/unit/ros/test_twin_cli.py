@@ -86,6 +86,24 @@ def test_an_executor_that_is_down_is_told_without_waiting_for_it(monkeypatch, co
     assert run.stderr == f"twin: /kr120/execution: {said}; start bringup, or see why the node is down\n"
 
 
+@pytest.mark.parametrize("program", [["export_gateway_config", "-"], ["twin", "status"]])
+def test_a_command_gives_up_on_a_master_that_keeps_silent(program):
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        uri = f"http://127.0.0.1:{mute.getsockname()[1]}"
+        name, *words = program
+        run = subprocess.run(
+            [sys.executable, str(ROOT / "nodes" / name), *words],
+            capture_output=True,
+            text=True,
+            timeout=60.0,
+            env={**os.environ, "ROS_MASTER_URI": uri},
+        )
+    assert run.returncode != 0 and run.stdout == ""
+    assert run.stderr == (f"{name}: {uri}: no ROS master answers (timed out); start bringup, or set ROS_MASTER_URI\n")
+
+
 @pytest.mark.parametrize("error", [KeyError, OSError])
 def test_an_account_without_a_name_has_a_number(monkeypatch, error):
     def nameless() -> str:

@@ -19,6 +19,8 @@ from construction_twin.core.errors import ConfigurationError, SilenceError
 TIMEOUT = 5.0
 #: How long a node may take to say that it lives [s].
 NODE_TIMEOUT = 2.0
+#: The same for a command's two questions to a node without which it can do nothing: in all less than a second [s].
+ANSWER = 0.4
 #: What to do when there is none.
 TO_DO = "start bringup, or set ROS_MASTER_URI"
 #: How often a master that does not answer is asked again [s].
@@ -38,16 +40,20 @@ class RunningNode:
     host : str
     pid : int or None
         None: it is registered, but does not answer.
+    tells_name : bool
+        False: what answers may be another node, which has the port of this one.
     """
 
     name: str
     host: str
     pid: int | None
+    tells_name: bool = True
 
     def __str__(self) -> str:
         if self.pid is None:
             return f"{self.name} on {self.host} (does not answer; if it has ended, `rosnode cleanup` removes it)"
-        return f"{self.name} on {self.host}, process {self.pid}"
+        doubt = "" if self.tells_name else " (which tells no name; if it has ended, `rosnode cleanup` removes it)"
+        return f"{self.name} on {self.host}, process {self.pid}{doubt}"
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -125,7 +131,7 @@ def wait_for_master(name: str) -> None:
         time.sleep(_POLL)
 
 
-def expect_publisher(topic: str, patience: float = 0.5) -> None:
+def expect_publisher(topic: str, patience: float = ANSWER) -> None:
     """Return when a node that publishes a topic answers; to tell a node that is down from one that has nothing to say yet.
 
     Parameters
@@ -133,7 +139,7 @@ def expect_publisher(topic: str, patience: float = 0.5) -> None:
     topic : str
         Absolute.
     patience : float, optional
-        How long a node may take to answer [s].
+        How long a node may take to answer [s]; it is asked twice, because a machine under load may lose a question.
 
     Raises
     ------
@@ -146,7 +152,8 @@ def expect_publisher(topic: str, patience: float = 0.5) -> None:
     except _FAILURES as error:
         raise SilenceError(uri, f"no ROS master answers ({error})", TO_DO) from error
     names = [name for published, nodes in publishers if published == topic for name in nodes]
-    if not any(node.pid for node in running(names, uri, patience)):
+    answers = (node.pid for _ in range(2) for node in running(names, uri, patience))
+    if not any(answers):
         who = " and ".join(names)
         problem = f"{who} has ended, or does not answer" if names else "no node publishes it"
         raise SilenceError(topic, problem, "start bringup, or see why the node is down")
@@ -155,8 +162,8 @@ def expect_publisher(topic: str, patience: float = 0.5) -> None:
 def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> list[RunningNode]:
     """Return which nodes run now; none when there is no master.
 
-    A node that was killed stays registered: whether it lives, it is asked itself. One whose machine refuses the connection has
-    ended; one that keeps silent may live.
+    A node that was killed stays registered: whether it lives, it is asked itself. One whose machine refuses the connection, or
+    whose port now belongs to a node of another name, has ended; one that keeps silent may live.
 
     Parameters
     ----------
@@ -179,8 +186,14 @@ def _asked(name: str, address: str, patience: float) -> RunningNode | None:
     host = urllib.parse.urlsplit(address).hostname or address
     try:
         _, pid = _ask(address, patience, "getPid")
+        try:
+            code, told = _ask(address, patience, "getName")
+        except xmlrpc.client.Fault:
+            code, told = -1, ""  # roscpp has no such question
     except ConnectionRefusedError:
         return None
     except _FAILURES:
         return RunningNode(name, host, None)
-    return RunningNode(name, host, int(pid))
+    if code == 1 and told != name:
+        return None
+    return RunningNode(name, host, int(pid), tells_name=code == 1)

@@ -26,7 +26,7 @@ import rospy
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
-from construction_twin.ros.shared.master import wait_for_master
+from construction_twin.ros.shared.master import await_master, wait_for_master
 
 #: Exit code of a process that an unexpected exception has ended.
 UNFORESEEN = 1
@@ -67,6 +67,13 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         sys.exit(1)
     except rospy.ROSInterruptException:
         return
+    except ConnectionError:
+        # rospy asks the master for parameters and registrations: one that was killed meanwhile is a sentence
+        try:
+            await_master()
+        except ConstructionTwinError as error:
+            sys.exit(f"{name} ends: {error}")
+        raise
 
 
 def end_on_error(args: threading.ExceptHookArgs) -> None:

@@ -17,6 +17,8 @@ from construction_twin.views.roslaunch_call import RoslaunchCall, roslaunch_call
 _GENERATIONS = 4
 #: How long the end of roslaunch is waited for [s]: it gives each node 15 s to stop, and then 2 s more.
 PATIENCE = 60.0
+#: The first file descriptor after standard input, output and error.
+_KEPT = 3
 
 
 def command_lines() -> list[tuple[int, list[str]]]:
@@ -72,7 +74,10 @@ def say_below(sentence: str, pid: int | None, patience: float = PATIENCE) -> Non
         nothing = os.open(os.devnull, os.O_RDWR)
         os.dup2(nothing, 0)
         os.dup2(nothing, 1)
-        if select.select([process], [], [], patience)[0]:
+        # of everything else, such as a node's sockets that peers would connect to, only the process is kept
+        os.dup2(process, _KEPT)
+        os.closerange(_KEPT + 1, os.sysconf("SC_OPEN_MAX"))
+        if select.select([_KEPT], [], [], patience)[0]:
             os.write(2, f"{sentence}\n".encode())
     finally:
         os._exit(0)
