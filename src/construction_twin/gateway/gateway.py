@@ -37,6 +37,8 @@ STANDSTILL = 2
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
+#: What could not be read is told until nothing more of it has come for this long [s].
+UNREAD_QUIET = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,8 @@ class Gateway:
         # why telegrams could not be read, as told last, and when [ns]
         self._unread_told = ""
         self._unread_told_at = -NANOSECONDS
+        # how many they were then, and since when [ns]
+        self._unread_count = self._unread_since = 0
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
         self._player = Player(config, self.counters)
@@ -248,8 +252,17 @@ class Gateway:
         """Say that something sends of which nothing can be read: once a second, and as a change when it is for another reason."""
         if now < self._unread_told_at + NANOSECONDS:
             return
-        last = self.refusals.last_unread
-        self._machine.add(f"datagrams refused: {self.refusals.unread}, the last one for {last.reason}: {last.why}")
+        refusals = self.refusals
+        if refusals.unread == self._unread_count:
+            if now > self._unread_since + round(UNREAD_QUIET * NANOSECONDS):
+                # it sends no more: what is wrong now is not that
+                refusals.unread = self._unread_count = 0
+                self._unread_told = ""
+                self._machine.drop()
+            return
+        self._unread_count, self._unread_since = refusals.unread, now
+        last = refusals.last_unread
+        self._machine.add(f"datagrams refused: {refusals.unread}, the last one for {last.reason}: {last.why}")
         if last.reason != self._unread_told:
             self._machine.changed = True
         self._unread_told, self._unread_told_at = last.reason, now
@@ -307,7 +320,7 @@ class Gateway:
         self._ending = False
         self.correction = ()
         self.clock.restart()
-        self._unread_told, self._clock_told = "", False
+        self._unread_told, self._unread_count, self._clock_told = "", 0, False
 
     def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
         self._controller.end()

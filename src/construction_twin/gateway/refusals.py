@@ -33,7 +33,8 @@ class Refusals:
         self.last = ""
         #: Of the last one since the one that stopped the arm; "" for none.
         self.later = ""
-        #: Datagrams refused since the last telegram that could be read, and the last one's reason and sentence.
+        #: Datagrams refused since the last telegram that could be read, or since a long pause, and the last one's reason and
+        #: sentence.
         self.unread = 0
         self.last_unread = Unread()
         self._keeps = self._stopped = False

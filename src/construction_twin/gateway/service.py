@@ -280,7 +280,7 @@ class GatewayService:
         if self._said[:2] != before[:2]:
             # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
-            unread = before[0] is gateway.state is State.NO_CONTROLLER
+            unread = before[0] is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
             wrong = unread or gateway.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
             self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)

@@ -242,3 +242,8 @@ class Machine:
     def add(self, note: str) -> None:
         """Add to the reason for which the present state was entered, in place of what was added before."""
         self.reason = f"{self._entered_for}; {note}"
+
+    def drop(self) -> None:
+        """Take back what was added."""
+        if self.reason != self._entered_for:
+            self.reason, self.changed = self._entered_for, True

@@ -19,11 +19,14 @@ class LinkFrame:
         Names of links.
     pose : Pose
         ``parent_T_child``
+    kind : str
+        The URDF's type of the joint between them.
     """
 
     parent: str
     child: str
     pose: Pose
+    kind: str
 
 
 def other_frames(robot: RobotModel) -> list[LinkFrame]:
@@ -37,5 +40,5 @@ def other_frames(robot: RobotModel) -> list[LinkFrame]:
         if other.position is not None:
             joint = joints[other.name]
             pose = to_pose(to_kdl([joint]).getSegment(0).pose(other.position))
-            frames.append(LinkFrame(joint.parent, joint.child, pose))
+            frames.append(LinkFrame(joint.parent, joint.child, pose, other.kind))
     return frames

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from construction_twin.core.errors import PayloadError
 
@@ -13,6 +14,15 @@ _LONGEST = 300
 #: Members that are lists, one value per axis, and how many at most.
 _LISTS = ("stop.distance_deg", "stop.moved_deg")
 _MOST_AXES = 12
+
+#: What counts in the gateway's reason while it refuses datagrams, and where a parser stopped: both change with every second of a
+#: sender that goes on.
+_COUNTS = re.compile(r"(datagrams refused:|\bline|\bcolumn) \d+")
+
+
+def without_counts(reason: str) -> str:
+    """Return a reason without the numbers that go on while nothing else changes: to ask whether it is news, not to be read."""
+    return _COUNTS.sub(r"\1", reason)
 
 
 def status_values(status: dict) -> dict[str, str]:

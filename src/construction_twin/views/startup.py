@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from construction_twin.link.status_values import without_counts
+
 #: Something is reported as waited for when it has been missing this long [s]: a part that starts within it is not reported.
 PATIENCE = 1.0
 
@@ -100,6 +102,16 @@ class Missing:
     reason: str
     action: str
 
+    @property
+    def topic(self) -> tuple[str, str]:
+        """What is missing, whatever the system says about it meanwhile."""
+        return self.what, self.action
+
+    @property
+    def news(self) -> tuple[str, str, str]:
+        """What would be worth another line when it changes."""
+        return self.what, without_counts(self.reason), self.action
+
     def __str__(self) -> str:
         return f"waiting for {self.what}{f' ({self.reason})' if self.reason else ''}: {self.action}"
 
@@ -120,7 +132,8 @@ class StartUp:
     def __init__(self, deployment: Deployment):
         self._deployment = deployment
         self.missing: Missing | None = Missing("the nodes", "", "nothing to do yet")
-        self._since = 0.0
+        # since when this is missing, and since when for this reason
+        self._since = self._reason_since = 0.0
         self._said: Missing | None = None
         self._ready = False
         self._controller = ""
@@ -148,12 +161,20 @@ class StartUp:
         return [sentence or "the controller reports nothing against a motion any more"]
 
     def _progress(self, seen: Seen, now: float) -> list[str]:
-        missing = first_missing(seen, self._deployment)
-        if missing != self.missing or not self._since:
-            self.missing, self._since = missing, now
+        missing, before = first_missing(seen, self._deployment), self.missing
+        if missing is None or before is None or missing.topic != before.topic or not self._since:
+            self._since = self._reason_since = now
+        elif missing.news != before.news:
+            self._reason_since = now
+        self.missing = missing
         if missing is None:
             return self._become_ready()
-        if missing == self._said or now - self._since < PATIENCE:
+        said = self._said
+        if said is not None and missing.news == said.news:
+            return []
+        # reasons that alternate must not keep back that something is missing, nor make a line each
+        told = said is not None and missing.topic == said.topic
+        if now - (self._reason_since if told else self._since) < PATIENCE:
             return []
         text = f"not ready any more, {missing}" if self._ready else str(missing)
         self._said, self._ready = missing, False

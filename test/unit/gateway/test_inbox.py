@@ -8,7 +8,7 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
-from construction_twin.gateway.gateway import Gateway
+from construction_twin.gateway.gateway import UNREAD_QUIET, Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.refusals import LONGEST_REFUSAL
 from construction_twin.gateway.states import State
@@ -176,6 +176,24 @@ def test_a_telegram_that_can_be_read_ends_the_count():
         line.gateway.reason
         == f"no telegram for {CONFIG.timeout:g} s; datagrams refused: 1, the last one for address: {STRANGER}"
     )
+
+
+def test_a_single_stray_datagram_is_told_no_longer_once_nothing_came_for_a_while():
+    line = Line()
+    line.newest(b"garbage")
+    assert told(line, 1.0) and "datagrams refused: 1, " in line.gateway.reason
+    assert not told(line, 1.0 + UNREAD_QUIET)
+    line.newest(b"garbage")
+    # one more: it goes on
+    assert not told(line, 2.0 + UNREAD_QUIET) and "datagrams refused: 2, " in line.gateway.reason
+    assert not told(line, 2.0 + 2 * UNREAD_QUIET)
+    assert told(line, 3.1 + 2 * UNREAD_QUIET) and line.gateway.reason == "no telegram yet"
+    assert not told(line, 9.0 + 9 * UNREAD_QUIET)
+    # the counter and the last refusal have it still, and the next one is told, and counted from one
+    assert line.gateway.status()["last_refusal"].startswith("telegram xml: ")
+    line.newest(b"garbage")
+    assert told(line, 10.0 + 9 * UNREAD_QUIET) and "datagrams refused: 1, " in line.gateway.reason
+    assert sum(line.counted().values()) == 3
 
 
 def test_an_error_of_the_socket_is_counted_and_ends_the_turn():

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio
 import pytest
 import yaml
+from genpy import Time
 from scene_samples import ROOT, ur_like
 
 from construction_twin.core.errors import ConfigurationError
@@ -17,6 +19,7 @@ from construction_twin.kinematics.other_frames import other_frames
 from construction_twin.robot.description import RobotModel, home_positions, load_robot, read_robot_files
 from construction_twin.robot.other_joints import OtherJoint, other_joints_text
 from construction_twin.robot.urdf import expand_xacro
+from construction_twin.ros.nodes import static_frames
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject
@@ -137,6 +140,25 @@ def test_their_frames_are_where_they_stand():
     np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-12)
     turned = frames["camera"].pose.rotation
     np.testing.assert_allclose(turned @ (0.0, 1.0, 0.0), (0.0, math.cos(0.4), math.sin(0.4)), atol=1e-12)
+
+
+def test_every_tree_has_a_floating_joint_because_no_joint_state_holds_it(monkeypatch):
+    """joint_state_publisher leaves it out, and robot_state_publisher too; the others of the twin come from there."""
+    robot, sent = gripper(changed("hinge", type="floating", limit=None)), []
+    settings = static_frames.Settings(prefixes=["twin", "physical"], chain_only=["physical"])
+    monkeypatch.setattr(static_frames, "read_parameters", lambda _kind: settings)
+    monkeypatch.setattr(static_frames, "robot_from_parameters", lambda: robot)
+    monkeypatch.setattr(static_frames, "StaticTransformBroadcaster", lambda: SimpleNamespace(sendTransform=sent.extend))
+    monkeypatch.setattr(static_frames.rospy, "get_param", lambda _name, default: default)
+    monkeypatch.setattr(static_frames.rospy, "Time", SimpleNamespace(now=lambda: Time(1)))
+    static_frames.StaticFramesNode()
+    frames = {(transform.header.frame_id, transform.child_frame_id) for transform in sent}
+    assert frames - {("world", "twin/base_link"), ("world", "physical/base_link")} == {
+        ("twin/palm", "twin/camera"),
+        ("physical/palm", "physical/camera"),
+        ("physical/palm", "physical/finger_left"),
+        ("physical/palm", "physical/finger_right"),
+    }
 
 
 def test_a_follower_of_the_chain_has_no_frame_of_its_own():

@@ -72,6 +72,26 @@ def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostic
     assert "STOP" not in bench.links[-1][0].reason
 
 
+def test_a_count_of_refused_datagrams_that_grows_is_no_news(bench):
+    def told():
+        return [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("bridge/status")]
+
+    bench.connect()
+    bench.gateway |= {"state": "no_controller", "reason": "no telegram yet"}
+    bench.step()
+    before, links = len(told()), len(bench.links)
+    for k in range(500):
+        why = f"xml: telegram is not well-formed: line 1, column {k % 7}"
+        bench.gateway["reason"] = f"no telegram yet; datagrams refused: {k // 50}, the last one for {why}"
+        bench.step()
+    assert len(told()) == before + 1 and "datagrams refused: 0, " in told()[-1]["reason"]
+    # `link`, once a second anyway, has the number
+    assert len(bench.links) - links in (10, 11) and "datagrams refused: 9, " in bench.links[-1][0].reason
+    bench.gateway["reason"] = "no telegram yet; datagrams refused: 9, the last one for address: another sender"
+    bench.step()
+    assert len(told()) == before + 2 and told()[-1]["reason"].endswith("address: another sender")
+
+
 def test_what_a_controller_said_before_its_gateway_went_is_not_told(bench):
     bench.connect()
     status = following().gateway.status() | {"controller": ControllerStatus(1).report()}

@@ -85,6 +85,34 @@ def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_wh
     assert startup.update(GOOD, 31.0 + PATIENCE) == ["the controller reports nothing against a motion any more"]
 
 
+def refused(count, why="xml: telegram is not well-formed: line 1, column 19"):
+    reason = f"gateway has no RSI session: no telegram yet; datagrams refused: {count}, the last one for {why}"
+    return replace(GOOD, link=Word("NO_CONTROLLER", reason, "no_controller"))
+
+
+def lines_over(startup, seen, begin=0.0):
+    """What is said in ten seconds, asked four times a second as the node does."""
+    return [line for k in range(40) for line in startup.update(seen(k / 4.0), begin + k / 4.0)]
+
+
+def test_a_count_that_grows_neither_keeps_a_line_back_nor_makes_another():
+    said = lines_over(StartUp(CELL), lambda now: refused(1 + 250 * int(now)), 1.0)
+    assert len(said) == 1 and "waiting for the controller (RSI)" in said[0] and "datagrams refused: 251, " in said[0]
+
+
+def test_reasons_that_alternate_do_not_keep_a_line_back_either():
+    garbage = "xml: no element found", "root: the telegram's root is 'Sen'"
+    said = lines_over(StartUp(CELL), lambda now: refused(int(4 * now), garbage[int(2 * now) % 2]), 1.0)
+    assert len(said) == 1
+
+
+def test_another_reason_that_stays_is_told():
+    startup = StartUp(CELL)
+    assert len(lines_over(startup, lambda now: refused(int(now)), 1.0)) == 1
+    (line,) = lines_over(startup, lambda now: refused(int(now), "element: the telegram lacks 'AIPos'"), 20.0)
+    assert "lacks 'AIPos'" in line
+
+
 def test_the_port_is_named_where_it_is_known():
     of_the_xml = replace(HERE, rsi="127.0.0.1:0")
     taken = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), of_the_xml).action

@@ -1,8 +1,8 @@
 """`preflight`: whether a start can work, before anything starts: one sentence, or nothing.
 
-Called by bringup.launch, while roslaunch reads it, as ``preflight --for-roslaunch name:=value ...``; by hand without the option. It
-looks at the arguments, at what is in the files they name, at the nodes that run on the master, and at the ports. It changes
-nothing.
+Called by bringup.launch, while roslaunch reads it, as ``preflight --for-roslaunch name:=value ...``, and by view.launch for the
+names of the arguments alone; by hand without the option. It looks at the arguments, at what is in the files they name, at the nodes
+that run on the master, and at the ports. It changes nothing.
 """
 
 from __future__ import annotations

@@ -317,9 +317,7 @@ class ExecutorNode:
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         reason = f": {verdict.reason}" if verdict.reason else ""
-        self._said.add(
-            rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason
-        )
+        self._said.add(rospy.loginfo, "plan %s %s by %s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason)
         message = Review(
             plan_id=verdict.plan_id,
             plan_hash=verdict.plan_hash,

@@ -25,7 +25,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.states import LinkState
-from construction_twin.link.status_values import controller_sentence, status_values
+from construction_twin.link.status_values import controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -425,10 +425,11 @@ class MqttBridge:
             # neither is ever changed, only replaced
             status, values = supervisor.status, self._gateway_values
         now = time.monotonic()
-        changed = state != self._reported
+        news = (state[0], without_counts(state[1]), state[2])
+        changed = news != self._reported
         if not changed and now - self._reported_at < 1.0:
             return
-        self._reported, self._reported_at = state, now
+        self._reported, self._reported_at = news, now
         self._outputs.link.publish(self._link_message(*state, status, values))
         if changed:
             self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)

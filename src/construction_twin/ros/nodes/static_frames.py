@@ -23,7 +23,7 @@ class Settings(pydantic.BaseModel):
 
     Frame that the robot stands in, and tf prefixes of its copies. Where it stands in it, the parameter ``cell`` says; without
     one at its origin. Of the copies in `chain_only` the joint states hold the joints of the chain alone, so that the frames of the
-    others come from here.
+    others come from here; those of floating joints, which no joint state holds, come from here for every copy.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -47,8 +47,9 @@ class StaticFramesNode:
         transforms = [self._transform(settings.parent, tf_frame(prefix, base), place) for prefix in settings.prefixes]
         transforms += [
             self._transform(tf_frame(prefix, frame.parent), tf_frame(prefix, frame.child), frame.pose)
-            for prefix in settings.chain_only
+            for prefix in settings.prefixes
             for frame in other_frames(robot)
+            if prefix in settings.chain_only or frame.kind == "floating"
         ]
         self._broadcaster.sendTransform(transforms)
 
