@@ -8,7 +8,8 @@ will): `ready` while it takes strings, `offline` while it does not.
 
 - The first string must lie within the start tolerance of the pose that it holds.
 - Every string must have the format, lie in the range, be no more than one cycle's way from the last one, and leave room to brake.
-- In motion a string that is missing when it is due, or silence: every axis brakes with its own limit.
+- In motion a string that is missing when due, silence, or a program that stood still: every axis brakes with its own limit.
+- Cycles that were missed are left out: run back to back, their setpoints would be one jump.
 - After a stop it takes nothing until strings have stopped and the arm rests: strings of a stream that broke must not start another.
 - A string with the retain flag is of unknown age: it is refused, and nothing else happens.
 
@@ -221,6 +222,28 @@ class BarePlc:
             self.state, self._rested = State.STOPPED, now
 
 
+class Schedule:
+    """When the cycles are due, of a computer that may not run them in time.
+
+    Parameters
+    ----------
+    now : float
+    """
+
+    def __init__(self, now: float):
+        self._due = now + CYCLE
+
+    def wait(self, now: float) -> float:
+        """Return how long the next cycle is still to wait for [s]."""
+        return max(0.0, self._due - now)
+
+    def begin(self, now: float) -> float:
+        """Begin the cycle; return by how much it is late [s]. Less than a cycle is made good by the next; more is left out."""
+        late = now - self._due
+        self._due = (self._due if late < CYCLE else now) + CYCLE
+        return late
+
+
 class Network:
     """The PLC's MQTT: a client that never keeps anything for later.
 
@@ -267,11 +290,14 @@ class Network:
         """Run cycle after cycle until it is stopped; then brake, and say `offline`."""
         client, plc = self._client, self._plc
         client.loop_start()
-        due, told = time.monotonic(), None
+        schedule, told = Schedule(time.monotonic()), None
         while not (stopping.is_set() and plc.state is State.STOPPED):
-            due += CYCLE
-            time.sleep(max(0.0, due - time.monotonic()))
+            time.sleep(schedule.wait(time.monotonic()))
+            late = schedule.begin(time.monotonic())
             with self._lock:
+                if late > SILENCE and plc.state is State.FOLLOWING:
+                    # the strings that came meanwhile are no stream any more
+                    plc.stop("the program stood still")
                 if stopping.is_set():
                     plc.stop("the program ends")
                 plc.cycle(time.monotonic())

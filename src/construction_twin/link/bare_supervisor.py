@@ -40,6 +40,10 @@ class BareObservations(LinkObservations):
         super().on_status(status, now)
         self.offline_heard |= self.gateway == OFFLINE
 
+    def why_not_believed(self, status: dict, now: int) -> str:
+        """Return an empty sentence: what is said there is either the PLC's word, or a gateway's, which ends it."""
+        return ""
+
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:

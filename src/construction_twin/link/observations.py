@@ -67,6 +67,7 @@ class LinkObservations:
         self._command: tuple[float, ...] | None = None
         self._command_at = 0
         self._command_moved_at = 0
+        self._command_rests_since = 0
 
     # -- what comes in
 
@@ -79,6 +80,16 @@ class LinkObservations:
     def on_status(self, status: dict, now: int) -> None:
         """Take the gateway's status."""
         self.status, self._status_at = status, now
+
+    def why_not_believed(self, status: dict, now: int) -> str:
+        """Return why what was said on `status` is not to be taken, as a sentence; empty when it is.
+
+        While a gateway answers, a bare PLC's word is not its: it must not stop a motion.
+        """
+        silent = self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT
+        if status.get("kind") != PLC or self.status.get("kind") == PLC or silent:
+            return ""
+        return f"a bare PLC's word `{status['state']}` on `status`, while rsi_gateway answers there: see to who else writes on it"
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
         """Take the arm's pose [rad]."""
@@ -94,8 +105,11 @@ class LinkObservations:
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
         """Take a command that wants to be sent [rad]."""
+        if self._command is None or now - self._command_at >= FRESH:
+            # how it moved before is not known
+            self._command_rests_since = now
         if self._command is not None and q != self._command:
-            self._command_moved_at = now
+            self._command_moved_at = self._command_rests_since = now
         self._command, self._command_at = q, now
 
     def forget_command(self) -> None:
@@ -196,6 +210,14 @@ class LinkObservations:
     def stream_moves(self, now: int) -> bool:
         """Return whether commands come, and one of them differed from the one before it within `REST`."""
         return self._command is not None and now - self._command_moved_at < REST and now - self._command_at < FRESH
+
+    def stream_rests(self, now: int) -> bool:
+        """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""
+        return (
+            self._command is not None
+            and now - self._command_at < FRESH
+            and self._command_at - self._command_rests_since >= REST
+        )
 
     def within_tolerance(self, now: int) -> bool:
         """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""

@@ -106,7 +106,7 @@ class LinkSupervisor:
             Guard.POSES_DIFFER: self._poses_differ,
             Guard.ARM_REFUSED: lambda now: self._arm_refused,
             Guard.OLD_SESSION_COMMANDS: lambda now: self._mirror.old_session_commands,
-            Guard.NOT_TOGETHER: lambda now: not (self.inputs.within_tolerance(now) and self.inputs.at_rest(now)),
+            Guard.NOT_TOGETHER: self._not_together,
         }
         self._actions: dict[Action, Callable[[str, int], str]] = {
             Action.FORGET_REQUESTS: self._forget_requests,
@@ -327,6 +327,11 @@ class LinkSupervisor:
     def _poses_differ(self, now: int) -> bool:
         # before the first session it is unknown whether a program of the controller moves the arm
         return not self.inputs.within_tolerance(now) or not (self._was_armed or self.inputs.at_rest(now))
+
+    def _not_together(self, now: int) -> bool:
+        # a stream in motion may pass the arm's pose; no gateway would refuse what begins at speed
+        known = self.inputs
+        return not (known.within_tolerance(now) and known.at_rest(now) and known.stream_rests(now))
 
     # -- actions: each returns the sentence for the state
 

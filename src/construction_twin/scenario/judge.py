@@ -74,7 +74,9 @@ class Verdict:
         return {"passed": self.passed, **asdict(self)}
 
 
-def judge(scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int) -> Verdict:
+def judge(
+    scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int, cycle: float
+) -> Verdict:
     """Judge a run.
 
     Parameters
@@ -87,6 +89,8 @@ def judge(scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: Mot
         Of the robot's joints, in the recording's order.
     decimals : int
         On the wire.
+    cycle : float
+        The controller's cycle [s]: a reply, and a pose of the arm, in each.
 
     Raises
     ------
@@ -99,9 +103,9 @@ def judge(scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: Mot
     measured: dict = {"did": describe(run), "missed_replies": run.missed}
     checks += _detection(scenario, run, measured)
     checks += _errors(scenario, run, measured)
-    checks += _corrections(trace, limits, decimals, measured)
-    checks += _arm(scenario, run, limits, decimals, measured)
-    checks += _stop(scenario, run, limits, measured)
+    checks += _corrections(trace, limits, decimals, cycle, measured)
+    checks += _arm(scenario, run, limits, decimals, cycle, measured)
+    checks += _stop(scenario, run, cycle, measured)
     checks += _gateway_stops(scenario, run, limits)
     return Verdict(scenario.name, scenario.title, tuple(checks), measured)
 
@@ -308,17 +312,21 @@ def _worst_errors(run: Run) -> np.ndarray:
     return np.degrees(worst)
 
 
-def _corrections(trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int, measured: dict) -> list[Check]:
+def _corrections(
+    trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int, cycle: float, measured: dict
+) -> list[Check]:
     if not trace:
         return [Check("corrections inside the limits", "a trace of the gateway", "an empty one", False)]
-    excesses = trace_excesses(trace, limits, decimals)
-    velocity, acceleration = limit_usage(*trace_arrays(trace), limits, decimals)
+    excesses = trace_excesses(trace, limits, decimals, cycle)
+    velocity, acceleration = limit_usage(*trace_arrays(trace, cycle), limits, decimals, cycle)
     measured |= {"velocity_fraction": float(velocity.max()), "acceleration_fraction": float(acceleration.max())}
     found = "; ".join(map(str, excesses[:3])) or f"{len(trace)} replies inside"
     return [Check("corrections inside the limits", "every reply", found, not excesses)]
 
 
-def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, measured: dict) -> list[Check]:
+def _arm(
+    scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, cycle: float, measured: dict
+) -> list[Check]:
     """What the arm did with its sound joints; the cycles of a missed reply, which stops it dead, are only reported."""
     names = [name for name in limits.names if name not in scenario.faulted]
     if not names:
@@ -331,14 +339,16 @@ def _arm(scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, meas
             # the report of a new session is made in its first cycle
             near = np.abs(run.arm_stamps - change.stamp).argmin()
             breaks[max(0, near - 1) : near + 2] = True
-    velocity, acceleration = limit_usage(run.arm, breaks, limits, decimals)
+    velocity, acceleration = limit_usage(run.arm, breaks, limits, decimals, cycle)
     columns = [limits.names.index(name) for name in names]
     v, a = float(velocity[columns].max()), float(acceleration[columns].max())
     measured |= {"arm_velocity_fraction": v, "arm_acceleration_fraction": a}
     missed = np.zeros(len(run.arm), dtype=bool)
-    for cycle in np.searchsorted(run.arm_stamps, run.missed_at):
-        missed[max(0, cycle - _MISSED) : cycle + _MISSED + 1] = True
-    others = [float(fraction[columns].max()) for fraction in limit_usage(run.arm, breaks, limits, decimals, missed)]
+    for at in np.searchsorted(run.arm_stamps, run.missed_at):
+        missed[max(0, at - _MISSED) : at + _MISSED + 1] = True
+    others = [
+        float(fraction[columns].max()) for fraction in limit_usage(run.arm, breaks, limits, decimals, cycle, missed)
+    ]
     found = f"velocity {others[0]:.3f}, acceleration {others[1]:.3f} of the limits beside {run.missed} missed replies"
     return [Check("sound joints inside the limits", "at most 1", found, max(others) <= 1.0 + ROUNDING)]
 
@@ -354,7 +364,7 @@ def _gateway_stops(scenario: Scenario, run: Run, limits: MotionLimits) -> list[C
     return checks
 
 
-def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) -> list[Check]:
+def _stop(scenario: Scenario, run: Run, cycle: float, measured: dict) -> list[Check]:
     bound = scenario.expect.stop
     measured |= {"stop_distance_deg": None, "stop_time_s": None}
     if bound is None:
@@ -375,7 +385,7 @@ def _stop(scenario: Scenario, run: Run, limits: MotionLimits, measured: dict) ->
     if event.value == "restart_at":
         # the new session stands elsewhere from its first cycle on: that is no motion
         session = run.first("session", since=begin - NANOSECONDS // 10)
-        begin = session.stamp + CYCLE_NS if session else begin
+        begin = session.stamp + round(cycle * NANOSECONDS) if session else begin
     distance, rest = distance_after(run.arm_stamps, run.arm, begin, min(released, default=int(run.arm_stamps[-1])))
     largest = float(np.degrees(distance).max())
     measured |= {"stop_distance_deg": largest, "stop_time_s": rest}

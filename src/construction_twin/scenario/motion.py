@@ -7,29 +7,35 @@ from collections.abc import Sequence
 import numpy as np
 
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.units import CYCLE
 from construction_twin.gateway.trace import TraceEntry
 
 #: Of a fraction of a limit: room for the last bits of differences of floating point numbers.
 ROUNDING = 1e-6
-#: After more missed telegrams than one the gateway takes the arm to be standing [ms].
-_STANDSTILL_MS = 8
+#: After more missed telegrams than one the gateway takes the arm to be standing [cycles].
+_STANDSTILL = 2
 
 
 def limit_usage(
-    positions: np.ndarray, breaks: np.ndarray, limits: MotionLimits, decimals: int, left_out: np.ndarray | None = None
+    positions: np.ndarray,
+    breaks: np.ndarray,
+    limits: MotionLimits,
+    decimals: int,
+    cycle: float,
+    left_out: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest velocity and acceleration of each joint as a fraction of its limit with the format's allowance.
 
     Parameters
     ----------
     positions : array, shape (k, n)
-        Every 4 ms [rad].
+        One per cycle [rad].
     breaks : array, shape (k,), bool
         True where a position does not follow the one before: what was before counts for nothing, the arm was at rest.
     limits : MotionLimits
     decimals : int
         On the wire.
+    cycle : float
+        The controller's cycle [s].
     left_out : array, shape (k,), bool, optional
         Positions that do not count.
 
@@ -38,7 +44,7 @@ def limit_usage(
     velocity, acceleration : array, shape (n,)
         Greater than 1: the limit was left.
     """
-    allowance = np.array(limits.allowances(decimals))
+    allowance = np.array(limits.allowances(decimals, cycle))
     steps = np.diff(positions, axis=0, prepend=positions[:1])
     steps[breaks] = 0.0
     before = np.vstack([np.zeros_like(steps[:1]), steps[:-1]])
@@ -46,22 +52,22 @@ def limit_usage(
     changes = steps - before
     if left_out is not None:
         steps[left_out] = changes[left_out] = 0.0
-    velocity = np.abs(steps).max(axis=0) / CYCLE / (np.array(limits.velocity) + allowance * CYCLE / 2)
-    acceleration = np.abs(changes).max(axis=0) / CYCLE**2 / (np.array(limits.acceleration) + allowance)
+    velocity = np.abs(steps).max(axis=0) / cycle / (np.array(limits.velocity) + allowance * cycle / 2)
+    acceleration = np.abs(changes).max(axis=0) / cycle**2 / (np.array(limits.acceleration) + allowance)
     return velocity, acceleration
 
 
-def trace_arrays(entries: Sequence[TraceEntry]) -> tuple[np.ndarray, np.ndarray]:
+def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of a gateway's trace, and where one does not follow the one before: shapes (k, n) and (k,).
 
-    As in `trace_excesses`, a new session and more than one missed telegram begin from rest.
+    As in `trace_excesses`, a new session and more than one missed telegram, `cycle` [s] apart, begin from rest.
     """
     positions = np.array([entry.position for entry in entries])
     sessions = np.array([entry.session for entry in entries])
     ipocs = np.array([entry.ipoc for entry in entries])
     breaks = np.concatenate([[True], sessions[1:] != sessions[:-1]])
     pauses = np.diff(ipocs, prepend=ipocs[:1])
-    standing = (pauses > _STANDSTILL_MS) & ~breaks
+    standing = (pauses > _STANDSTILL * cycle * 1000) & ~breaks
     # from rest, but a step is still a step: the one before is taken out by repeating the position
     rows = np.flatnonzero(standing)
     positions = np.insert(positions, rows, positions[rows - 1], axis=0)

@@ -8,7 +8,7 @@ from supervisor_bench import POSE, TOLERANCE, BareBench, moved
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import ARM_COMMAND, NOT_CHECKED
-from construction_twin.link.observations import FRESH
+from construction_twin.link.observations import FRESH, REST
 from construction_twin.link.states import BARE_ROWS, LinkEvent, LinkState
 
 
@@ -68,6 +68,34 @@ class TestArming:
         waiting.command = moved(distance * TOLERANCE)
         waiting.run(1.0)
         assert waiting.state is state and waiting.forwarded is (state is LinkState.ARMED)
+
+    def test_a_stream_that_passes_the_arm_in_motion_is_not_armed(self, waiting):
+        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        for tenth in range(-30, 31):
+            waiting.command = moved(tenth / 10 * TOLERANCE)
+            waiting.poll()
+            assert waiting.state is LinkState.RESYNC, tenth
+        waiting.command = POSE
+        waiting.poll()
+        assert waiting.state is LinkState.RESYNC
+        assert waiting.run(0.5).state is LinkState.ARMED
+
+    def test_a_stream_whose_first_command_meets_the_arm_is_not_armed_before_it_has_rested(self, waiting):
+        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        waiting.run(REST / NANOSECONDS)
+        assert waiting.state is LinkState.RESYNC
+        waiting.poll()
+        assert waiting.state is LinkState.ARMED
+
+    def test_what_a_command_was_before_a_pause_of_the_stream_does_not_count_as_rest(self, waiting):
+        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        waiting.run(REST / NANOSECONDS / 2)
+        waiting.command = None
+        waiting.run(1.0)
+        waiting.command = POSE
+        waiting.poll()
+        assert waiting.state is LinkState.RESYNC
+        assert waiting.run(0.5).state is LinkState.ARMED
 
     def test_an_arming_that_is_given_up_does_not_happen_later(self, waiting):
         waiting.supervisor.take_responsibility("Ada", waiting.now)

@@ -7,10 +7,27 @@ import math
 import random
 import re
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
+import bare_plc
 import pytest
-from bare_plc import AXES, CYCLE, DELAY, HOME, MOST, QUIET, SILENCE, START_TOLERANCE, Axis, BarePlc, State
+from bare_plc import (
+    AXES,
+    CYCLE,
+    DELAY,
+    HOME,
+    MOST,
+    QUIET,
+    SILENCE,
+    START_TOLERANCE,
+    Axis,
+    BarePlc,
+    Network,
+    State,
+    arguments,
+)
 from blark.parse import parse_source_code
 from hypothesis import given
 from hypothesis import strategies as st
@@ -216,6 +233,82 @@ def test_whatever_comes_no_step_is_longer_than_a_cycle_s_way_and_no_axis_leaves_
             assert abs(b - a) <= axis.speed * CYCLE + 0.0021 and axis.lower - 0.0011 <= b <= axis.upper + 0.0011
     assert cell.poses[-1] == cell.poses[-50] and cell.plc.word == "ready"
     assert len(cell.plc.joint_string) == len(string(0.0, 0.0))
+
+
+class Loop:
+    """The program's loop, with a clock and a client of the test's: what it says is kept with the moment at which it says it.
+
+    The sender's strings come one per cycle, whatever the program does; a stall (when, how long [s]) keeps it from running.
+    """
+
+    def __init__(self, monkeypatch, *stalls: tuple[float, float]):
+        self.now, self._stalls, self._sent_at = 100.0, list(stalls), 100.0
+        self.said: list[tuple[float, str, bytes]] = []
+        self.stopping, self._at, self._step = threading.Event(), 0.0, 0.0
+        clock = SimpleNamespace(monotonic=lambda: self.now, sleep=self._sleep)
+        client = SimpleNamespace(is_connected=lambda: True, publish=self._publish)
+        nothing = ("will_set", "connect_async", "reconnect_delay_set", "loop_start", "loop_stop", "disconnect")
+        vars(client).update(dict.fromkeys(nothing, lambda *_, **__: None))
+        monkeypatch.setattr(bare_plc, "time", clock)
+        monkeypatch.setattr(bare_plc.paho, "Client", lambda *_, **__: client)
+        self.plc = BarePlc(SLOW, (0.0, 0.0))
+        self._network, self._client = Network(arguments([]), self.plc), client
+
+    def run(self, seconds: float) -> Loop:
+        """Let the program run, and end."""
+        self._end = self.now + seconds
+        self._network.run(self.stopping)
+        return self
+
+    def _sleep(self, seconds: float) -> None:
+        self.now += seconds + 0.0001
+        if self._stalls and self.now >= 100.0 + self._stalls[0][0]:
+            self.now += self._stalls.pop(0)[1]
+        while self._sent_at + CYCLE <= self.now:
+            self._sent_at += CYCLE
+            self._send()
+        if self.now >= self._end:
+            self.stopping.set()
+
+    def _send(self) -> None:
+        # at rest until the queue is filled, then ever faster
+        if self._sent_at > 100.2:
+            self._step = min(self._step + 0.003, 0.02)
+        self._at = round(self._at + self._step, 3)
+        self._client.on_message(None, None, SimpleNamespace(payload=string(self._at, 0.0), retain=False))
+
+    def _publish(self, topic: str, payload, **_):
+        self.said.append((self.now, topic.rpartition("/")[2], payload))
+        return SimpleNamespace(wait_for_publish=lambda seconds: None)
+
+    @property
+    def states(self) -> list[tuple[float, bytes]]:
+        """The joint strings, with when they were said."""
+        return [(when, payload) for when, topic, payload in self.said if topic == "state"]
+
+
+@pytest.mark.parametrize("stall", [0.0, 0.003, 0.02, 0.09])
+def test_cycles_that_were_missed_are_not_run_back_to_back(monkeypatch, stall):
+    loop = Loop(monkeypatch, (0.3, stall), (0.35, stall)).run(0.45)
+    states = loop.states
+    for first, (begin, _) in enumerate(states):
+        for count, (end, _) in enumerate(states[first + 1 :], 1):
+            assert count <= (end - begin) / CYCLE + 1.0001, f"{count} cycles in {(end - begin) * 1000:.1f} ms"
+    # a stall that is short costs delay only
+    assert loop.plc.counters["taken"] > 100 and "late" not in loop.plc.reason
+    assert [payload for _, topic, payload in loop.said if topic == "status"] == ["ready", "offline", "offline"]
+
+
+def test_a_program_that_stood_still_for_longer_than_silence_brakes(monkeypatch):
+    loop = Loop(monkeypatch, (0.3, SILENCE + 0.01)).run(0.45)
+    assert loop.plc.reason == "the program stood still" and loop.plc.state is State.STOPPED
+    words = [(when, payload) for when, topic, payload in loop.said if topic == "status"]
+    assert words[1][1] == "offline" and 100.4 < words[1][0] < 100.42
+
+
+def test_a_loop_that_runs_in_time_does_not_drift(monkeypatch):
+    states = Loop(monkeypatch).run(2.0).states
+    assert states[400][0] - states[0][0] == pytest.approx(400 * CYCLE, abs=0.0005)
 
 
 def test_its_limits_home_and_string_are_the_arm_s():

@@ -14,6 +14,7 @@ from gateway_cell import following
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import NOT_CHECKED
+from construction_twin.link.observations import STATUS_TIMEOUT
 from construction_twin.link.states import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE
@@ -325,6 +326,57 @@ def test_a_bare_plc_whose_poses_do_not_meet_the_twin_is_not_armed_later(clocks):
     assert bench.bridge.link is LinkState.NEEDS_RESET and bench.client.streamed == []
 
 
+def waiting_for_a_name(clocks) -> BridgeBench:
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.run_bare(20)
+    assert bench.bridge.link is LinkState.NEEDS_RESET
+    return bench
+
+
+def test_a_bare_plc_that_is_armed_in_the_last_moment_is_not_said_to_be_unarmed(clocks):
+    bench = waiting_for_a_name(clocks)
+    end = clocks.steady + round(0.95 * NANOSECONDS)
+    clocks.while_waiting = lambda: bench.run_bare(30, True) if clocks.steady >= end else bench.run_bare(commands=False)
+    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    assert answer.success is (bench.bridge.link is LinkState.ARMED), answer.message
+    bench.run_bare(50)
+    assert answer.success is (bench.bridge.link is LinkState.ARMED) is bool(bench.client.streamed)
+
+
+def test_a_second_person_s_refused_call_does_not_withdraw_the_first_one_s(clocks):
+    bench = waiting_for_a_name(clocks)
+    refusals = []
+
+    def wait() -> None:
+        bench.run_bare()
+        if not refusals:
+            refusals.append(bench.bridge.on_responsible(SimpleNamespace(responsible="Grace")))
+
+    clocks.while_waiting = wait
+    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    assert not refusals[0].success and "Ada is responsible already" in refusals[0].message
+    assert answer.success and "Ada is responsible for" in answer.message and bench.bridge.link is LinkState.ARMED
+
+
+def test_a_person_whose_arming_was_halted_is_not_told_of_the_next_one_s_and_does_not_end_it(clocks):
+    bench = waiting_for_a_name(clocks)
+    answers = []
+
+    def wait() -> None:
+        bench.run_bare()
+        if not answers:
+            bench.bridge.on_halt(None)
+            answers.append(None)
+            answers[0] = bench.bridge.on_responsible(SimpleNamespace(responsible="Grace"))
+
+    clocks.while_waiting = wait
+    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    assert answers[0].success and "Grace is responsible for" in answers[0].message
+    assert not answer.success and "Grace is responsible for" in answer.message
+    assert bench.bridge.link is LinkState.ARMED
+
+
 def test_properties_beside_a_bare_plc_s_state_are_refused(clocks):
     bench = BridgeBench(clocks, kind="plc")
     bench.connect()
@@ -342,6 +394,29 @@ def test_what_answers_in_the_other_mode_is_named_with_the_argument(clocks):
     bench.bridge.on_status(b"offline")
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
+
+
+@pytest.mark.parametrize("word", [b"ready", b"offline"])
+def test_a_word_on_status_stops_nothing_while_the_gateway_answers(bench, word):
+    bench.arm()
+    bench.bridge.on_status(word)
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.ARMED and bench.refused == {"status": 1}
+    # the gateway's own word counts at once
+    bench.bridge.on_status(b'{"state": "offline"}')
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
+    bench.bridge.on_status(b"ready")
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.MISMATCH and bench.refused == {"status": 1}
+
+
+def test_a_word_on_status_is_believed_once_the_gateway_is_silent(bench):
+    bench.arm()
+    bench.clocks.run(STATUS_TIMEOUT / NANOSECONDS + 0.02)
+    bench.bridge.on_status(b"ready")
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.MISMATCH and bench.refused == {}
 
 
 def test_without_a_bare_plc_nobody_is_responsible(bench):

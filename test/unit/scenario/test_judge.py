@@ -85,8 +85,8 @@ def stalled_run():
     return make_run(arm, twin, changes, [closing])
 
 
-def make_trace(positions):
-    return [TraceEntry(4 * k, 0, State.FOLLOWING, 1, tuple(q)) for k, q in enumerate(positions)]
+def make_trace(positions, cycle_ms=4):
+    return [TraceEntry(cycle_ms * k, 0, State.FOLLOWING, 1, tuple(q)) for k, q in enumerate(positions)]
 
 
 def expectation(**changes):
@@ -104,8 +104,8 @@ def stall_expectation(**changes):
     return make_scenario("test", {"title": "t", "steps": steps, "expect": expect})
 
 
-def verdict_of(scenario, run, trace=None):
-    return judge(scenario, run, make_trace(profile()) if trace is None else trace, LIMITS, 6)
+def verdict_of(scenario, run, trace=None, cycle_ms=4):
+    return judge(scenario, run, make_trace(profile()) if trace is None else trace, LIMITS, 6, cycle_ms / 1000)
 
 
 def failed(verdict):
@@ -260,6 +260,40 @@ def test_corrections_and_sound_joints_outside_the_limits_fail():
     assert failed(verdict_of(expectation(), make_run(), [])) == ["corrections inside the limits"]
 
 
+def at_12_ms(run):
+    """The run with the arm of a controller at 12 ms, and the gateway's trace of it."""
+    slow = dataclasses.replace(run, arm=run.arm[::3], arm_stamps=run.arm_stamps[::3])
+    return slow, make_trace(slow.arm, 12)
+
+
+def test_a_controller_at_12_ms_is_judged_by_its_own_cycle():
+    run, trace = at_12_ms(make_run())
+    verdict = verdict_of(expectation(), run, trace, 12)
+    assert verdict.passed, verdict.checks
+    fraction = math.radians(20.0) / 3.2 * 15 / 8 / LIMITS.velocity[2]
+    for name in ("velocity_fraction", "arm_velocity_fraction"):
+        assert verdict.measured[name] == pytest.approx(fraction, rel=1e-3)
+    # the corrections' acceleration is the motion's: no cycle of it counts as a start from rest
+    most = np.abs(np.diff(profile()[::3], n=2, axis=0)).max() / 0.012**2 / LIMITS.acceleration[2]
+    assert verdict.measured["acceleration_fraction"] == pytest.approx(most, rel=1e-3)
+
+
+def test_at_12_ms_one_missed_telegram_is_motion_and_two_are_rest():
+    for missed, begins in ((1, [0]), (2, [0, 10])):
+        entries = make_trace(np.cumsum(np.full((20, 6), 1e-4), axis=0), 12)
+        entries = [dataclasses.replace(e, ipoc=e.ipoc + (12 * missed if k >= 10 else 0)) for k, e in enumerate(entries)]
+        assert np.flatnonzero(trace_arrays(entries, 0.012)[1]).tolist() == begins
+
+
+def test_what_leaves_the_limits_at_12_ms_fails():
+    jump = profile()[::3].copy()
+    # more than at 12 ms, less than a third of it would be at 4 ms
+    jump[200:, 0] += 1.1 * LIMITS.velocity[0] * 0.012
+    run, _ = at_12_ms(make_run())
+    found = failed(verdict_of(expectation(), dataclasses.replace(run, arm=jump), make_trace(jump, 12), 12))
+    assert {"corrections inside the limits", "sound joints inside the limits"} <= set(found)
+
+
 def test_a_stalled_joint_is_not_sound_and_a_new_session_is_no_motion():
     run = stalled_run()
     assert "sound joints inside the limits" not in failed(verdict_of(stall_expectation(), run))
@@ -295,9 +329,9 @@ def test_a_trace_with_missed_telegrams_goes_on_from_rest():
     positions = np.cumsum(np.full((20, 6), 1e-4), axis=0)
     entries = make_trace(positions)
     entries = [dataclasses.replace(e, ipoc=e.ipoc + (40 if k >= 10 else 0)) for k, e in enumerate(entries)]
-    rows, breaks = trace_arrays(entries)
+    rows, breaks = trace_arrays(entries, CYCLE)
     assert len(rows) == 21 and np.flatnonzero(breaks).tolist() == [0, 10]
-    velocity, acceleration = limit_usage(rows, breaks, LIMITS, 6)
+    velocity, acceleration = limit_usage(rows, breaks, LIMITS, 6, CYCLE)
     np.testing.assert_allclose(velocity, 1e-4 / CYCLE / np.array(LIMITS.velocity), rtol=1e-3)
     assert (acceleration > 0).all()
 

@@ -275,11 +275,14 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
         json.dumps({"failure": failure, "actions": [asdict(action) for action in driver.actions]}, indent=2) + "\n"
     )
     shutil.copyfile(settings.trace, folder / TRACE)
-    return judge_folder(folder, scenario, robot, rospy.get_param("gateway/decimals"), rospy.get_namespace())
+    decimals, cycle_ms = rospy.get_param("gateway/decimals"), rospy.get_param("gateway/cycle")
+    return judge_folder(folder, scenario, robot, decimals, cycle_ms, rospy.get_namespace())
 
 
-def judge_folder(folder: Path, scenario: Scenario, robot: RobotModel, decimals: int, namespace: str | None) -> Verdict:
-    """Judge what lies in a folder, and write its verdict.json.
+def judge_folder(
+    folder: Path, scenario: Scenario, robot: RobotModel, decimals: int, cycle_ms: int, namespace: str | None
+) -> Verdict:
+    """Judge what lies in a folder, and write its verdict.json. `cycle_ms` is the controller's cycle.
 
     Raises
     ------
@@ -288,7 +291,8 @@ def judge_folder(folder: Path, scenario: Scenario, robot: RobotModel, decimals: 
     """
     check_writable(folder)
     run = read_run(folder, namespace)
-    verdict = judge(scenario, run, read_trace(str(folder / TRACE)), MotionLimits.of(robot), decimals)
+    trace = read_trace(str(folder / TRACE))
+    verdict = judge(scenario, run, trace, MotionLimits.of(robot), decimals, cycle_ms / 1000)
     changes = [asdict(change) | {"at_s": round((change.stamp - run.start) / 1e9, 4)} for change in run.changes]
     (folder / VERDICT).write_text(json.dumps(verdict.to_dict() | {"changes": changes}, indent=2, default=str) + "\n")
     return verdict
@@ -323,7 +327,7 @@ def _judge(options: argparse.Namespace, console: Console) -> int:
     )
     name = options.judge.resolve().name
     scenario = read_scenario(options.scenario or package_file(f"config/scenarios/{name}.yaml"))
-    verdict = judge_folder(options.judge, scenario, robot, options.decimals, None)
+    verdict = judge_folder(options.judge, scenario, robot, options.decimals, options.cycle, None)
     print_verdict(verdict, console)
     return 0 if verdict.passed else 1
 
@@ -340,6 +344,7 @@ def _parser() -> argparse.ArgumentParser:
         "--scenario", type=Path, metavar="FILE", help="scenario YAML (default: the shipped one of DIR's name)"
     )
     parser.add_argument("--decimals", type=int, default=3, help="decimals of a degree on the wire [3]")
+    parser.add_argument("--cycle", type=int, default=4, choices=[4, 12], help="the controller's cycle [ms] [4]")
     parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro (default: {XACRO})")
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")

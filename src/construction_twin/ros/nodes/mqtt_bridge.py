@@ -284,11 +284,16 @@ class MqttBridge:
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
-        if status.get("state") == "offline":
-            self._state_check.restart()
         with self._lock:
-            self._supervisor.on_status(status, time.monotonic_ns())
-            self._gateway_values = values
+            now = time.monotonic_ns()
+            problem = self._supervisor.inputs.why_not_believed(status, now)
+            if not problem:
+                self._supervisor.on_status(status, now)
+                self._gateway_values = values
+        if problem:
+            self._diagnostics.refuse("status", problem)
+        elif status.get("state") == "offline":
+            self._state_check.restart()
 
     def on_answer(self, payload: bytes) -> None:
         """Take the gateway's answer to a control message."""
@@ -316,12 +321,20 @@ class MqttBridge:
 
     def on_responsible(self, request) -> TakeResponsibilityResponse:
         """Arm a bare PLC in a person's name; when that does not succeed in time it is not tried any longer."""
-        answer = self._begin_session(lambda now: self._supervisor.take_responsibility(request.responsible, now))
-        with self._lock:
-            if not answer.success and self._supervisor.state is LinkState.RESYNC:
-                self._supervisor.withdraw_responsibility(answer.message)
-            sentence = self._supervisor.reason if answer.success else answer.message
-        return TakeResponsibilityResponse(answer.success, sentence)
+        supervisor = self._supervisor
+        try:
+            with self._lock:
+                supervisor.take_responsibility(request.responsible, time.monotonic_ns())
+                session = supervisor.session
+        except ReviewError as error:
+            return TakeResponsibilityResponse(False, str(error))
+
+        def withdraw(because: str) -> None:
+            # meanwhile a person may have halted, and another one begun
+            if supervisor.session == session and supervisor.state is LinkState.RESYNC:
+                supervisor.withdraw_responsibility(because)
+
+        return TakeResponsibilityResponse(*self._wait_for_arming(lambda: supervisor.session == session, withdraw))
 
     def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
         try:
@@ -330,16 +343,28 @@ class MqttBridge:
                 request(time.monotonic_ns())
         except ReviewError as error:
             return TriggerResponse(False, str(error))
-        deadline = time.monotonic() + self._settings.reset_timeout
-        while time.monotonic() < deadline and not rospy.is_shutdown():
+        armed, sentence = self._wait_for_arming(lambda: self._supervisor.session != before, lambda because: None)
+        return TriggerResponse(armed, f"armed, {sentence}" if armed else sentence)
+
+    def _wait_for_arming(self, is_asked_for: Callable[[], bool], give_up: Callable[[str], None]) -> tuple[bool, str]:
+        """Return whether the session that was asked for is armed in time, and one sentence; else give up, told the sentence.
+
+        The last look and the giving up are one hold of the lock: what is answered is what is the case.
+        """
+        supervisor, timeout = self._supervisor, self._settings.reset_timeout
+        deadline = time.monotonic() + timeout
+        while True:
+            late = time.monotonic() >= deadline or rospy.is_shutdown()
             with self._lock:
-                state, session, reason = self._supervisor.state, self._supervisor.session, self._supervisor.reason
-                refused = self._supervisor.inputs.why_no_pose(time.monotonic_ns())
-            if state is LinkState.ARMED and session != before:
-                return TriggerResponse(True, f"armed, session {session}")
+                if supervisor.state is LinkState.ARMED and is_asked_for():
+                    return True, supervisor.reason
+                if late:
+                    reason, refused = supervisor.reason, supervisor.inputs.why_no_pose(time.monotonic_ns())
+                    because = f"{reason}; {refused}" if refused and refused not in reason else reason
+                    sentence = f"not armed within {timeout:g} s: {supervisor.state.name}, {because}"
+                    give_up(sentence)
+                    return False, sentence
             time.sleep(POLL)
-        because = f"{reason}; {refused}" if refused and refused not in reason else reason
-        return TriggerResponse(False, f"not armed within {self._settings.reset_timeout:g} s: {state.name}, {because}")
 
     def on_halt(self, _request) -> TriggerResponse:
         """Stop executor and gateway: the gateway brakes the arm within its limits, and the executor drops its plan."""
