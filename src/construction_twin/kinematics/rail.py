@@ -139,6 +139,7 @@ class RailInverse(InverseKinematics):
         self._arm = arm
         self._search = search
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
+        self._ranges = list(zip(chain.robot.lower, chain.robot.upper))
         home = np.array(chain.robot.home)
         home[0] = 0.0
         whole, part = chain.forward(home), arm.chain.forward(home[1:])
@@ -276,28 +277,29 @@ class RailInverse(InverseKinematics):
         self, pose: Pose, seed: np.ndarray, flange: np.ndarray, slot: int, turn: np.ndarray, valley: _Valley
     ) -> IkSolution | None:
         """Return the nearest solution of one branch around the best of two or three places; None: there is none."""
-        q = np.zeros(0)
+        q: list[float] = []
+        start, turns = seed.tolist(), turn.tolist()
         for number in range(_NARROWINGS):
             near = valley.promising(number)
             if not near:
                 break
-            places = np.array(near)
-            branches, squares, excess = self._turned(self._branches(flange, places).q[:, slot], seed, places, turn)
-            row = valley.take(near, squares.tolist(), excess.tolist())
+            branches = self._branches(flange, np.array(near)).q[:, slot].tolist()
+            found = [self._turned_one([place, *branch], start, turns) for place, branch in zip(near, branches)]
+            row = valley.take(near, [each[1] for each in found], [each[2] for each in found])
             if row >= 0:
-                q = np.concatenate([places[row : row + 1], branches[row]])
+                q = found[row][0]
             if valley.done:
                 break
         return None if valley.best >= _OUTSIDE else self._confirmed(q, pose, seed, SLOTS[slot])
 
     def _confirmed(
-        self, q: np.ndarray, pose: Pose, seed: np.ndarray, configuration: Configuration | None
+        self, q: list[float], pose: Pose, seed: np.ndarray, configuration: Configuration | None
     ) -> IkSolution | None:
-        q = np.clip(q, self._lower, self._upper)
+        q = [min(max(value, lower), upper) for value, (lower, upper) in zip(q, self._ranges)]
         error_m, error_rad = residual(self.chain, q, pose)
         if error_m > self.settings.tolerance_m or error_rad > self.settings.tolerance_rad:
             return None
-        return IkSolution(q, error_m, error_rad, math.dist(q, seed), configuration)
+        return IkSolution(np.array(q), error_m, error_rad, math.dist(q, seed), configuration)
 
     def _nearest_at(
         self, place: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
@@ -308,7 +310,7 @@ class RailInverse(InverseKinematics):
 
     def _lifted(self, place: float, of_arm: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the arm's solution at a place as one of the whole chain; empty if forward kinematics does not confirm it."""
-        solution = self._confirmed(np.concatenate([[place], of_arm.q]), pose, seed, of_arm.configuration)
+        solution = self._confirmed([place, *of_arm.q.tolist()], pose, seed, of_arm.configuration)
         return [] if solution is None else [solution]
 
     def _families(
@@ -352,6 +354,33 @@ class RailInverse(InverseKinematics):
         excess = np.maximum(low - away, away - high).max(axis=-1)
         excess[np.isnan(excess)] = np.inf
         return away + near, squares, excess
+
+    def _turned_one(
+        self, q: list[float], seed: Sequence[float], turn: Sequence[float]
+    ) -> tuple[list[float], float, float]:
+        """Return the same as `_turned` for one branch, shape (7,), in plain floats: for few places that is quicker."""
+        away = q[0] - seed[0]
+        square, worst = away * away, -math.inf
+        for joint in range(1, 7):
+            near = seed[joint]
+            away = q[joint] - near
+            if away != away:  # nan: there is no such branch
+                return q, math.nan, math.inf
+            lower, upper = self._ranges[joint]
+            low, high = lower - near, upper - near
+            away -= TURN * round(away / TURN)
+            if away > high:
+                if away - TURN >= low:
+                    away -= TURN
+            elif away < low and away + TURN <= high:
+                away += TURN
+            away += TURN * turn[joint - 1]
+            square += away * away
+            excess = max(low - away, away - high)
+            if excess > worst:
+                worst = excess
+            q[joint] = near + away
+        return q, square, worst
 
     def _turned_where_near(
         self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, turn: np.ndarray, wanted: np.ndarray
