@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,8 @@ _JUMP, _DIVIDED = 0.7, 8
 #: Surroundings in which the distance from the seed differs by less are not narrowed any further [rad]; nor are shorter ones
 #: in which a branch ends [m].
 _FLAT, _NARROW = 5e-6, 2e-6
+#: Nor are surroundings in which it differs by less than the first, if a parabola falls by less than the second [rad].
+_SMOOTH, _FALL = 1e-3, 1e-7
 #: Near a singular wrist, places are added where joint 4 has turned by these angles [rad].
 _WRIST_TURNS = np.linspace(-1.5, 1.5, 25)
 #: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad].
@@ -59,6 +62,11 @@ _OF_FAMILY = 1e-3
 _PROMISING, _ROUGH = 0.15, 1.3
 #: How much below the parabola through three places the distance may be, where it does not jump [rad].
 _CLOSE = 0.08
+#: At an edge of the reach the arm is solved this far within it, where the elbow is almost stretched or folded [m], and at these
+#: fractions of the spacing from there: the elbow moves with the root of the distance. An axis this level is horizontal.
+_AT_EDGE, _FROM_EDGE, _LEVEL = 1e-11, np.array([0.0, 0.003, 0.03, 0.15, 0.45]), 1e-9
+#: Slots of each shoulder, front and back.
+_SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
 #: Joints 2 and 3 further out of range are not looked at [rad].
 _FAR = 0.6
 #: Of each branch, the one with the other elbow.
@@ -112,6 +120,8 @@ class _AlongAxis:
         Whether at the seed's place the wrist is near its singularity, or branches are missing.
     flange : array, shape (4, 4)
         The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
+    edge : array, shape (m, 8)
+        Whether the place is at the edge of the branch's reach, within `_AT_EDGE`.
     """
 
     places: np.ndarray
@@ -119,6 +129,25 @@ class _AlongAxis:
     singular: list[float]
     special: bool
     flange: np.ndarray
+    edge: np.ndarray
+
+
+class _Edge(NamedTuple):
+    """A place where a shoulder's reach begins or ends.
+
+    Attributes
+    ----------
+    place : float
+        [m]
+    inwards : float
+        1 if the reach begins there, -1 if it ends.
+    side : int
+        0: shoulder in front, 1: back.
+    """
+
+    place: float
+    inwards: float
+    side: int
 
 
 class RailInverse(InverseKinematics):
@@ -219,12 +248,46 @@ class RailInverse(InverseKinematics):
             # a place beyond the end by rounding is at the end
             elif low - _ROUNDING <= found.place <= high + _ROUNDING:
                 singular.append(float(min(max(found.place, low), high)))
+        apart = float(even[1] - even[0])
+        edges = [edge for edge in self._edges(flange) if low < edge.place < high]
+        more += [edge.place + edge.inwards * (_AT_EDGE + apart * _FROM_EDGE) for edge in edges]
         if more:
             extra = np.clip(np.concatenate(more), low, high)
             places = np.concatenate([places, extra])
             q = np.concatenate([q, self._branches(flange, extra).q])
         order = places.argsort(kind="stable")
-        return _AlongAxis(places[order], q[order], singular, not bool((wrist[-1] > _OF_FAMILY).all()), flange)
+        places, q = places[order], q[order]
+        at_edge = np.zeros((len(places), len(SLOTS)), dtype=bool)
+        for edge in edges:
+            at_edge[places.searchsorted(edge.place + edge.inwards * _AT_EDGE), _SIDES[edge.side]] = True
+        return _AlongAxis(places, q, singular, not bool((wrist[-1] > _OF_FAMILY).all()), flange, at_edge)
+
+    def _edges(self, flange: np.ndarray) -> list[_Edge]:
+        """Return the places at which a shoulder's reach begins or ends; empty for an axis that is not level."""
+        model = self._arm.model
+        (x, y, z), (dx, dy, dz) = model.wrist_centre(flange), self._travel.tolist()
+        square = dx * dx + dy * dy
+        if abs(dz) > _LEVEL or square < 0.5:
+            return []
+        forearm = math.hypot(model.a2, model.c3)
+        along, beside = (x * dx + y * dy) / square, (x * dy - y * dx) ** 2 / square
+        edges = []
+        for side, offset in enumerate((model.a1, -model.a1)):
+            for sense, radius in ((1.0, model.c2 + forearm), (-1.0, abs(model.c2 - forearm))):
+                level = radius**2 - (z - model.c1) ** 2
+                if level < 0.0:
+                    continue
+                for root in (math.sqrt(level), -math.sqrt(level)):
+                    # horizontal distance of the wrist centre to axis 1, without b
+                    distance = offset + root
+                    half = (distance**2 + model.b**2 - beside) / square
+                    if distance < 0.0 or half <= 0.0:
+                        continue
+                    half = math.sqrt(half)
+                    # with growing distance from axis 1 the wrist centre leaves the outer edge if it is on its far side
+                    outwards = sense * (1.0 if root > 0.0 else -1.0)
+                    edges += [_Edge(along + half, -outwards, side), _Edge(along - half, outwards, side)]
+        return edges
 
     def _best(
         self,
@@ -247,9 +310,17 @@ class RailInverse(InverseKinematics):
         rough = np.zeros((len(places) + 1, len(SLOTS)), dtype=bool)
         rough[1:-1] = ~(np.abs(np.diff(distances, axis=0)) < _JUMP)
         # where a branch ends, its partner with the other elbow begins
+        missing = np.isnan(squares)
         ends = np.zeros_like(valley)
-        ends[:-1] = np.isnan(squares[1:])
-        ends[1:] |= np.isnan(squares[:-1])
+        ends[:-1] = missing[1:]
+        ends[1:] |= missing[:-1]
+        for row, slot in zip(*(part.tolist() for part in np.nonzero(along.edge & ends & ~missing))):
+            # at the edge itself nothing jumps: if the partner goes on downwards, the lowest place is not here
+            ends[row, slot] = False
+            inner = row + 1 if row == 0 or missing[row - 1, slot] else row - 1
+            rough[row if inner > row else row + 1, slot] = False
+            if inner < len(places) and cost[inner, slot ^ 1] < cost[row, slot ^ 1]:
+                valley[row, slot] = False
         valley |= (valley & ends)[:, _PARTNERS] & wanted & np.isfinite(squares)
         rows, slots = np.nonzero(valley)
         hopeful = distances[rows, slots] - np.where((rough[:-1] | rough[1:])[rows, slots], _ROUGH, _PROMISING)
@@ -266,7 +337,7 @@ class RailInverse(InverseKinematics):
             if most is not None and hopeful[index] > best:
                 continue
             row, slot = int(rows[index]), int(slots[index])
-            valley_here = _Valley(*_around(places, squares, excess, row, slot))
+            valley_here = _Valley(*_around(along, squares, excess, row, slot))
             solution = self._narrowed(pose, seed, along.flange, slot, turn, valley_here)
             if solution is not None:
                 best = min(best, solution.distance)
@@ -447,11 +518,16 @@ def _cost(squares: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
 
 def _around(
-    places: np.ndarray, squares: np.ndarray, excess: np.ndarray, row: int, slot: int
+    along: _AlongAxis, squares: np.ndarray, excess: np.ndarray, row: int, slot: int
 ) -> tuple[list[float], list[float], list[float]]:
     """Return what is known of a branch at a place and its neighbours: places, squared distances, excesses."""
-    around = slice(max(row - 1, 0), row + 2)
-    return places[around].tolist(), squares[around, slot].tolist(), excess[around, slot].tolist()
+    first, last = max(row - 1, 0), min(row + 1, len(along.places) - 1)
+    # beyond the edge of the reach there is nothing to look for
+    if along.edge[row, slot]:
+        first = row if math.isnan(squares[first, slot]) else first
+        last = row if math.isnan(squares[last, slot]) else last
+    around = slice(first, last + 1)
+    return along.places[around].tolist(), squares[around, slot].tolist(), excess[around, slot].tolist()
 
 
 class _Valley:
@@ -514,8 +590,20 @@ class _Valley:
         self._f, self._e = ([known[place][part] for place in self._x] for part in (0, 1))
         spread = math.nan if any(map(math.isnan, self._f)) else math.sqrt(max(self._f)) - math.sqrt(min(self._f))
         wide = self._x[-1] - self._x[0]
-        self.done = spread < _FLAT or (not spread < _JUMP and wide < _NARROW)
+        self.done = spread < _FLAT or (not spread < _JUMP and wide < _NARROW) or self._is_lowest(spread)
         return row if better else -1
+
+    def _is_lowest(self, spread: float) -> bool:
+        """Return whether the parabola through three places in range is hardly below the best of them."""
+        if not (spread < _SMOOTH and len(self._x) == 3 and max(self._e) <= _ROUNDING):
+            return False
+        (x0, x1, x2), (f0, f1, f2) = self._x, self._f
+        falling, rising = (f1 - f0) / (x1 - x0), (f2 - f1) / (x2 - x1)
+        second = (rising - falling) / (x2 - x0)
+        if not second > 0.0:
+            return False
+        slope = falling + second * (x1 - x0)
+        return slope * slope / (4.0 * second) < _FALL * 2.0 * math.sqrt(f1)
 
 
 def _costs(square: float, excess: float) -> float:
