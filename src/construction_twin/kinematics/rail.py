@@ -65,6 +65,8 @@ _CLOSE = 0.08
 #: At an edge of the reach the arm is solved this far within it, where the elbow is almost stretched or folded [m], and at these
 #: fractions of the spacing from there: the elbow moves with the root of the distance. An axis this level is horizontal.
 _AT_EDGE, _FROM_EDGE, _LEVEL = 1e-11, np.array([0.0, 0.003, 0.03, 0.15, 0.45]), 1e-9
+#: A wrist centre that is out of reach by less, or closer to axis 1, may have lost its branches by rounding [m].
+_AT_REACH = 1e-6
 #: Slots of each shoulder, front and back.
 _SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
 #: Joints 2 and 3 further out of range are not looked at [rad].
@@ -117,7 +119,7 @@ class _AlongAxis:
     singular : list of float
         Places where the wrist is exactly singular [m].
     special : bool
-        Whether at the seed's place the wrist is near its singularity, or branches are missing.
+        Whether at the seed's place the wrist is near its singularity, or branches are missing that are not out of reach.
     flange : array, shape (4, 4)
         The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
     edge : array, shape (m, 8)
@@ -241,6 +243,7 @@ class RailInverse(InverseKinematics):
         even = np.linspace(low, high, _PLACES)
         places = np.append(even, seed[0])
         q, wrist, _ = self._branches(flange, places)
+        wrist_here = wrist[-1].tolist()
         more, singular = [], []
         for found in find_singularities(even, wrist[:-1, :4], lambda near: self._branches(flange, near).wrist[:, :4]):
             if found.angle > _SINGULAR:
@@ -260,7 +263,25 @@ class RailInverse(InverseKinematics):
         at_edge = np.zeros((len(places), len(SLOTS)), dtype=bool)
         for edge in edges:
             at_edge[places.searchsorted(edge.place + edge.inwards * _AT_EDGE), _SIDES[edge.side]] = True
-        return _AlongAxis(places, q, singular, not bool((wrist[-1] > _OF_FAMILY).all()), flange, at_edge)
+        return _AlongAxis(places, q, singular, self._is_special(flange, float(seed[0]), wrist_here), flange, at_edge)
+
+    def _is_special(self, flange: np.ndarray, place: float, wrist: list[float]) -> bool:
+        """Return whether the wrist is near its singularity, or a branch is missing although it is not out of reach.
+
+        `wrist`, length 8, is a row of `Branches.wrist` at the place.
+        """
+        if any(angle <= _OF_FAMILY for angle in wrist):
+            return True
+        dx, dy, dz = self._travel.tolist()
+        x, y, z = self._arm.model.wrist_centre(flange)
+        x, y, z = x - place * dx, y - place * dy, z - place * dz
+        if math.hypot(x, y) < _AT_REACH:
+            return True
+        margins = self._arm.model.margins(x, y, z)
+        return any(
+            min(margin) > -_AT_REACH and any(math.isnan(wrist[slot]) for slot in slots)
+            for margin, slots in zip(margins, _SIDES)
+        )
 
     def _edges(self, flange: np.ndarray) -> list[_Edge]:
         """Return the places at which a shoulder's reach begins or ends; empty for an axis that is not level."""
@@ -403,33 +424,44 @@ class RailInverse(InverseKinematics):
         return abs(math.sin(q[5] - self._arm.model.signs[4] * self._arm.model.offsets[4]))
 
     def _turned(
-        self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, turn: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the arm's branches at places of the carriage, their squared distances from the seed, and their range excess.
+        self, branches: np.ndarray, seed: np.ndarray, travel: np.ndarray, turn: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return squared distances of branches from the seed, and their range excess, each shape (m,).
 
-        Branches, shape (m, ..., 6), are moved by whole turns as near to the seed as the ranges allow, and then by `turn`, shape
-        (6,). The excess, shape (m, ...), is how far the worst joint is out of range [rad]; inf for branches that do not exist.
-        The squared distances have the same shape.
+        Branches, shape (m, 6), are moved by whole turns as near to the seed as the ranges allow, and then by `turn`, shape
+        (6,). The excess is how far the worst joint is out of range [rad]; inf for branches that do not exist. `travel`, shape
+        (m,), is how far the carriage is from the seed's place [m].
         """
-        lower, upper, near = self._lower[1:], self._upper[1:], seed[1:]
-        away = branches - near
+        near = seed[1:]
+        # one row for each joint: numpy is quickest along the long side
+        away = np.subtract(branches.T, near[:, None], order="C")
         away -= TURN * np.rint(away * (1.0 / TURN))
-        low, high = lower - near, upper - near
-        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
-        away -= TURN * ((away > high) & (away - TURN >= low))
-        away += TURN * ((away < low) & (away + TURN <= high))
+        low, high = self._lower[1:] - near, self._upper[1:] - near
+        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it, and only where the
+        # range has less than half a turn on one side of the seed and more on the other
+        for joint, (below, above) in enumerate(zip(low.tolist(), high.tolist())):
+            row = away[joint]
+            if above < 0.5 * TURN < -below:
+                row -= TURN * ((row > above) & (row >= below + TURN))
+            elif -below < 0.5 * TURN < above:
+                row += TURN * ((row < below) & (row <= above - TURN))
         if turn.any():
-            away += TURN * turn
-        travel = (places - seed[0]) ** 2
-        squares = np.einsum("...i,...i->...", away, away) + travel.reshape(-1, *[1] * (branches.ndim - 2))
-        excess = np.maximum(low - away, away - high).max(axis=-1)
+            away += TURN * turn[:, None]
+        squares = np.einsum("ij,ij->j", away, away) + travel * travel
+        away -= (0.5 * (low + high))[:, None]
+        np.abs(away, out=away)
+        away -= (0.5 * (high - low))[:, None]
+        excess = away.max(axis=0)
         excess[np.isnan(excess)] = np.inf
-        return away + near, squares, excess
+        return squares, excess
 
     def _turned_one(
         self, q: list[float], seed: Sequence[float], turn: Sequence[float]
     ) -> tuple[list[float], float, float]:
-        """Return the same as `_turned` for one branch, shape (7,), in plain floats: for few places that is quicker."""
+        """Return one branch with the carriage's place, turned as by `_turned`, its squared distance and excess.
+
+        In plain floats, which is quicker for few places.
+        """
         away = q[0] - seed[0]
         square, worst = away * away, -math.inf
         for joint in range(1, 7):
@@ -465,7 +497,7 @@ class RailInverse(InverseKinematics):
         two = branches[:, :, 1:3] - self._middle
         two -= TURN * np.rint(two * (1.0 / TURN))
         rows, slots = np.nonzero((np.abs(two) < self._half).all(axis=2) & wanted)
-        _, squares[rows, slots], excess[rows, slots] = self._turned(branches[rows, slots], seed, places[rows], turn)
+        squares[rows, slots], excess[rows, slots] = self._turned(branches[rows, slots], seed, places[rows] - seed[0], turn)
         return squares, excess
 
     def _seen_from(self, pose: Pose, place: float) -> Pose:
