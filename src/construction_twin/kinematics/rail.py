@@ -170,6 +170,7 @@ class RailInverse(InverseKinematics):
         self._arm = arm
         self._search = search
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
+        self._even = np.linspace(chain.robot.lower[0], chain.robot.upper[0], _PLACES)
         self._ranges = list(zip(chain.robot.lower, chain.robot.upper))
         home = np.array(chain.robot.home)
         home[0] = 0.0
@@ -238,9 +239,9 @@ class RailInverse(InverseKinematics):
 
     def _solve_along(self, pose: Pose, seed: np.ndarray) -> _AlongAxis:
         """Solve the arm at places all along the axis."""
-        low, high = self._lower[0], self._upper[0]
+        low, high = self._ranges[0]
         flange = self._arm.flange(self._seen_from(pose, 0.0))
-        even = np.linspace(low, high, _PLACES)
+        even = self._even
         places = np.append(even, seed[0])
         q, wrist, _ = self._branches(flange, places)
         wrist_here = wrist[-1].tolist()
@@ -255,7 +256,7 @@ class RailInverse(InverseKinematics):
         edges = [edge for edge in self._edges(flange) if low < edge.place < high]
         more += [edge.place + edge.inwards * (_AT_EDGE + apart * _FROM_EDGE) for edge in edges]
         if more:
-            extra = np.clip(np.concatenate(more), low, high)
+            extra = np.minimum(np.maximum(np.concatenate(more), low), high)
             places = np.concatenate([places, extra])
             q = np.concatenate([q, self._branches(flange, extra).q])
         order = places.argsort(kind="stable")
@@ -346,7 +347,8 @@ class RailInverse(InverseKinematics):
         rows, slots = np.nonzero(valley)
         hopeful = distances[rows, slots] - np.where((rough[:-1] | rough[1:])[rows, slots], _ROUGH, _PROMISING)
         inner = (rows > 0) & (rows < len(places) - 1)
-        before, here, after = (distances[np.clip(rows + step, 0, len(places) - 1), slots] for step in (-1, 0, 1))
+        # at the ends the place itself takes the part of its neighbour; `inner` says that it does not count there
+        before, here, after = (distances[rows + step * inner, slots] for step in (-1, 0, 1))
         # ... elsewhere it falls hardly below the parabola through the places
         second_difference = np.maximum(before + after - 2.0 * here, 1e-12)
         fall = np.minimum((after - before) ** 2 / (8.0 * second_difference), _PROMISING)
