@@ -439,14 +439,14 @@ class RailInverse(InverseKinematics):
         away = np.subtract(branches.T, near[:, None], order="C")
         away -= TURN * np.rint(away * (1.0 / TURN))
         low, high = self._lower[1:] - near, self._upper[1:] - near
-        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it, and only where the
-        # range has less than half a turn on one side of the seed and more on the other
+        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it; out of range, the
+        # one that is out by less, so that nothing jumps where the range ends
         for joint, (below, above) in enumerate(zip(low.tolist(), high.tolist())):
-            row = away[joint]
-            if above < 0.5 * TURN < -below:
-                row -= TURN * ((row > above) & (row >= below + TURN))
-            elif -below < 0.5 * TURN < above:
-                row += TURN * ((row < below) & (row <= above - TURN))
+            row, both = away[joint], below + above
+            if above < 0.5 * TURN and both < 0.0:
+                row -= TURN * (row > max(above, 0.5 * (both + TURN)))
+            elif -below < 0.5 * TURN and both > 0.0:
+                row += TURN * (row < min(below, 0.5 * (both - TURN)))
         if turn.any():
             away += TURN * turn[:, None]
         squares = np.einsum("ij,ij->j", away, away) + travel * travel
@@ -475,9 +475,9 @@ class RailInverse(InverseKinematics):
             low, high = lower - near, upper - near
             away -= TURN * round(away / TURN)
             if away > high:
-                if away - TURN >= low:
+                if low + TURN - away < away - high:
                     away -= TURN
-            elif away < low and away + TURN <= high:
+            elif away < low and away + TURN - high < low - away:
                 away += TURN
             away += TURN * turn[joint - 1]
             square += away * away
