@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,8 @@ _JUMP, _DIVIDED = 0.7, 8
 #: Surroundings in which the distance from the seed differs by less are not narrowed any further [rad]; nor are shorter ones
 #: in which a branch ends [m].
 _FLAT, _NARROW = 5e-6, 2e-6
+#: Nor are surroundings in which it differs by less than the first, if a parabola falls by less than the second [rad].
+_SMOOTH, _FALL = 1e-3, 1e-7
 #: Near a singular wrist, places are added where joint 4 has turned by these angles [rad].
 _WRIST_TURNS = np.linspace(-1.5, 1.5, 25)
 #: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad].
@@ -59,6 +62,13 @@ _OF_FAMILY = 1e-3
 _PROMISING, _ROUGH = 0.15, 1.3
 #: How much below the parabola through three places the distance may be, where it does not jump [rad].
 _CLOSE = 0.08
+#: At an edge of the reach the arm is solved this far within it, where the elbow is almost stretched or folded [m], and at these
+#: fractions of the spacing from there: the elbow moves with the root of the distance. An axis this level is horizontal.
+_AT_EDGE, _FROM_EDGE, _LEVEL = 1e-11, np.array([0.0, 0.003, 0.03, 0.15, 0.45]), 1e-9
+#: A wrist centre that is out of reach by less, or closer to axis 1, may have lost its branches by rounding [m].
+_AT_REACH = 1e-6
+#: Slots of each shoulder, front and back.
+_SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
 #: Joints 2 and 3 further out of range are not looked at [rad].
 _FAR = 0.6
 #: Of each branch, the one with the other elbow.
@@ -109,9 +119,11 @@ class _AlongAxis:
     singular : list of float
         Places where the wrist is exactly singular [m].
     special : bool
-        Whether at the seed's place the wrist is near its singularity, or branches are missing.
+        Whether at the seed's place the wrist is near its singularity, or branches are missing that are not out of reach.
     flange : array, shape (4, 4)
         The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
+    edge : array, shape (m, 8)
+        Whether the place is at the edge of the branch's reach, within `_AT_EDGE`.
     """
 
     places: np.ndarray
@@ -119,6 +131,25 @@ class _AlongAxis:
     singular: list[float]
     special: bool
     flange: np.ndarray
+    edge: np.ndarray
+
+
+class _Edge(NamedTuple):
+    """A place where a shoulder's reach begins or ends.
+
+    Attributes
+    ----------
+    place : float
+        [m]
+    inwards : float
+        1 if the reach begins there, -1 if it ends.
+    side : int
+        0: shoulder in front, 1: back.
+    """
+
+    place: float
+    inwards: float
+    side: int
 
 
 class RailInverse(InverseKinematics):
@@ -139,6 +170,8 @@ class RailInverse(InverseKinematics):
         self._arm = arm
         self._search = search
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
+        self._even = np.linspace(chain.robot.lower[0], chain.robot.upper[0], _PLACES)
+        self._ranges = list(zip(chain.robot.lower, chain.robot.upper))
         home = np.array(chain.robot.home)
         home[0] = 0.0
         whole, part = chain.forward(home), arm.chain.forward(home[1:])
@@ -206,11 +239,12 @@ class RailInverse(InverseKinematics):
 
     def _solve_along(self, pose: Pose, seed: np.ndarray) -> _AlongAxis:
         """Solve the arm at places all along the axis."""
-        low, high = self._lower[0], self._upper[0]
+        low, high = self._ranges[0]
         flange = self._arm.flange(self._seen_from(pose, 0.0))
-        even = np.linspace(low, high, _PLACES)
+        even = self._even
         places = np.append(even, seed[0])
         q, wrist, _ = self._branches(flange, places)
+        wrist_here = wrist[-1].tolist()
         more, singular = [], []
         for found in find_singularities(even, wrist[:-1, :4], lambda near: self._branches(flange, near).wrist[:, :4]):
             if found.angle > _SINGULAR:
@@ -218,12 +252,64 @@ class RailInverse(InverseKinematics):
             # a place beyond the end by rounding is at the end
             elif low - _ROUNDING <= found.place <= high + _ROUNDING:
                 singular.append(float(min(max(found.place, low), high)))
+        apart = float(even[1] - even[0])
+        edges = [edge for edge in self._edges(flange) if low < edge.place < high]
+        more += [edge.place + edge.inwards * (_AT_EDGE + apart * _FROM_EDGE) for edge in edges]
         if more:
-            extra = np.clip(np.concatenate(more), low, high)
+            extra = np.minimum(np.maximum(np.concatenate(more), low), high)
             places = np.concatenate([places, extra])
             q = np.concatenate([q, self._branches(flange, extra).q])
         order = places.argsort(kind="stable")
-        return _AlongAxis(places[order], q[order], singular, not bool((wrist[-1] > _OF_FAMILY).all()), flange)
+        places, q = places[order], q[order]
+        at_edge = np.zeros((len(places), len(SLOTS)), dtype=bool)
+        for edge in edges:
+            at_edge[places.searchsorted(edge.place + edge.inwards * _AT_EDGE), _SIDES[edge.side]] = True
+        return _AlongAxis(places, q, singular, self._is_special(flange, float(seed[0]), wrist_here), flange, at_edge)
+
+    def _is_special(self, flange: np.ndarray, place: float, wrist: list[float]) -> bool:
+        """Return whether the wrist is near its singularity, or a branch is missing although it is not out of reach.
+
+        `wrist`, length 8, is a row of `Branches.wrist` at the place.
+        """
+        if any(angle <= _OF_FAMILY for angle in wrist):
+            return True
+        dx, dy, dz = self._travel.tolist()
+        x, y, z = self._arm.model.wrist_centre(flange)
+        x, y, z = x - place * dx, y - place * dy, z - place * dz
+        if math.hypot(x, y) < _AT_REACH:
+            return True
+        margins = self._arm.model.margins(x, y, z)
+        return any(
+            min(margin) > -_AT_REACH and any(math.isnan(wrist[slot]) for slot in slots)
+            for margin, slots in zip(margins, _SIDES)
+        )
+
+    def _edges(self, flange: np.ndarray) -> list[_Edge]:
+        """Return the places at which a shoulder's reach begins or ends; empty for an axis that is not level."""
+        model = self._arm.model
+        (x, y, z), (dx, dy, dz) = model.wrist_centre(flange), self._travel.tolist()
+        square = dx * dx + dy * dy
+        if abs(dz) > _LEVEL or square < 0.5:
+            return []
+        forearm = math.hypot(model.a2, model.c3)
+        along, beside = (x * dx + y * dy) / square, (x * dy - y * dx) ** 2 / square
+        edges = []
+        for side, offset in enumerate((model.a1, -model.a1)):
+            for sense, radius in ((1.0, model.c2 + forearm), (-1.0, abs(model.c2 - forearm))):
+                level = radius**2 - (z - model.c1) ** 2
+                if level < 0.0:
+                    continue
+                for root in (math.sqrt(level), -math.sqrt(level)):
+                    # horizontal distance of the wrist centre to axis 1, without b
+                    distance = offset + root
+                    half = (distance**2 + model.b**2 - beside) / square
+                    if distance < 0.0 or half <= 0.0:
+                        continue
+                    half = math.sqrt(half)
+                    # with growing distance from axis 1 the wrist centre leaves the outer edge if it is on its far side
+                    outwards = sense * (1.0 if root > 0.0 else -1.0)
+                    edges += [_Edge(along + half, -outwards, side), _Edge(along - half, outwards, side)]
+        return edges
 
     def _best(
         self,
@@ -246,14 +332,23 @@ class RailInverse(InverseKinematics):
         rough = np.zeros((len(places) + 1, len(SLOTS)), dtype=bool)
         rough[1:-1] = ~(np.abs(np.diff(distances, axis=0)) < _JUMP)
         # where a branch ends, its partner with the other elbow begins
+        missing = np.isnan(squares)
         ends = np.zeros_like(valley)
-        ends[:-1] = np.isnan(squares[1:])
-        ends[1:] |= np.isnan(squares[:-1])
+        ends[:-1] = missing[1:]
+        ends[1:] |= missing[:-1]
+        for row, slot in zip(*(part.tolist() for part in np.nonzero(along.edge & ends & ~missing))):
+            # at the edge itself nothing jumps: if the partner goes on downwards, the lowest place is not here
+            ends[row, slot] = False
+            inner = row + 1 if row == 0 or missing[row - 1, slot] else row - 1
+            rough[row if inner > row else row + 1, slot] = False
+            if inner < len(places) and cost[inner, slot ^ 1] < cost[row, slot ^ 1]:
+                valley[row, slot] = False
         valley |= (valley & ends)[:, _PARTNERS] & wanted & np.isfinite(squares)
         rows, slots = np.nonzero(valley)
         hopeful = distances[rows, slots] - np.where((rough[:-1] | rough[1:])[rows, slots], _ROUGH, _PROMISING)
         inner = (rows > 0) & (rows < len(places) - 1)
-        before, here, after = (distances[np.clip(rows + step, 0, len(places) - 1), slots] for step in (-1, 0, 1))
+        # at the ends the place itself takes the part of its neighbour; `inner` says that it does not count there
+        before, here, after = (distances[rows + step * inner, slots] for step in (-1, 0, 1))
         # ... elsewhere it falls hardly below the parabola through the places
         second_difference = np.maximum(before + after - 2.0 * here, 1e-12)
         fall = np.minimum((after - before) ** 2 / (8.0 * second_difference), _PROMISING)
@@ -265,7 +360,7 @@ class RailInverse(InverseKinematics):
             if most is not None and hopeful[index] > best:
                 continue
             row, slot = int(rows[index]), int(slots[index])
-            valley_here = _Valley(*_around(places, squares, excess, row, slot))
+            valley_here = _Valley(*_around(along, squares, excess, row, slot))
             solution = self._narrowed(pose, seed, along.flange, slot, turn, valley_here)
             if solution is not None:
                 best = min(best, solution.distance)
@@ -276,28 +371,29 @@ class RailInverse(InverseKinematics):
         self, pose: Pose, seed: np.ndarray, flange: np.ndarray, slot: int, turn: np.ndarray, valley: _Valley
     ) -> IkSolution | None:
         """Return the nearest solution of one branch around the best of two or three places; None: there is none."""
-        q = np.zeros(0)
+        q: list[float] = []
+        start, turns = seed.tolist(), turn.tolist()
         for number in range(_NARROWINGS):
             near = valley.promising(number)
             if not near:
                 break
-            places = np.array(near)
-            branches, squares, excess = self._turned(self._branches(flange, places).q[:, slot], seed, places, turn)
-            row = valley.take(near, squares.tolist(), excess.tolist())
+            branches = self._branches(flange, np.array(near)).q[:, slot].tolist()
+            found = [self._turned_one([place, *branch], start, turns) for place, branch in zip(near, branches)]
+            row = valley.take(near, [each[1] for each in found], [each[2] for each in found])
             if row >= 0:
-                q = np.concatenate([places[row : row + 1], branches[row]])
+                q = found[row][0]
             if valley.done:
                 break
         return None if valley.best >= _OUTSIDE else self._confirmed(q, pose, seed, SLOTS[slot])
 
     def _confirmed(
-        self, q: np.ndarray, pose: Pose, seed: np.ndarray, configuration: Configuration | None
+        self, q: list[float], pose: Pose, seed: np.ndarray, configuration: Configuration | None
     ) -> IkSolution | None:
-        q = np.clip(q, self._lower, self._upper)
+        q = [min(max(value, lower), upper) for value, (lower, upper) in zip(q, self._ranges)]
         error_m, error_rad = residual(self.chain, q, pose)
         if error_m > self.settings.tolerance_m or error_rad > self.settings.tolerance_rad:
             return None
-        return IkSolution(q, error_m, error_rad, math.dist(q, seed), configuration)
+        return IkSolution(np.array(q), error_m, error_rad, math.dist(q, seed), configuration)
 
     def _nearest_at(
         self, place: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
@@ -308,7 +404,7 @@ class RailInverse(InverseKinematics):
 
     def _lifted(self, place: float, of_arm: IkSolution, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the arm's solution at a place as one of the whole chain; empty if forward kinematics does not confirm it."""
-        solution = self._confirmed(np.concatenate([[place], of_arm.q]), pose, seed, of_arm.configuration)
+        solution = self._confirmed([place, *of_arm.q.tolist()], pose, seed, of_arm.configuration)
         return [] if solution is None else [solution]
 
     def _families(
@@ -330,28 +426,66 @@ class RailInverse(InverseKinematics):
         return abs(math.sin(q[5] - self._arm.model.signs[4] * self._arm.model.offsets[4]))
 
     def _turned(
-        self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, turn: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the arm's branches at places of the carriage, their squared distances from the seed, and their range excess.
+        self, branches: np.ndarray, seed: np.ndarray, travel: np.ndarray, turn: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return squared distances of branches from the seed, and their range excess, each shape (m,).
 
-        Branches, shape (m, ..., 6), are moved by whole turns as near to the seed as the ranges allow, and then by `turn`, shape
-        (6,). The excess, shape (m, ...), is how far the worst joint is out of range [rad]; inf for branches that do not exist.
-        The squared distances have the same shape.
+        Branches, shape (m, 6), are moved by whole turns as near to the seed as the ranges allow, and then by `turn`, shape
+        (6,). The excess is how far the worst joint is out of range [rad]; inf for branches that do not exist. `travel`, shape
+        (m,), is how far the carriage is from the seed's place [m].
         """
-        lower, upper, near = self._lower[1:], self._upper[1:], seed[1:]
-        away = branches - near
+        near = seed[1:]
+        # one row for each joint: numpy is quickest along the long side
+        away = np.subtract(branches.T, near[:, None], order="C")
         away -= TURN * np.rint(away * (1.0 / TURN))
-        low, high = lower - near, upper - near
-        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
-        away -= TURN * ((away > high) & (away - TURN >= low))
-        away += TURN * ((away < low) & (away + TURN <= high))
+        low, high = self._lower[1:] - near, self._upper[1:] - near
+        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it; out of range, the
+        # one that is out by less, so that nothing jumps where the range ends
+        for joint, (below, above) in enumerate(zip(low.tolist(), high.tolist())):
+            row, both = away[joint], below + above
+            if above < 0.5 * TURN and both < 0.0:
+                row -= TURN * (row > max(above, 0.5 * (both + TURN)))
+            elif -below < 0.5 * TURN and both > 0.0:
+                row += TURN * (row < min(below, 0.5 * (both - TURN)))
         if turn.any():
-            away += TURN * turn
-        travel = (places - seed[0]) ** 2
-        squares = np.einsum("...i,...i->...", away, away) + travel.reshape(-1, *[1] * (branches.ndim - 2))
-        excess = np.maximum(low - away, away - high).max(axis=-1)
+            away += TURN * turn[:, None]
+        squares = np.einsum("ij,ij->j", away, away) + travel * travel
+        away -= (0.5 * (low + high))[:, None]
+        np.abs(away, out=away)
+        away -= (0.5 * (high - low))[:, None]
+        excess = away.max(axis=0)
         excess[np.isnan(excess)] = np.inf
-        return away + near, squares, excess
+        return squares, excess
+
+    def _turned_one(
+        self, q: list[float], seed: Sequence[float], turn: Sequence[float]
+    ) -> tuple[list[float], float, float]:
+        """Return one branch with the carriage's place, turned as by `_turned`, its squared distance and excess.
+
+        In plain floats, which is quicker for few places.
+        """
+        away = q[0] - seed[0]
+        square, worst = away * away, -math.inf
+        for joint in range(1, 7):
+            near = seed[joint]
+            away = q[joint] - near
+            if away != away:  # nan: there is no such branch
+                return q, math.nan, math.inf
+            lower, upper = self._ranges[joint]
+            low, high = lower - near, upper - near
+            away -= TURN * round(away / TURN)
+            if away > high:
+                if low + TURN - away < away - high:
+                    away -= TURN
+            elif away < low and away + TURN - high < low - away:
+                away += TURN
+            away += TURN * turn[joint - 1]
+            square += away * away
+            excess = max(low - away, away - high)
+            if excess > worst:
+                worst = excess
+            q[joint] = near + away
+        return q, square, worst
 
     def _turned_where_near(
         self, branches: np.ndarray, seed: np.ndarray, places: np.ndarray, turn: np.ndarray, wanted: np.ndarray
@@ -365,7 +499,7 @@ class RailInverse(InverseKinematics):
         two = branches[:, :, 1:3] - self._middle
         two -= TURN * np.rint(two * (1.0 / TURN))
         rows, slots = np.nonzero((np.abs(two) < self._half).all(axis=2) & wanted)
-        _, squares[rows, slots], excess[rows, slots] = self._turned(branches[rows, slots], seed, places[rows], turn)
+        squares[rows, slots], excess[rows, slots] = self._turned(branches[rows, slots], seed, places[rows] - seed[0], turn)
         return squares, excess
 
     def _seen_from(self, pose: Pose, place: float) -> Pose:
@@ -418,11 +552,16 @@ def _cost(squares: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
 
 def _around(
-    places: np.ndarray, squares: np.ndarray, excess: np.ndarray, row: int, slot: int
+    along: _AlongAxis, squares: np.ndarray, excess: np.ndarray, row: int, slot: int
 ) -> tuple[list[float], list[float], list[float]]:
     """Return what is known of a branch at a place and its neighbours: places, squared distances, excesses."""
-    around = slice(max(row - 1, 0), row + 2)
-    return places[around].tolist(), squares[around, slot].tolist(), excess[around, slot].tolist()
+    first, last = max(row - 1, 0), min(row + 1, len(along.places) - 1)
+    # beyond the edge of the reach there is nothing to look for
+    if along.edge[row, slot]:
+        first = row if math.isnan(squares[first, slot]) else first
+        last = row if math.isnan(squares[last, slot]) else last
+    around = slice(first, last + 1)
+    return along.places[around].tolist(), squares[around, slot].tolist(), excess[around, slot].tolist()
 
 
 class _Valley:
@@ -485,8 +624,20 @@ class _Valley:
         self._f, self._e = ([known[place][part] for place in self._x] for part in (0, 1))
         spread = math.nan if any(map(math.isnan, self._f)) else math.sqrt(max(self._f)) - math.sqrt(min(self._f))
         wide = self._x[-1] - self._x[0]
-        self.done = spread < _FLAT or (not spread < _JUMP and wide < _NARROW)
+        self.done = spread < _FLAT or (not spread < _JUMP and wide < _NARROW) or self._is_lowest(spread)
         return row if better else -1
+
+    def _is_lowest(self, spread: float) -> bool:
+        """Return whether the parabola through three places in range is hardly below the best of them."""
+        if not (spread < _SMOOTH and len(self._x) == 3 and max(self._e) <= _ROUNDING):
+            return False
+        (x0, x1, x2), (f0, f1, f2) = self._x, self._f
+        falling, rising = (f1 - f0) / (x1 - x0), (f2 - f1) / (x2 - x1)
+        second = (rising - falling) / (x2 - x0)
+        if not second > 0.0:
+            return False
+        slope = falling + second * (x1 - x0)
+        return slope * slope / (4.0 * second) < _FALL * 2.0 * math.sqrt(f1)
 
 
 def _costs(square: float, excess: float) -> float:

@@ -67,7 +67,8 @@ def find_singularities(
     lowest &= seen < _SHARP
     rows, branches = np.nonzero(lowest)
     singularities = []
-    for row, branch in zip(np.clip(rows, 1, len(places) - 2).tolist(), branches.tolist()):
+    for row, branch in zip(rows.tolist(), branches.tolist()):
+        row = min(max(row, 1), len(places) - 2)
         found = _vertex(float(places[row]), apart, squares[row - 1 : row + 2, branch])
         if found is None or abs(found.place - places[row]) > 2.0 * apart:
             continue  # there is no minimum here: the wrist is closest to singular at the end of the axis
