@@ -2,11 +2,12 @@
 
 The seventh joint adds one degree of freedom: the position of the carriage. The axis is divided into evenly spaced positions
 ("places"), the arm's branches are solved at all of them at once, and the surroundings of the best places are divided again
-until the place is exact. Three kinds of place get special treatment:
+until the place is exact. Four kinds of place get special treatment:
 
 - Near a singular wrist, joints 4 and 6 turn far within micrometres of travel. `rail_singularities` finds such places, and more
   places are added around them (except within one spacing of a place where the arm is also stretched).
-- Where the wrist is exactly singular, and where the carriage stands now, the arm is solved alone.
+- Where the wrist is exactly singular, and where the carriage stands now if branches may be lost there, the arm is solved alone.
+- Where a shoulder's reach begins or ends along a level axis, the place is calculated, and places are added behind it.
 - If nothing was found at any place, `numeric` searches.
 """
 
