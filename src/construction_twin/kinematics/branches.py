@@ -43,6 +43,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
     def __init__(self, chain: Chain, settings: IkSettings):
         super().__init__(chain, settings)
         slack = settings.tolerance_rad
+        self._ranges = list(zip(chain.robot.lower, chain.robot.upper))
         self._slack = [(lower - slack, upper + slack) for lower, upper in zip(chain.robot.lower, chain.robot.upper)]
         ranges = [(joint, lower, upper) for joint, (lower, upper) in enumerate(self._slack)]
         self._narrow_first = sorted(ranges, key=lambda bounds: bounds[2] - bounds[1])
@@ -118,8 +119,10 @@ class BranchInverse(InverseKinematics, abc.ABC):
         self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration | None
     ) -> IkSolution | None:
         """Return joint values as a solution if forward kinematics confirms them; near misses are refined first."""
-        robot = self.chain.robot
-        q = [min(max(value, lower), upper) for value, lower, upper in zip(q, robot.lower, robot.upper)]
+        q = [
+            lower if value < lower else upper if value > upper else value
+            for value, (lower, upper) in zip(q, self._ranges)
+        ]
         error_m, error_rad = residual(self.chain, q, pose)
         if not self.is_solved(error_m, error_rad):
             if not max(error_m, error_rad) < _REFINABLE:

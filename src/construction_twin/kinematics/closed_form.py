@@ -43,6 +43,7 @@ SLOTS = tuple(
     for wrist in ("positive", "negative")
     for shoulder, elbow in (("front", "up"), ("front", "down"), ("back", "down"), ("back", "up"))
 )
+_ALL = range(len(SLOTS))
 #: Slots of each shoulder, front and back.
 _SIDES = ((0, 1, 4, 5), (2, 3, 6, 7))
 #: With joint 5 closer than this to the pose in which axes 4 and 6 are in line, only the sum of joints 4 and 6 counts [rad].
@@ -200,7 +201,7 @@ class ClosedFormInverse(BranchInverse):
         branches, wrist, _ = self.branches(flange)
         yield branches[0], wrist[0]
         x, y, z = self.model.wrist_centre(flange)
-        if _EDGE < abs(x) and math.isfinite(float(wrist[0].sum())):
+        if _EDGE < abs(x) and math.isfinite(sum(wrist[0].tolist())):
             return  # no branch is missing
         margins = [min(both) for both in self.model.margins(x, y, z)]
         others = [self._tilted(flange)] if _is_lost(wrist[0], margins) else []
@@ -287,7 +288,9 @@ class ClosedFormInverse(BranchInverse):
         for slot, angle in enumerate(wrist.tolist()):
             if angle < _WRIST_SINGULAR:
                 rows[slot] = next(iter(self._singular_wrist.families(branches[slot], pose, seed)), rows[slot])
-        left = [slot for slot in range(len(SLOTS)) if configuration is None or SLOTS[slot].matches(configuration)]
+        left = list(_ALL)
+        if configuration is not None:
+            left = [slot for slot in _ALL if SLOTS[slot].matches(configuration)]
         while left:
             # almost always the first nearest one is confirmed, so the others need not be known to their ends
             best, nearest = math.inf, -1

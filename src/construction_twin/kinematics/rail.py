@@ -2,11 +2,12 @@
 
 The seventh joint adds one degree of freedom: the position of the carriage. The axis is divided into evenly spaced positions
 ("places"), the arm's branches are solved at all of them at once, and the surroundings of the best places are divided again
-until the place is exact. Three kinds of place get special treatment:
+until the place is exact. Four kinds of place get special treatment:
 
 - Near a singular wrist, joints 4 and 6 turn far within micrometres of travel. `rail_singularities` finds such places, and more
   places are added around them (except within one spacing of a place where the arm is also stretched).
-- Where the wrist is exactly singular, and where the carriage stands now, the arm is solved alone.
+- Where the wrist is exactly singular, and where the carriage stands now if branches may be lost there, the arm is solved alone.
+- Where a shoulder's reach begins or ends along a level axis, the place is calculated, and places are added behind it.
 - If nothing was found at any place, `numeric` searches.
 """
 
@@ -51,6 +52,8 @@ _JUMP, _DIVIDED = 0.7, 8
 _FLAT, _NARROW = 5e-6, 2e-6
 #: Nor are surroundings in which it differs by less than the first, if a parabola falls by less than the second [rad].
 _SMOOTH, _FALL = 1e-3, 1e-7
+#: Surroundings at an end of the axis are divided at these fractions from the end, until they are this short [m].
+_FROM_END, _SHORT = (0.003, 0.06, 0.4), 1e-4
 #: Near a singular wrist, places are added where joint 4 has turned by these angles [rad].
 _WRIST_TURNS = np.linspace(-1.5, 1.5, 25)
 #: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad].
@@ -499,7 +502,9 @@ class RailInverse(InverseKinematics):
         two = branches[:, :, 1:3] - self._middle
         two -= TURN * np.rint(two * (1.0 / TURN))
         rows, slots = np.nonzero((np.abs(two) < self._half).all(axis=2) & wanted)
-        squares[rows, slots], excess[rows, slots] = self._turned(branches[rows, slots], seed, places[rows] - seed[0], turn)
+        squares[rows, slots], excess[rows, slots] = self._turned(
+            branches[rows, slots], seed, places[rows] - seed[0], turn
+        )
         return squares, excess
 
     def _seen_from(self, pose: Pose, place: float) -> Pose:
@@ -602,7 +607,10 @@ class _Valley:
                 if middle is not None:
                     found += [middle - left_over * wide, middle, middle + left_over * wide]
         if not found and len(x) == 2:
-            found = [x[0] + (x[1] - x[0]) * part / _DIVIDED for part in range(1, _DIVIDED)]
+            # the best place is the end: of the axis, where it mostly remains the best, or of the reach
+            wide = x[1] - x[0]
+            first = _costs(f[0], e[0]) <= _costs(f[1], e[1])
+            found = [x[0] + part * wide if first else x[1] - part * wide for part in _FROM_END]
         found = [place for place in found if x[0] < place < x[-1] and place not in x]
         if number == 0:
             costs = [_costs(*each) for each in zip(f, e)]
@@ -625,6 +633,8 @@ class _Valley:
         spread = math.nan if any(map(math.isnan, self._f)) else math.sqrt(max(self._f)) - math.sqrt(min(self._f))
         wide = self._x[-1] - self._x[0]
         self.done = spread < _FLAT or (not spread < _JUMP and wide < _NARROW) or self._is_lowest(spread)
+        # from the end of the axis the distance rises right away
+        self.done |= len(self._x) == 2 and spread < _SMOOTH and wide < _SHORT and max(self._e) <= _ROUNDING
         return row if better else -1
 
     def _is_lowest(self, spread: float) -> bool:
