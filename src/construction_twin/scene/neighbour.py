@@ -119,6 +119,15 @@ def row_of(rows: np.ndarray, q: Iterable[float], start: int = 0) -> int | None:
     return None
 
 
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """What an arm occupies that rests, or moves from one pose to another: joint values, shape (n,), and its bodies there."""
+
+    start: np.ndarray
+    end: np.ndarray
+    obstacles: tuple[Obstacle, ...]
+
+
 class Neighbour:
     """Another robot, in the frame of ours. The watch (`coordination`) also makes one of our own robot, in its own root.
 
@@ -141,7 +150,7 @@ class Neighbour:
         self.name = name
         self.step = step
         self._robot_bodies = RobotBodies(robot)
-        self._standing: tuple[np.ndarray, np.ndarray, tuple[Obstacle, ...]] | None = None
+        self._standing: _Standing | None = None
         self._root_T_root = pinocchio.SE3(root_T_root.rotation, root_T_root.position)
         self._use(self._robot_bodies.bodies)
 
@@ -224,14 +233,14 @@ class Neighbour:
         """
         begin, goal = np.array(start, dtype=float), np.array(end, dtype=float)
         if self._standing is not None:
-            known_start, known_end, obstacles = self._standing
+            known = self._standing
             # within noise that the padding covers, the same objects are returned, so that callers need not check them again
-            if max(self._displacement(begin - known_start), self._displacement(goal - known_end)) <= ROUNDING / 2.0:
-                return obstacles
+            if max(self._displacement(begin - known.start), self._displacement(goal - known.end)) <= ROUNDING / 2.0:
+                return known.obstacles
         count = 1 + int(np.ceil(self._displacement(goal - begin) / self.step))
         fractions = np.linspace(0.0, 1.0, count + 1)[:, None]
         obstacles = tuple(item.padded(ROUNDING) for item in self.along(begin + fractions * (goal - begin)).rest())
-        self._standing = begin, goal, obstacles
+        self._standing = _Standing(begin, goal, obstacles)
         return obstacles
 
     def _displacement(self, change: np.ndarray) -> float:

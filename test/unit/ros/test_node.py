@@ -148,7 +148,9 @@ def started(tmp_path):
         said = tmp_path / "said"
         with said.open("w") as file:
             command = [sys.executable, str(ROOT / "nodes" / name)]
-            process = subprocess.Popen(command, stdout=file, stderr=file, env={**os.environ, **environment})
+            # into a file what INFO says would wait in a buffer
+            settings = {**os.environ, "PYTHONUNBUFFERED": "1", **environment}
+            process = subprocess.Popen(command, stdout=file, stderr=file, env=settings)
         processes.append(process)
         return process, said
 

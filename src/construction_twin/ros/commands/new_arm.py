@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +119,8 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     coarse = sample_self_collision(robot, min(_COARSE, options.samples))
     print("looking for a home pose", file=sys.stderr, flush=True)
     scene, left_out, home = _scene(robot, coarse, read_scene(shipped))
-    robot, description, pairs, home = _settle(robot, description, home, scene, options.samples)
+    settled = _settle(robot, description, home, scene, options.samples)
+    robot, description, pairs, home = settled.robot, settled.description, settled.pairs, settled.home
     texts = {
         "robot_config": robot_yaml(description, command, options.full_speed_in),
         "ethernet_xml": ethernet,
@@ -171,9 +172,17 @@ def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene
         return Scene(), f"no pose is free with a floor at the height of {robot.base_link} ({error.value})", home
 
 
-def _settle(
-    robot: RobotModel, description: dict[str, Any], home: Home, scene: Scene, samples: int
-) -> tuple[RobotModel, dict[str, Any], SelfCollision, Home]:
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """An arm with a home that its sampled pairs leave free: its model, its YAML's content, the pairs, and that home."""
+
+    robot: RobotModel
+    description: dict[str, Any]
+    pairs: SelfCollision
+    home: Home
+
+
+def _settle(robot: RobotModel, description: dict[str, Any], home: Home, scene: Scene, samples: int) -> _Settled:
     """Sample the arm with its home, and seek another home while the pairs that this finds are in contact there."""
     for _ in range(_ATTEMPTS):
         description = with_home(description, home.q)
@@ -183,7 +192,8 @@ def _settle(
         world = CollisionWorld(robot, scene, pairs)
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)
-            return robot, description, pairs, replace(home, clearance=measured.distance, between=measured.between)
+            home = replace(home, clearance=measured.distance, between=measured.between)
+            return _Settled(robot, description, pairs, home)
         home = find_home(world, np.random.default_rng(SEED))
     raise ConfigurationError(
         "home pose", home.q, f"a pose that {samples} samples leave free, within {_ATTEMPTS} attempts"

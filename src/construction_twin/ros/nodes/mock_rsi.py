@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from queue import SimpleQueue
 
 import rospy
@@ -31,6 +31,15 @@ from construction_twin.srv import InjectFault, InjectFaultRequest, InjectFaultRe
 _STATUS_PERIOD = 0.5
 
 
+@dataclass(frozen=True, slots=True)
+class _Observed:
+    """What the loop hands to the publishing thread: ROS time [ns], the true axis angles [rad], [m], and the status when it is due."""
+
+    stamp: int
+    angles: tuple[float, ...]
+    status: dict | None
+
+
 class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
@@ -47,7 +56,7 @@ class MockRsiNode:
             rospy.loginfo,
             self._settings.fault_seed,
         )
-        self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
+        self._outbox: SimpleQueue[_Observed | None] = SimpleQueue()
         self._cycle = 0
         self._status_cycles = round(_STATUS_PERIOD / self._controller.config.period)
         self._reported: tuple[int, bool, int, bool, bool] | None = None
@@ -87,7 +96,7 @@ class MockRsiNode:
         self._reported = state
         # a node that reacts to the packet may be quicker than this thread
         stamp = now_ns() - (time.monotonic_ns() - mock.left)
-        self._outbox.put((stamp, self._controller.true, self._snapshot(stamp) if due else None))
+        self._outbox.put(_Observed(stamp, self._controller.true, self._snapshot(stamp) if due else None))
 
     def _snapshot(self, stamp: int) -> dict:
         controller, linear = self._controller, self._robot.linear
@@ -127,10 +136,10 @@ class MockRsiNode:
     # -- in other threads
 
     def _publish(self) -> None:
-        for stamp, angles, status in iter(self._outbox.get, None):
-            self._joints.publish(stamp, joint_angles(self._robot, angles))
-            if status is not None:
-                self._status.publish(json.dumps(status))
+        for seen in iter(self._outbox.get, None):
+            self._joints.publish(seen.stamp, joint_angles(self._robot, seen.angles))
+            if seen.status is not None:
+                self._status.publish(json.dumps(seen.status))
 
     def _report(self) -> Report:
         controller = self._controller

@@ -6,6 +6,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import rospy
@@ -62,7 +63,7 @@ class RobotListener:
         self.refused = ""
         self._counts: Counter[str] = Counter()
         self._counted: tuple[float, Counter[str]] = (time.monotonic(), Counter())
-        self._nodes: dict[str, tuple[float, NodeFacts]] = {}
+        self._nodes: dict[str, _Heard] = {}
         self._heard: dict[str, float] = {}
         self._reports = {name: self._subscribe(name, kind) for name, kind in _REPORTS.items()}
         self._streams = [self._count(name, topic) for name, topic in STREAMS.items()] if rates else []
@@ -106,7 +107,7 @@ class RobotListener:
             newest = dict(self._newest)
             plan = self.under_review()
             now = time.monotonic()
-            nodes = tuple(_node_now(*self._nodes[name], now) for name in sorted(self._nodes))
+            nodes = tuple(_node_now(self._nodes[name], now) for name in sorted(self._nodes))
             ages = {name: now - self._heard.get(name, now) for name in SILENT}
             silent = {name: age for name, age in ages.items() if age > SILENT[name]}
         if "execution" in newest and not self.publishers("execution"):
@@ -161,14 +162,25 @@ class RobotListener:
             if node.startswith(self._namespace + "/"):
                 name = node.removeprefix(self._namespace + "/")
                 with self._news:
-                    self._nodes[name] = time.monotonic(), NodeFacts(name, status.level, status.message)
+                    self._nodes[name] = _Heard(time.monotonic(), NodeFacts(name, status.level, status.message))
                     self._news.notify_all()
 
 
-def _node_now(heard: float, facts: NodeFacts, now: float) -> NodeFacts:
-    if now - heard <= SILENT_NODE:
-        return facts
-    return NodeFacts(facts.name, 3, f"silent for {now - heard:.0f} s; the last was: {facts.sentence}")
+@dataclass(frozen=True)
+class _Heard:
+    """What a node said of itself last, and when, on the monotonic clock [s]."""
+
+    at: float
+    facts: NodeFacts
+
+
+def _node_now(heard: _Heard, now: float) -> NodeFacts:
+    facts, age = heard.facts, now - heard.at
+    return (
+        facts
+        if age <= SILENT_NODE
+        else NodeFacts(facts.name, 3, f"silent for {age:.0f} s; the last was: {facts.sentence}")
+    )
 
 
 def link_facts(message: Link | None) -> LinkFacts | None:
