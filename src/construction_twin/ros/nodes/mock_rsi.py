@@ -33,7 +33,7 @@ _STATUS_PERIOD = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _Observed:
-    """What the loop hands to the publishing thread: ROS time [ns], the true axis angles [rad], [m], and the status when it is due."""
+    """What the loop hands to the publishing thread: ROS time [ns], the true axis angles [rad], [m], and the due status."""
 
     stamp: int
     angles: tuple[float, ...]
