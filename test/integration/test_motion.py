@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import rosgraph
 import rospy
 import rostest
 from construction_twin.msg import CartesianWaypoint, Execution, Plan, PlanOutcome, Scene, SceneObject
@@ -211,7 +212,10 @@ class MotionTest(RobotTest):
         forged.id = "forged"
         before = int(self.client.diagnostics("executor").get("refused publisher", 0))
         publisher = rospy.Publisher("plan", Plan, queue_size=1)
-        wait(lambda: publisher.get_num_connections() >= 3, "executor, gate and preview to listen")
+        _, subscriptions, _ = rosgraph.Master(rospy.get_name()).getSystemState()
+        listeners = dict(subscriptions)[rospy.resolve_name("plan")]
+        self.assertIn(rospy.resolve_name("executor"), listeners)
+        wait(lambda: publisher.get_num_connections() >= len(listeners), f"{', '.join(listeners)} to listen")
         publisher.publish(forged)
         self.client.wait(
             lambda: int(self.client.diagnostics("executor").get("refused publisher", 0)) > before,

@@ -32,8 +32,10 @@ class StallPolicyTest(RobotTest):
         self.transitions.clear()
 
     def configure(self, settings: str):
-        """Change settings as soon as the gate has seen the arm at rest."""
+        """Change settings as soon as the gate has seen the arm at rest; its transition may come after the answer."""
+        before = len(self.events("configured"))
         self.client.wait(lambda: self.gate(settings, "tester").success, f"the gate to take {settings}")
+        self.client.wait(lambda: len(self.events("configured")) > before, "the transition of the change")
 
     def stall_in_motion(self, goal) -> str:
         """Approve a motion and block a joint in the middle of it; return the plan's id."""

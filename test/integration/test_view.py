@@ -27,7 +27,7 @@ DRAWN = 120.0
 #: Least fraction of the picture that is the arm's orange, seen through the ghost of the physical arm or not.
 LEAST = 0.01
 #: And of the picture's height between the highest and the lowest of it: the whole arm, not a link that lies at the origin.
-TALL = 0.35
+TALL = 0.25
 
 
 class ViewTest(RobotTest):

@@ -137,19 +137,19 @@ class CollisionWorld:
         reached, reached_pairs = self._neighbour_pairs(own, obstacles)
         self._bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in reached)
         self._pairs = pairs = checked_pairs(own, scene.padding, self_collision) + reached_pairs
-        self._names = [(self._bodies[pair.first].owner, self._bodies[pair.second].owner) for pair in pairs]
+        self._names = [(self._bodies[first].owner, self._bodies[second].owner) for first, second, _ in pairs]
         self._model = robot_bodies.model
         self._geometry = pinocchio.GeometryModel()
         for index, body in enumerate(self._bodies):
             shape = pinocchio.GeometryObject(f"{index}", body.joint, body.placement, body.geometry)
             self._geometry.addGeometryObject(shape)
-        for pair in pairs:
-            self._geometry.addCollisionPair(pinocchio.CollisionPair(pair.first, pair.second))
+        for first, second, _ in pairs:
+            self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
         make_reliable(self._geometry_data)
-        for request, pair in zip(self._geometry_data.collisionRequests, pairs):
-            request.security_margin = pair.margin
+        for request, (_, _, margin) in zip(self._geometry_data.collisionRequests, pairs):
+            request.security_margin = margin
         order = robot_bodies.order
         self._q = np.zeros(len(order))
         # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
@@ -160,19 +160,19 @@ class CollisionWorld:
 
     def _neighbour_pairs(
         self, own: tuple[Body, ...], obstacles: tuple[Obstacle, ...]
-    ) -> tuple[list[Obstacle], list[CheckedPair]]:
-        """Return the obstacles that a moving body can reach, and the pairs that can touch."""
+    ) -> tuple[list[Obstacle], list[tuple[int, int, float]]]:
+        """Return the obstacles that a moving body can reach, and the pairs that can touch, in the form of `checked_pairs`."""
         if not obstacles:
             return [], []
         _, reaches = body_levers(self._robot_bodies, own, self._robot_bodies.strokes)
         moving = np.array([body.joint > 0 for body in own])
         paddings = self.scene.padding + np.array([body.item.padding if body.item is not None else 0.0 for body in own])
         reached: list[Obstacle] = []
-        pairs: list[CheckedPair] = []
+        pairs: list[tuple[int, int, float]] = []
         for item in obstacles:
             margins = paddings + item.padding
             near = np.flatnonzero(moving & (item.distance <= np.array(reaches) + margins))
-            pairs += [CheckedPair(int(first), len(own) + len(reached), float(margins[first])) for first in near]
+            pairs += [(int(first), len(own) + len(reached), float(margins[first])) for first in near]
             reached += [item] if len(near) else []
         return reached, pairs
 
@@ -343,24 +343,9 @@ class CollisionWorld:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedPair:
-    """Two bodies that must not touch.
-
-    Attributes
-    ----------
-    first, second : int
-        Indices into the bodies, in the order in which reports name them.
-    margin : float
-        They touch when they are closer than this [m].
-    """
-
-    first: int
-    second: int
-    margin: float
-
-
-def checked_pairs(bodies: Sequence[Body], padding: float, self_collision: SelfCollision) -> list[CheckedPair]:
+def checked_pairs(
+    bodies: Sequence[Body], padding: float, self_collision: SelfCollision
+) -> list[tuple[int, int, float]]:
     """Return the pairs of bodies that must not touch, and the distance below which they do.
 
     Parameters
@@ -373,21 +358,22 @@ def checked_pairs(bodies: Sequence[Body], padding: float, self_collision: SelfCo
 
     Returns
     -------
-    pairs : list of CheckedPair
+    pairs : list of (int, int, float)
+        Indices into `bodies`, in the order in which reports name them, and the margin [m].
     """
-    pairs: list[CheckedPair] = []
+    pairs: list[tuple[int, int, float]] = []
     for second, other in enumerate(bodies):
         for first, one in enumerate(bodies[:second]):
             if one.joint == other.joint:
                 continue
             if other.item is None:
                 if not self_collision.ignores(one.owner, other.owner):
-                    pairs.append(CheckedPair(first, second, 0.0))
+                    pairs.append((first, second, 0.0))
             elif one.item is None:
                 if one.owner not in other.item.touch:
                     pair = (second, first) if other.link else (first, second)
-                    pairs.append(CheckedPair(*pair, padding + other.item.padding))
+                    pairs.append((*pair, padding + other.item.padding))
             elif not ({other.owner, other.link} & set(one.item.touch) or {one.owner, one.link} & set(other.item.touch)):
                 pair = (first, second) if one.link else (second, first)
-                pairs.append(CheckedPair(*pair, padding + max(one.item.padding, other.item.padding)))
+                pairs.append((*pair, padding + max(one.item.padding, other.item.padding)))
     return pairs
