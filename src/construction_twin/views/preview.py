@@ -20,7 +20,7 @@ LOOP_REST = 0.5
 PATH_SPACING = 0.02
 PATH_POINTS = 1000
 #: Height of a line of the text [m], and the room between it and the arm below, whose bodies reach beyond its joints.
-TEXT_SIZE, TEXT_ROOM = 0.06, 0.4
+TEXT_SIZE, TEXT_ROOM = 0.06, 0.55
 #: Room that the text of the sync state needs above and below its middle [m].
 HEADLINE_ROOM = 0.3
 
