@@ -7,30 +7,16 @@ import time
 
 import pytest
 from mock_cell import Cell
-from mock_pc import ZERO, Pc, running
-from processes import ROOT, wait_until
+from mock_pc import ZERO, running
+from processes import wait_until
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.mock import network
 from construction_twin.mock.arrival import ArrivalClock
-from construction_twin.robot.description import read_robot_files
 from construction_twin.rsi.gateway_codec import parse_robot
 
 MS = NANOSECONDS // 1000
 STAMPED = pytest.mark.skipif(sys.platform != "linux", reason="only Linux stamps datagrams in the kernel")
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
-
-
-@pytest.fixture
-def pc():
-    pc = Pc()
-    pc.start()
-    yield pc
-    pc.close()
 
 
 def asleep(pc):

@@ -8,10 +8,9 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
-from mock_pc import Pc, running
+from mock_pc import running
 
 from construction_twin.core.errors import ConfigurationError, FaultError, TransportError
 from construction_twin.core.units import CYCLE_NS, radians
@@ -25,24 +24,9 @@ from construction_twin.mock.program import (
     make_forward_kinematics,
 )
 from construction_twin.mock.servo import RealisticServo
-from construction_twin.robot.description import read_robot_files
 
-ROOT = Path(__file__).resolve().parents[3]
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
-
-
-@pytest.fixture
-def pc():
-    pc = Pc()
-    pc.start()
-    yield pc
-    pc.close()
 
 
 def wait_for(condition, timeout=3.0):

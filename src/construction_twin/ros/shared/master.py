@@ -64,6 +64,7 @@ class _Transport(xmlrpc.client.Transport):
         self._timeout = timeout
 
     def make_connection(self, host) -> http.client.HTTPConnection:
+        """Return a connection that waits for an answer no longer than this transport's time limit."""
         connection = super().make_connection(host)
         connection.timeout = self._timeout
         return connection
