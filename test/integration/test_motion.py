@@ -17,6 +17,7 @@ from construction_twin.srv import (
     PlanCartesian,
     PlanFromCsv,
     PlanToPose,
+    PlanTrajectory,
     PreviewPlan,
     RemoveObject,
     ReviewPlan,
@@ -303,6 +304,16 @@ class MotionTest(RobotTest):
         outcome = self.outcome_of(lambda: publisher.publish(trajectory))
         self.assertFalse(outcome.success)
         self.assertIn("joint_a5", outcome.message)
+        plan_trajectory = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
+        answer = plan_trajectory(trajectory=trajectory)
+        self.assertFalse(answer.success)
+        self.assertIn("joint_a5", answer.message)
+        trajectory.points = trajectory.points[:2]
+        trajectory.header.stamp = rospy.Time(1)  # a foreign clock is not looked at
+        answer = plan_trajectory(trajectory=trajectory, source="another planner")
+        self.assertTrue(answer.success, answer.message)
+        self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
+        self.assertEqual(self.client.plans[-1].source, "another planner")
         with Stream("mock_rsi/joint_states") as arm:
             arm.wait_for_more(200)
             self.assertTrue(arm.at_rest(200))

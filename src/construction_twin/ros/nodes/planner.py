@@ -53,6 +53,8 @@ from construction_twin.srv import (
     PlanToJointsResponse,
     PlanToPose,
     PlanToPoseResponse,
+    PlanTrajectory,
+    PlanTrajectoryResponse,
 )
 
 
@@ -80,7 +82,7 @@ class Settings(PlannerSettings):
 
 
 class PlannerNode:
-    """Services `plan_to_joints`, `plan_to_pose`, `plan_cartesian`, `plan_from_csv`; topic `joint_trajectory`.
+    """Services `plan_to_joints`, `plan_to_pose`, `plan_cartesian`, `plan_from_csv`, `plan_trajectory`; topic `joint_trajectory`.
 
     Latched topics `plan` and `plan_outcome`; listens to `twin/joint_states`, `scene` and tf.
     """
@@ -122,6 +124,7 @@ class PlannerNode:
         Service("plan_to_pose", PlanToPose, self._on_plan_to_pose)
         Service("plan_cartesian", PlanCartesian, self._on_plan_cartesian)
         Service("plan_from_csv", PlanFromCsv, self._on_plan_from_csv)
+        Service("plan_trajectory", PlanTrajectory, self._on_plan_trajectory)
 
     def _make_pipeline(self) -> PlanningPipeline:
         settings = self._settings
@@ -186,13 +189,23 @@ class PlannerNode:
 
         return PlanFromCsvResponse(*self._requests.answer_read(read, self._request(request, request.path)).fields)
 
+    def _on_plan_trajectory(self, request) -> PlanTrajectoryResponse:
+        asked = self._request(request, f"plan_trajectory from {caller_of(request)}")
+        return PlanTrajectoryResponse(*self._requests.answer_read(self._through(request.trajectory), asked).fields)
+
     def _on_trajectory(self, msg: JointTrajectory) -> None:
+        caller = caller_of(msg)
+        asked = PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}")
+        self._requests.answer_read(self._through(msg), asked)
+
+    def _through(self, msg: JointTrajectory) -> Callable[[], Callable[[PlanRequest], Plan]]:
+        """Return what reads a trajectory and then makes a plan of it, from where the twin stands."""
+
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = trajectory_waypoints(msg, self._robot)
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
-        caller = caller_of(msg)
-        self._requests.answer_read(read, PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}"))
+        return read
 
     def _request(self, request, source: str = "request") -> PlanRequest:
         return plan_request(request, str(uuid.uuid4()), now_ns(), source)
