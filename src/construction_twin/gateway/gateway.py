@@ -235,6 +235,8 @@ class Gateway:
         While a controller sends, call it in the pause behind an answer.
         """
         self._poll_speed_limit(now)
+        if self._measures and self.clock.measure_rate():
+            self._machine.changed = True
         if self._controller.is_silent(now):
             said = self._said.sentence
             last = f"; the last one said: {said}" if said else ""
@@ -338,6 +340,7 @@ class Gateway:
 
     def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
         self._controller.end()
+        self.clock.restart()
         self._said = ControllerStatus()
         self._player.remove()
         self._disarm()
