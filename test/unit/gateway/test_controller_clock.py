@@ -7,7 +7,7 @@ import math
 import random
 
 import pytest
-from gateway_cell import START, Cell, gap, slow
+from gateway_cell import CONFIG, START, Cell, gap, slow
 
 from construction_twin.gateway.controller_clock import (
     FIRST,
@@ -528,3 +528,28 @@ def test_what_the_sentence_says_of_a_long_motion_is_so(off, cause):
         if cell.state is not State.FOLLOWING:
             break
     assert (cell.state is State.FOLLOWING) is not bool(cause) and cause in cell.gateway.reason
+
+
+@pytest.mark.parametrize("gap_ms", [4, 16, 60])
+@pytest.mark.parametrize("at", [60, 90, 120])
+def test_telegrams_of_a_shorter_cycle_move_the_arm_no_faster_and_brake_it_no_harder(gap_ms, at):
+    cell = measured(12, decimals=6)
+    assert cell.arm()[0]
+    cell.stream(slow(k, 4.0) for k in range(3 * at))
+    assert cell.state is State.FOLLOWING and cell.count("settling") == 0
+    at_rest = gap_ms > 24
+    before = 0.0 if at_rest else cell.replies[-1][0] - cell.replies[-2][0]
+    assert at_rest or abs(before) > 1e-3
+    told = len(cell.replies) - 1
+    cell.cycle(step_ms=gap_ms)
+    cell.cycle(300, step_ms=4)
+    assert cell.count("stops_cycle") == 1 and cell.state is State.HOLDING
+    steps = [b[0] - a[0] for a, b in zip(cell.replies[told:], cell.replies[told + 1 :])]
+    # a telegram after a gap is answered with a whole step, those of 4 ms with a third of one each
+    first = 0 if gap_ms == 4 else 1
+    whole = [before, *steps[:first], *(sum(steps[k : k + 3]) for k in range(first, len(steps) - 2, 3))]
+    allowed = (CONFIG.acceleration[0] + 0.1) * 0.012**2
+    assert max(abs(b - a) for a, b in zip(whole, whole[1:])) <= allowed
+    # no third is larger than the others
+    assert all(3.0 * max(map(abs, steps[k : k + 3])) <= abs(sum(steps[k : k + 3])) + 1e-9 for k in range(first, 200, 3))
+    assert steps[-1] == 0.0
