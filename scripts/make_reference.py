@@ -35,6 +35,7 @@ NODES = {
     "planner": ("construction_twin.ros.nodes.planner", "planner"),
     "scene": ("construction_twin.ros.nodes.scene", ""),
     "neighbour": ("construction_twin.ros.shared.arm_listener", "neighbour"),
+    "follow_joint_trajectory": ("construction_twin.ros.nodes.follow_joint_trajectory", "follow_joint_trajectory"),
     "preview": ("construction_twin.ros.nodes.preview", ""),
     "executor": ("construction_twin.ros.nodes.executor", "executor"),
     "pca_monitor": ("construction_twin.ros.nodes.pca_monitor", "pca_monitor"),
@@ -361,6 +362,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "link states": lambda: _state_table("construction_twin.link.states"),
     "bare link states": lambda: _rows_table(_shared_rows(cells(BARE_TABLE))),
     "executor states": lambda: _state_table("construction_twin.execution.states"),
+    "goal states": lambda: _state_table("construction_twin.execution.goal_states"),
     "monitor states": lambda: _state_table("construction_twin.monitor.states"),
 }
 
