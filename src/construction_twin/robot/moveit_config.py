@@ -58,8 +58,8 @@ def moveit_files(robot: RobotModel, ignored: Mapping[frozenset[str], str]) -> di
     }
 
 
-def _text(robot_or_none: str, comment: str, content: Mapping) -> str:
-    head = f"# Made by `rosrun construction_twin moveit_config`{robot_or_none}; edits are lost when it is run again.\n"
+def _text(whose: str, comment: str, content: Mapping) -> str:
+    head = f"# Made by `rosrun construction_twin moveit_config`{whose}; edits are lost when it is run again.\n"
     lines = "".join(f"# {line}\n" for line in comment.splitlines())
     return head + lines + yaml.safe_dump(dict(content), sort_keys=False, width=120)
 
@@ -84,8 +84,8 @@ def _joint_limits(robot: RobotModel) -> str:
         "joint_limits": limits,
     }
     comment = (
-        "Ranges and velocities are the URDF's, accelerations the robot YAML's [rad], [m] per s, s^2. MoveIt 1 knows no jerk limit:\n"
-        "the times it computes from these are for its pictures; what is played is timed by this package (docs/tutorials/moveit.md)."
+        "Ranges and velocities are the URDF's, accelerations the robot YAML's, in rad, m and s. MoveIt 1 knows no jerk limit: the\n"
+        "times it computes from these are for its pictures; what is played is timed by this package (docs/tutorials/moveit.md)."
     )
     return _text(f" for {robot.name}", comment, content)
 

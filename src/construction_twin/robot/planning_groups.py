@@ -78,7 +78,7 @@ def end_effectors(robot: RobotModel) -> tuple[EndEffector, ...]:
     chain = chain_joints(model, robot.base_link, robot.tip_link)
     last = [joint.name for joint in chain].index(robot.joint_names[-1])
     carriers = [joint.child for joint in chain[last:]]
-    found = []
+    found: list[EndEffector] = []
     for carrier in carriers:
         links = _behind(model, carrier, carriers)
         if any(model.link_map[link].visuals or model.link_map[link].collisions for link in links):
