@@ -84,6 +84,8 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("ik_report", "nodes/ik_report", []),
     ("new_arm", "nodes/new_arm", []),
     ("self_collision", "nodes/self_collision", []),
+    ("srdf", "nodes/srdf", []),
+    ("moveit_config", "nodes/moveit_config", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),
@@ -126,6 +128,10 @@ def _launch_page() -> str:
         rows = {arg: value for arg, value in own.items() if arg not in bringup or (not part and value != bringup[arg])}
         if rows:
             parts.append(_launch_table(f"{name}.launch", rows))
+    for name in ("move_group", "demo"):
+        parts.append(
+            _launch_table(f"{name}.launch (MoveIt)", launch_arguments(ROOT / "moveit" / "launch" / f"{name}.launch"))
+        )
     return "\n".join(parts)
 
 
