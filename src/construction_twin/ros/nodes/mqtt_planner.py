@@ -172,14 +172,20 @@ class MqttPlanner:
         viewer = threading.Thread(target=self._show, name="view", daemon=True)
         viewer.start()
         while not rospy.is_shutdown():
-            try:
-                self.carry_out(self._waiting.get(timeout=0.2))
-            except queue.Empty:
-                continue
+            self.run_waiting(0.2)
         viewer.join(1.0)
         self._client.publish(self._topics.view, self._writer.offline(), qos=1)
         self._client.disconnect()
         self._client.loop_stop()
+
+    def run_waiting(self, patience: float = 0.0) -> None:
+        """Check all motions that wait; wait so long [s] for the first one."""
+        try:
+            self._carry_out(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
+            while True:
+                self._carry_out(self._waiting.get_nowait())
+        except queue.Empty:
+            return
 
     # -- motions from MQTT
 
@@ -241,21 +247,22 @@ class MqttPlanner:
                 for key, (answer, at) in self._answered.items()
                 if not answer or now - at <= REPEAT_WINDOW
             }
-            before = self._answered.setdefault(digest, (b"", now))
-            if before == (b"", now):
+            if digest not in self._answered:
+                self._answered[digest] = b"", now
                 return False
+            answer, _ = self._answered[digest]
         self._diagnostics.refuse(
             "repeated", f"trajectory {request!r} came again within {REPEAT_WINDOW:g} s of its answer, or before it"
         )
-        if before[0]:
-            self._client.publish(self._topics.trajectory_ack, before[0], qos=1)
+        if answer:
+            self._client.publish(self._topics.trajectory_ack, answer, qos=1)
         return True
 
     def _refuse(self, reason: str, sentence: str, request: str, sender: str) -> None:
         self._diagnostics.refuse(reason, sentence)
         self._client.publish(self._topics.trajectory_ack, trajectory_answer(request, sender, False, sentence), qos=1)
 
-    def carry_out(self, waiting: _Waiting) -> None:
+    def _carry_out(self, waiting: _Waiting) -> None:
         """Have a motion checked and timed, and tell the sender what became of it."""
         asked, sender = waiting.request, waiting.sender
         try:
