@@ -42,6 +42,7 @@ NODES = {
     "virtual_robot": ("construction_twin.ros.nodes.virtual_robot", ""),
     "mqtt_bridge": ("construction_twin.ros.nodes.mqtt_bridge", "mqtt_bridge"),
     "mqtt_review": ("construction_twin.ros.nodes.mqtt_review", "mqtt_review"),
+    "mqtt_planner": ("construction_twin.ros.nodes.mqtt_planner", "mqtt_planner"),
     "mock_rsi": ("construction_twin.mock.program", "mock_rsi"),
     "tool_marker": ("construction_twin.ros.nodes.tool_marker", "tool_marker"),
     "sync_view": ("construction_twin.ros.nodes.sync_view", ""),
