@@ -35,12 +35,14 @@ NODES = {
     "planner": ("construction_twin.ros.nodes.planner", "planner"),
     "scene": ("construction_twin.ros.nodes.scene", ""),
     "neighbour": ("construction_twin.ros.shared.arm_listener", "neighbour"),
+    "follow_joint_trajectory": ("construction_twin.ros.nodes.follow_joint_trajectory", "follow_joint_trajectory"),
     "preview": ("construction_twin.ros.nodes.preview", ""),
     "executor": ("construction_twin.ros.nodes.executor", "executor"),
     "pca_monitor": ("construction_twin.ros.nodes.pca_monitor", "pca_monitor"),
     "virtual_robot": ("construction_twin.ros.nodes.virtual_robot", ""),
     "mqtt_bridge": ("construction_twin.ros.nodes.mqtt_bridge", "mqtt_bridge"),
     "mqtt_review": ("construction_twin.ros.nodes.mqtt_review", "mqtt_review"),
+    "mqtt_planner": ("construction_twin.ros.nodes.mqtt_planner", "mqtt_planner"),
     "mock_rsi": ("construction_twin.mock.program", "mock_rsi"),
     "tool_marker": ("construction_twin.ros.nodes.tool_marker", "tool_marker"),
     "sync_view": ("construction_twin.ros.nodes.sync_view", ""),
@@ -367,6 +369,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "link states": lambda: _state_table("construction_twin.link.states"),
     "bare link states": lambda: _rows_table(_shared_rows(cells(BARE_TABLE))),
     "executor states": lambda: _state_table("construction_twin.execution.states"),
+    "goal states": lambda: _state_table("construction_twin.execution.goal_states"),
     "monitor states": lambda: _state_table("construction_twin.monitor.states"),
 }
 

@@ -51,6 +51,7 @@ def test_a_plan_s_options():
     assert options.joints == [-30.0, -75.5, 70.0, 20.0, 70.0, -40.0]
     assert options.speed == pytest.approx(0.3) and options.duration == 4.0 and check(options) == ""
     assert check(parsed("plan --pose 1 2 3 -4 5 6 --line --tool-speed 50")) == ""
+    assert check(parsed("plan --csv a --columns time_s,joints_rad")) == ""
 
 
 @pytest.mark.parametrize(
@@ -74,6 +75,7 @@ def test_nonsense_is_a_usage_error(text, capsys):
         ("plan --joints 1 --configuration front", "--configuration belongs"),
         ("plan --pose 1 2 3 4 5 6 --tool-speed 5", "belongs to --line"),
         ("plan --pose 1 2 3 4 5 6 --line --configuration front", "does not go with --line"),
+        ("plan --joints 1 --columns joints_rad", "--columns belongs to --csv"),
         ("plan --csv a --duration 5", "--duration does not go with --csv"),
         ("arm", "arm needs --responsible NAME"),
         ("arm --responsible=", "arm needs --responsible NAME"),
@@ -224,7 +226,7 @@ def test_bash_completes(line, offers, completed):
 
 def test_bash_completes_files(completed, tmp_path):
     (tmp_path / "points.csv").touch()
-    assert completed("twin plan --csv po") == ["points.csv"]
+    assert completed("twin plan --csv po") == completed("twin export po") == ["points.csv"]
 
 
 def test_any_other_rosrun_is_left_to_ros(completed):

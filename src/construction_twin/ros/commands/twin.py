@@ -12,8 +12,10 @@ from pathlib import Path
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.files import write_whole
 from construction_twin.msg import Execution
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.urdf import parse_urdf
@@ -63,7 +65,7 @@ class Command:
         options, client = self._options, self._client
         scale, duration = options.speed or 0.0, options.duration or 0.0
         if options.csv is not None:
-            print(client.plan_from_csv(str(Path(options.csv).absolute()), scale))
+            print(client.plan_from_csv(str(Path(options.csv).absolute()), scale, options.columns))
         elif options.joints is not None:
             print(client.plan_to_joints(joint_goal(options.joints, self._robot()), duration, scale))
         elif options.line:
@@ -79,6 +81,29 @@ class Command:
 
     def _show(self) -> Exit:
         self._print_plan(self._under_review(self._listener()))
+        return Exit.DONE
+
+    def _export(self) -> Exit:
+        options = self._options
+        listener = self._listener()
+        listener.wait(lambda: listener.newest("plan") is not None, min(LATCHED, options.timeout))
+        newest = listener.newest("plan")
+        if newest is None:
+            raise RequestRefused("no plan was made since the planner started; plan one, then export it")
+        plan = listener.plan(newest.id)
+        if plan is None:
+            raise RequestRefused(listener.refused)
+        text = format_plan(plan, self._robot().linear, options.deg)
+        if options.file == "-":
+            print(text, end="")
+            return Exit.DONE
+        try:
+            write_whole(Path(options.file), text)
+        except OSError as error:
+            raise ConfigurationError(
+                options.file, error.strerror or str(error), "a file that can be written"
+            ) from error
+        print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
 
     def _preview(self) -> Exit:
