@@ -134,6 +134,23 @@ def test_times_are_whole_nanoseconds(tmp_path, seconds):
     assert sec * 10**9 + nsec == round(seconds * 1e9) and 0 <= nsec < 10**9
 
 
+def test_a_recorder_keeps_stamps_and_positions_in_the_joints_order(tmp_path):
+    code = """global CALLBACK
+recorder = twin.Recorder('/kr120/twin/joint_states', {'a', 'b'}, 2);
+for k = 1:3
+  stamp = struct('Sec', uint32(1700000000 + k), 'Nsec', uint32(5e8));
+  CALLBACK([], struct('Header', struct('Stamp', stamp), 'Name', {{'b'; 'c'; 'a'}}, 'Position', [k; 0; 10 * k]));
+end
+[t, q] = recorder.table();
+assert(isequal(t, 1700000000.5 + [1; 2]) && isequal(q, [10 1; 20 2]) && isequal(recorder.newest(1), [20 2]));
+assert(recorder.Count == 2 && recorder.Lost == 1);
+other = twin.Recorder('/x', {'a'}, 1);
+try; other.newest(0.01); catch e; disp(e.message); end
+try; CALLBACK([], struct('Name', {{'b'}}, 'Position', 1)); catch e; disp(e.message); end"""
+    said = octave(code, tmp_path)
+    assert "no message on /x within 0.01 s" in said and "the message lacks joints; it names b" in said
+
+
 def test_the_robot_is_imported_planned_for_and_solved(tmp_path):
     code = """[robot, joints, linear] = twin.connect('http://pc:11311', '/kr120', '10.0.0.2');
 assert(isequal(joints, {'joint_2', 'joint_3'}) && isequal(linear, [true false]));
