@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """The steps of reaching_task.m with the same messages, for a PC without MATLAB; the tests run it as another PC's planner.
 
-Standard message types only: sensor_msgs/JointState, trajectory_msgs/JointTrajectory, rosgraph_msgs/Log. SI, but for the goal on the
-command line. What MATLAB's manipulatorRRT does is left out: the path is the straight line in joint space.
+Standard message types only: sensor_msgs/JointState, control_msgs/FollowJointTrajectory, or trajectory_msgs/JointTrajectory and
+rosgraph_msgs/Log. SI, but for the goal on the command line. What MATLAB's manipulatorRRT does is left out: the path is the straight
+line in joint space.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import actionlib
 import numpy as np
 import PyKDL
 import rosgraph
 import rospy
+from actionlib_msgs.msg import GoalStatus
+from control_msgs.msg import FollowJointTrajectoryAction, FollowJointTrajectoryGoal
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rosgraph_msgs.msg import Log
@@ -178,6 +182,22 @@ def send_by_topic(
         raise Failure(answers.newest())
 
 
+def send_by_action(namespace: str, message: JointTrajectory, patience: float) -> None:
+    """Send a motion as a goal of `follow_joint_trajectory` and wait for its result; see send_by_action.m."""
+    action = f"{namespace}/follow_joint_trajectory"
+    client = actionlib.SimpleActionClient(action, FollowJointTrajectoryAction)
+    if not client.wait_for_server(rospy.Duration.from_sec(ANSWER)):
+        raise Failure(f"{action} does not answer; {TO_DO}")
+    client.send_goal(FollowJointTrajectoryGoal(trajectory=message))
+    if not client.wait_for_result(rospy.Duration.from_sec(patience)):
+        client.cancel_goal()
+        raise Failure(f"no result within {patience:g} s; cancelled")
+    result = client.get_result()
+    print(result.error_string, flush=True)
+    if client.get_state() != GoalStatus.SUCCEEDED:
+        raise Failure(f"{result.error_string} (error code {result.error_code})")
+
+
 def draw_figure8(chain: Sequence[Joint], q: np.ndarray, file: Path) -> None:
     """Draw the tool's planned path (the paper's Figure 8)."""
     solver = PyKDL.ChainFkSolverPos_recursive(to_kdl(chain))
@@ -222,14 +242,18 @@ def run(options: argparse.Namespace) -> None:
     goal = np.array(from_wire(options.goal, [joint.type == "prismatic" for joint in moving]))
     virtual = Recorder(f"{namespace}/twin/joint_states", joints)
     physical = Recorder(f"{namespace}/physical/joint_states", joints)
-    answers = Answers(namespace)
+    answers = Answers(namespace) if options.by == "topic" else None
     start = virtual.newest()
     physical.newest()
     motion = rest_to_rest(np.array([start, goal]), options.duration, options.count)
     options.output.mkdir(parents=True, exist_ok=True)
     draw_figure8(chain, motion[1], options.output / "figure8.png")
     print(f"sending {options.count} waypoints; nothing moves before a person approves", flush=True)
-    send_by_topic(namespace, answers, virtual, trajectory_of(joints, motion), options.patience)
+    message = trajectory_of(joints, motion)
+    if answers is None:
+        send_by_action(namespace, message, options.patience)
+    else:
+        send_by_topic(namespace, answers, virtual, message, options.patience)
     # the arm is a few hundredths of a second behind the twin
     arrived = physical.wait(lambda: np.max(np.abs(physical.newest() - goal)) < AT_GOAL, time.monotonic() + ANSWER)
     virtual.stop()
@@ -246,6 +270,7 @@ def main() -> int:
     """Run the task; return the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--namespace", default="/kr120", help="of the robot [/kr120]")
+    parser.add_argument("--by", choices=("action", "topic"), default="action", help="how the motion is sent [action]")
     parser.add_argument(
         "--goal", type=float, nargs="+", default=[55.0, -50.0, 75.0, 40.0, 60.0, -70.0], help="joint values [deg, mm]"
     )

@@ -15,8 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import rospy
+from actionlib_msgs.msg import GoalID
 from construction_twin.msg import Execution, Link, Plan, Sync
 from construction_twin.srv import ReviewPlan
+from control_msgs.msg import FollowJointTrajectoryActionGoal
 from netem import CELL_PC, ROS_PC, Namespaces
 from processes import ROOT, wait_until
 from trajectory_msgs.msg import JointTrajectory
@@ -38,7 +40,8 @@ class TwinPc:
         self.executions: list[Execution] = []
         self.syncs: list[Sync] = []
         self.links: list[Link] = []
-        #: Messages on `joint_trajectory`, each with the time of its reception by this PC's clock [s].
+        self._cancel: rospy.Publisher | None = None
+        #: Motions that were sent, by topic or action, each with the time of its reception by this PC's clock [s].
         self.asked: list[tuple[float, JointTrajectory]] = []
 
     def __enter__(self) -> TwinPc:
@@ -60,7 +63,8 @@ class TwinPc:
 
     def __exit__(self, *_) -> None:
         rospy.signal_shutdown("the test is over")
-        self._launch.send_signal(signal.SIGINT)  # roslaunch ends its nodes
+        if self._launch.poll() is None:
+            self._launch.send_signal(signal.SIGINT)  # roslaunch ends its nodes
         self._launch.wait(30.0)
 
     def ready(self) -> bool:
@@ -77,6 +81,11 @@ class TwinPc:
             )
         assert answer.success, answer.message
 
+    def cancel_all_before(self, stamp: float) -> None:
+        """Cancel every goal whose stamp is not after `stamp` [s], as actionlib's clients can."""
+        wait_until(self._cancel.get_num_connections, 10.0, "the action's server")
+        self._cancel.publish(GoalID(stamp=rospy.Time.from_sec(stamp)))
+
     def ended(self, plan_id: str) -> str:
         """Return how the execution of a plan ended; empty before."""
         last = self.executions[-1]
@@ -90,8 +99,7 @@ class TwinPc:
         # what a thread that lives in the namespace starts lives there, too: all of rospy's threads do
         with self._spaces.entered():
             os.environ.update(self._environment)
-            wait_until(lambda: f"{MASTER}/" in self.log(), 30.0, "the master")
-            wait_until(self._master_answers, 20.0, "the master's answer")
+            wait_until(self._master_answers, 30.0, "the master's answer")
             rospy.init_node("test_other_pc", disable_signals=True)
             for name, kind, kept in (
                 ("plan", Plan, self.plans),
@@ -100,19 +108,24 @@ class TwinPc:
                 ("link", Link, self.links),
             ):
                 rospy.Subscriber(f"{NAMESPACE}/{name}", kind, kept.append)
-            rospy.Subscriber(f"{NAMESPACE}/joint_trajectory", JointTrajectory, self._on_trajectory)
+            rospy.Subscriber(f"{NAMESPACE}/joint_trajectory", JointTrajectory, self._take)
+            action = f"{NAMESPACE}/follow_joint_trajectory"
+            rospy.Subscriber(
+                f"{action}/goal", FollowJointTrajectoryActionGoal, lambda sent: self._take(sent.goal.trajectory)
+            )
+            self._cancel = rospy.Publisher(f"{action}/cancel", GoalID, queue_size=1)
             rospy.wait_for_service(f"{NAMESPACE}/review_plan", 40.0)
             wait_until(self.ready, 40.0, "a robot that is ready")
 
-    @staticmethod
-    def _master_answers() -> bool:
+    def _master_answers(self) -> bool:
+        assert self._launch.poll() is None, self.log()
         try:
             rospy.get_master().getPid()
         except OSError:
             return False
         return True
 
-    def _on_trajectory(self, message: JointTrajectory) -> None:
+    def _take(self, message: JointTrajectory) -> None:
         self.asked.append((time.time(), message))
 
 
@@ -160,10 +173,19 @@ class OtherPc:
             program.kill()
 
     @contextmanager
-    def reaching(self, goal_deg, duration: float, patience: float, output: Path):
-        """Run matlab/reaching_task.py: what a person at MATLAB does."""
-        options = ["--namespace", NAMESPACE, "--duration", f"{duration}", "--count", f"{int(20 * duration)}"]
-        options += ["--patience", f"{patience}", "--output", str(output), "--goal", *map(str, goal_deg)]
+    def reaching(self, by: str, goal_deg, duration: float, output: Path):
+        """Run matlab/reaching_task.py, which sends by ``action`` or ``topic``: what a person at MATLAB does."""
+        options = [
+            "--by",
+            by,
+            "--namespace",
+            NAMESPACE,
+            "--duration",
+            f"{duration}",
+            "--count",
+            f"{int(20 * duration)}",
+        ]
+        options += ["--patience", "60", "--output", str(output), "--goal", *map(str, goal_deg)]
         with self.running(sys.executable, str(ROOT / "matlab" / "reaching_task.py"), *options) as program:
             yield program
 
