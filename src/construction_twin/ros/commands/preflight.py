@@ -42,14 +42,9 @@ from construction_twin.views.roslaunch_call import RoslaunchCall, argument_probl
 
 #: Nodes of one robot, in its namespace: a second one of a name would end the first.
 ROBOT_NODES = (
-<<<<<<< HEAD
-    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mock_rsi", "planner", "scene", "neighbour",
-    "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation",
-    "joint_state_publisher",
-=======
     "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
-    "neighbour", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "joint_state_publisher",
->>>>>>> h_f
+    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation",
+    "joint_state_publisher",
     "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
     "plc",
 )  # fmt: skip
