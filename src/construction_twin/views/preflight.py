@@ -31,6 +31,7 @@ SWITCHES = (
     "track",
     "gui",
     "separation",
+    "mqtt_trajectories",
 )
 #: Whole numbers with their bounds.
 NUMBERS = {

@@ -20,6 +20,7 @@ from construction_twin.ros.commands.experiment_settings import ExperimentSetting
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
+from construction_twin.ros.nodes.mqtt_planner import Settings as RemotePlannerSettings
 from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
@@ -52,6 +53,7 @@ DEPLOYMENT = {
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "mqtt_planner": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "trajectories"},
     "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
     "experiment": {"results_dir"},
@@ -236,6 +238,7 @@ SETTINGS = {
     "follow_joint_trajectory": set(FollowSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
     "mqtt_review": set(ReviewSettings.model_fields),
+    "mqtt_planner": set(RemotePlannerSettings.model_fields),
     "neighbour": set(NeighbourSettings.model_fields),
     "pca_monitor": set(MonitorSettings.model_fields),
     "planner": set(PlannerSettings.model_fields),
@@ -268,6 +271,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
         (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
+        (RemotePlannerSettings, "mqtt_planner", {"host": "127.0.0.1", "port": 1883}),
         (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3, "transition_file": "transitions.jsonl"}),
         (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
         (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),

@@ -85,6 +85,19 @@ def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_wh
     assert startup.update(GOOD, 31.0 + PATIENCE) == ["the controller reports nothing against a motion any more"]
 
 
+def off(percent):
+    return replace(
+        GOOD, clock=f"the controller's clock is {percent:.2f} % slow against this PC's: the arm is as much slower"
+    )
+
+
+def test_a_clock_that_is_off_is_told_once_though_its_figure_wavers_and_when_it_is_right_again():
+    startup = StartUp(CELL)
+    said = lines_over(startup, lambda now: off(1.2 + 0.01 * (int(4 * now) % 3)), 1.0)
+    assert len(said) == 2 and said[0].startswith("ready") and said[1].startswith("the controller's clock is 1.2")
+    assert lines_over(startup, lambda now: GOOD, 20.0) == ["the controller's clock is right again"]
+
+
 def refused(count, why="xml: telegram is not well-formed: line 1, column 19"):
     reason = f"gateway has no RSI session: no telegram yet; datagrams refused: {count}, the last one for {why}"
     return replace(GOOD, link=Word("NO_CONTROLLER", reason, "no_controller"))
