@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import genpy
-from trajectory_msgs.msg import JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
@@ -98,6 +98,12 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
 
 def _asked(tolerances) -> list[AskedTolerance]:
     return [AskedTolerance(one.name, one.position, one.velocity, one.acceleration) for one in tolerances]
+
+
+def asked_duration(trajectory: JointTrajectory) -> float:
+    """Return how long a trajectory asks its motion to take [s]; 0: it does not say. A single point's time counts from now."""
+    times = [point.time_from_start.to_nsec() / NANOSECONDS for point in trajectory.points]
+    return times[-1] - (times[0] if len(times) > 1 else 0.0)
 
 
 def fill_feedback(feedback, sample: Sample, plan_start: int, order: Sequence[int]) -> None:
