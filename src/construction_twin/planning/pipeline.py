@@ -146,7 +146,7 @@ class PlanningPipeline:
 
         return self._in_scene(lambda world: self._checked(make, "cartesian", request, world))
 
-    def through(self, waypoints: Waypoints, present: JointValues, request: PlanRequest) -> Plan:
+    def through(self, waypoints: Waypoints, present: JointValues, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
         Parameters
@@ -156,10 +156,13 @@ class PlanningPipeline:
             The arm's pose.
         request : PlanRequest
             Its duration and number of waypoints are not used.
+        retime : bool, optional
+            Whether times that break a limit are replaced by our own.
         """
 
         def make(world: CollisionWorld) -> Trajectory:
-            return plan_waypoints(waypoints, present, self._robot, *self._scales(request), self._settings.bounds)
+            scales, bounds = self._scales(request), self._settings.bounds
+            return plan_waypoints(waypoints, present, self._robot, *scales, bounds, retime)
 
         return self._in_scene(lambda world: self._checked(make, "waypoints", request, world))
 

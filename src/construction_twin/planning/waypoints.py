@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from construction_twin.core.motion_errors import TrajectoryError, WaypointsError
+from construction_twin.core.motion_errors import TrajectoryError, WaypointsError, WaypointTimesError
 from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
@@ -167,6 +167,7 @@ def plan_waypoints(
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
     bounds: PlanBounds = PlanBounds(),
+    retime: bool = False,
 ) -> Trajectory:
     """Check waypoints against the robot's limits and make them a trajectory from the present pose.
 
@@ -185,6 +186,9 @@ def plan_waypoints(
         As in `timing.time_path`; only for waypoints without times.
     bounds : PlanBounds, optional
         Largest duration and number of waypoints. Default: any.
+    retime : bool, optional
+        Where the times break a limit, pass through the same waypoints in times of our own, never faster than asked. Accelerations
+        that jump, as MoveIt's do, break the limit of the jerk.
 
     Returns
     -------
@@ -192,9 +196,10 @@ def plan_waypoints(
 
     Raises
     ------
+    WaypointTimesError
+        Naming row, joint, value and limit: not at rest at an end, too fast.
     WaypointsError
-        Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase, not
-        at rest at an end, too fast.
+        Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase.
     PlanSizeError
         If there are too many waypoints, or the motion would be larger than `bounds`.
     PlanningError
@@ -212,8 +217,20 @@ def plan_waypoints(
         )
     _check_times(waypoints, waypoints.times)
     bounds.check(float(waypoints.times[-1] - waypoints.times[0]))
+    try:
+        return _as_timed(waypoints, waypoints.times, positions, robot)
+    except WaypointTimesError:
+        if not retime:
+            raise
+    fastest = time_path(positions, robot, bounds=bounds)
+    asked = float(waypoints.times[-1] - waypoints.times[0])
+    return fastest if fastest.duration >= asked else time_path(positions, robot, duration=asked, bounds=bounds)
+
+
+def _as_timed(waypoints: Waypoints, given: np.ndarray, positions: np.ndarray, robot: RobotModel) -> Trajectory:
+    """Return the motion that passes the waypoints at the given times [s], if the arm can follow it."""
     _check_rest(waypoints, robot)
-    times = waypoints.times - waypoints.times[0]
+    times = given - given[0]
     velocities, accelerations = _derivatives(times, positions, waypoints)
     try:
         trajectory = Trajectory(robot.joint_names, times, positions, velocities, accelerations)
@@ -299,7 +316,7 @@ def _check_rest(waypoints: Waypoints, robot: RobotModel) -> None:
             if abs(values[row, joint]) > AT_REST:
                 found = waypoints.units[joint].text(values[row, joint], per)
                 message = f"{waypoints.place(row)}: {robot.joint_names[joint]} moves there ({found})"
-                raise WaypointsError(
+                raise WaypointTimesError(
                     f"{message}; the motion must begin and end at rest",
                     *(waypoints.rows[row], robot.joint_names[joint], float(values[row, joint]), 0.0),
                 )
@@ -349,7 +366,7 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
         value = float(excess[sample, joint])
         message = f"{where} overshoots its range by {waypoints.units[joint].text(value)}"
         message = f"{message}; give more waypoints or more time there"
-        raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
+        raise WaypointTimesError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
     for name, per in (("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
         fractions, limits = getattr(sampled, name), getattr(robot, name)
         for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():
@@ -358,4 +375,4 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
             value = float(fractions[sample, joint] * limit)
             message = f"{where} has a {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
             message = f"{message}, give it more time"
-            raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, limit)
+            raise WaypointTimesError(message, waypoints.rows[row], robot.joint_names[joint], value, limit)

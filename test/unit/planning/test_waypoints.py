@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
 
-from construction_twin.core.motion_errors import WaypointsError
+from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints
 from construction_twin.robot.description import read_robot_files
@@ -217,3 +217,58 @@ def test_a_single_point_that_cannot_be_reached_so_is_refused(values, message):
 
 def test_no_point_is_no_motion():
     assert str(refused([])) == "0 waypoints; a motion needs at least one, its goal"
+
+
+def trapezoid(speed: float, acceleration: float, step: float) -> dict[str, np.ndarray]:
+    """What MoveIt's time parameterization makes of a straight line: constant acceleration, speed, deceleration, sampled evenly.
+
+    `speed` and `acceleration` are fractions of the limits.
+    """
+    way = np.array([0.5, 0.2, -0.3, 0.3, -0.2, 0.4])
+    v = np.min(speed * np.array(ROBOT.velocity) / np.abs(way))
+    a = np.min(acceleration * np.array(ROBOT.acceleration) / np.abs(way))
+    rise = min(v / a, 1.0 / np.sqrt(a))
+    end = 1.0 / (a * rise) + rise
+    t = np.append(np.arange(0.0, end, step), end)
+    late = end - t
+    s = np.where(t < rise, a * t**2 / 2, np.where(late < rise, 1 - a * late**2 / 2, a * rise * (t - rise / 2)))
+    ds = np.where(t < rise, a * t, np.where(late < rise, a * late, a * rise))
+    dds = np.where(t < rise, a, np.where(late < rise, -a, 0.0))
+    return {
+        "positions": HOME + way * s[:, None],
+        "velocities": way * ds[:, None],
+        "accelerations": way * dds[:, None],
+        "times": t,
+    }
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(1.0, 1.0), (0.1, 0.1), (0.5, 0.3)])
+@pytest.mark.parametrize("step", [0.1, 0.02])
+def test_accelerations_that_jump_are_refused_or_the_same_points_are_passed_in_times_of_our_own(
+    speed, acceleration, step
+):
+    given = trapezoid(speed, acceleration, step)
+    rows, asked = given["positions"], given["times"][-1]
+    with pytest.raises(WaypointTimesError):
+        plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
+    motion = plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT, retime=True)
+    assert motion.positions[-1].tobytes() == rows[-1].tobytes() and motion.duration >= asked - 1e-9
+    use = limit_use(motion, ROBOT)
+    assert use.velocity <= 1.0 and use.acceleration <= 1.0 and use.jerk <= 1.0
+    _, q = samples_of(motion)
+    for row in rows:
+        assert np.min(np.max(np.abs(q - row), axis=1)) < 5e-3
+
+
+def test_times_that_can_be_kept_are_kept():
+    times = [0.0, 1.0, 2.5, 5.0]
+    kept = plan_waypoints(from_points(ROBOT, NAMES, ROWS, times=times), HOME, ROBOT)
+    again = plan_waypoints(from_points(ROBOT, NAMES, ROWS, times=times), HOME, ROBOT, retime=True)
+    assert again.content_hash() == kept.content_hash()
+
+
+def test_what_is_not_a_matter_of_time_is_refused_all_the_same():
+    with pytest.raises(WaypointsError, match="waypoint must be where the arm is"):
+        plan_waypoints(from_points(ROBOT, NAMES, ROWS + 0.1, times=[0.0, 0.1, 0.2, 0.3]), HOME, ROBOT, retime=True)
+    with pytest.raises(WaypointsError, match="times must increase"):
+        plan_waypoints(from_points(ROBOT, NAMES, ROWS, times=[0.0, 0.2, 0.1, 0.3]), HOME, ROBOT, retime=True)
