@@ -364,5 +364,9 @@ class WaypointsError(PlanningError):
         super().__init__(message)
 
 
+class TimesError(WaypointsError):
+    """The times of waypoints need more acceleration or jerk than the robot has; with other times the motion is possible."""
+
+
 class TrajectoryError(PlanningError):
     """A list of waypoints is not a trajectory that may be executed."""
