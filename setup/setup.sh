@@ -76,8 +76,8 @@ make_venv() {
 build_inputs() {
   (
     cd "$root"
-    cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv
-    printf '%s\n' "$root" msg/*.msg srv/*.srv nodes/* examples/*/* test/integration/*.test
+    cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv setup/control_msgs/*.* setup/control_msgs/*/*
+    printf '%s\n' "$root" "$workspace"/src/* msg/*.msg srv/*.srv nodes/* examples/*/* test/integration/*.test
     declare -f build_workspace
   ) | sha256sum
 }
@@ -94,6 +94,16 @@ link_repository() {
   for entry in "$root"/*; do
     [ -L "$package/${entry##*/}" ] || ln -s "$entry" "$package/"
   done
+}
+
+# control_msgs, whose action other planners speak, is not in Debian 12. Where it is installed it is used, and ours must not be found.
+provide_control_msgs() {
+  local package="$workspace/src/control_msgs"
+  if [ -e /usr/share/control_msgs/package.xml ]; then
+    [ ! -L "$package" ] || rm -r "$package" "$workspace"/build/control_msgs "$workspace"/devel/{include,share,lib/python3/dist-packages}/control_msgs
+  else
+    ln -sfn "$root/setup/control_msgs" "$package"
+  fi
 }
 
 build_workspace() {
@@ -124,6 +134,7 @@ check_system
 install_packages
 make_venv
 link_repository
+provide_control_msgs
 build_workspace
 write_environment
 say "ready; for your own shell: source $work/env.bash"

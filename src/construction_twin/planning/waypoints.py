@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -82,7 +82,7 @@ def from_points(
     accelerations: Sequence[Sequence[float]] | None = None,
     times: Sequence[float] | None = None,
 ) -> Waypoints:
-    """Return the waypoints in a trajectory message.
+    """Return the waypoints in a trajectory message. A single point is a goal: the motion to it begins at the present pose.
 
     Parameters
     ----------
@@ -129,22 +129,21 @@ def from_points(
         arrays["velocity"] if timed else None,
         arrays["acceleration"] if timed else None,
     )
-    check_finite(waypoints, robot)
+    check_finite(waypoints, robot, least=1)
     return waypoints
 
 
-def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
-    """Check that there are waypoints and that every value is a finite number.
+def check_finite(waypoints: Waypoints, robot: RobotModel, least: int = 2) -> None:
+    """Check that there are waypoints, `least` of them, and that every value is a finite number.
 
     Raises
     ------
     WaypointsError
         Naming row, joint and value.
     """
-    if len(waypoints.positions) < 2:
-        raise WaypointsError(
-            f"{len(waypoints.positions)} waypoints; a motion needs at least two, the first where the arm is"
-        )
+    if len(waypoints.positions) < least:
+        needed = "two, the first where the arm is" if least == 2 else "one, its goal"
+        raise WaypointsError(f"{len(waypoints.positions)} waypoints; a motion needs at least {needed}")
     for name in ("positions", "velocities", "accelerations"):
         values = getattr(waypoints, name)
         wrong = np.argwhere(~np.isfinite(values)) if values is not None else np.empty((0, 2), dtype=int)
@@ -179,7 +178,8 @@ def plan_waypoints(
     waypoints : Waypoints
     present : sequence of float, length n
         The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and the
-        trajectory then begins exactly at `present`.
+        trajectory then begins exactly at `present`. A single waypoint is the goal of a straight joint motion from there; its time
+        is how long the motion takes.
     robot : RobotModel
     speed_scale, acceleration_scale : float, optional
         As in `timing.time_path`; only for waypoints without times.
@@ -203,6 +203,8 @@ def plan_waypoints(
     bounds.check(0.0, len(waypoints.rows))
     robot.check_range(present)
     _check_ranges(waypoints, robot)
+    if len(waypoints.positions) == 1:
+        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
     positions = _from_present(waypoints, np.array(present, dtype=float), robot)
     if waypoints.times is None:
         return time_path(
@@ -243,6 +245,22 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
             f"{unit.text(robot.upper[joint])}",
             *(waypoints.rows[row], name, float(value), limit),
         )
+
+
+def _goal_from(goal: Waypoints, present: np.ndarray) -> Waypoints:
+    """Return the two ends of a motion from rest at the present pose to a single waypoint."""
+
+    def behind_rest(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else np.vstack([np.zeros_like(present), values])
+
+    return replace(
+        goal,
+        rows=goal.rows * 2,
+        positions=np.vstack([present, goal.positions]),
+        times=None if goal.times is None else np.array([0.0, float(goal.times[0])]),
+        velocities=behind_rest(goal.velocities),
+        accelerations=behind_rest(goal.accelerations),
+    )
 
 
 def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) -> np.ndarray:

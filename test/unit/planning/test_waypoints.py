@@ -168,7 +168,6 @@ def test_the_joints_must_be_the_robot_s(names):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"positions": ROWS[:1]}, "1 waypoints"),
         ({"positions": []}, "0 waypoints"),
         ({"positions": [*ROWS[:2], ROWS[2][:5]]}, "point 2: 5 values of position; expected 6"),
         ({"positions": ROWS, "times": [0, 1]}, "2 times for 4 points"),
@@ -189,3 +188,32 @@ def test_values_that_do_not_fit_are_refused(values, message):
 def test_times_that_are_all_zero_are_none():
     points = from_points(ROBOT, NAMES, ROWS, velocities=[[], [], [], []], times=[0.0] * 4)
     assert points.times is None and points.velocities is None
+
+
+def test_a_single_point_is_the_goal_of_a_motion_from_the_present_pose():
+    goal = HOME + 0.2
+    motion = plan_waypoints(from_points(ROBOT, NAMES, [goal]), HOME, ROBOT, speed_scale=0.5)
+    assert motion.positions[0].tobytes() == HOME.tobytes() and motion.positions[-1].tobytes() == goal.tobytes()
+    assert limit_use(motion, ROBOT).velocity <= 0.5
+    # what MATLAB's users send: a time, and velocities of zero
+    timed = plan_waypoints(from_points(ROBOT, NAMES, [goal], velocities=[[0.0] * 6], times=[3.0]), HOME, ROBOT)
+    assert timed.duration == 3.0 and timed.positions[-1].tobytes() == goal.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"times": [0.1]}, "point 0 (on the path to it, 0.028 s after the start): joint_a1 has a velocity of "),
+        ({"times": [-1.0]}, "point 0: its time -1 s is not after the 0 s of the one before; times must increase"),
+        (
+            {"times": [3.0], "velocities": [[0.1] * 6]},
+            "point 0: joint_a1 moves there (0.1 rad/s); the motion must begin",
+        ),
+    ],
+)
+def test_a_single_point_that_cannot_be_reached_so_is_refused(values, message):
+    assert message in str(refused([HOME + 0.2], **values))
+
+
+def test_no_point_is_no_motion():
+    assert str(refused([])) == "0 waypoints; a motion needs at least one, its goal"

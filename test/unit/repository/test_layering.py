@@ -18,6 +18,7 @@ from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import home_positions, read_robot_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
+from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.mqtt_planner import Settings as RemotePlannerSettings
 from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
@@ -47,7 +48,8 @@ THIRD_PARTY = {
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
-    "executor": {"arm", "auto_approve", "review_file", "neighbour", "realtime_priority"},
+    "executor": {"arm", "auto_approve", "auto_approve_sources", "review_file", "neighbour", "realtime_priority"},
+    "follow_joint_trajectory": {"arm"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
@@ -233,6 +235,7 @@ SETTINGS = {
     "gateway": {field.name for field in fields(GatewayConfig)},
     "mock_rsi": set(MockSettings.model_fields),
     "executor": set(ExecutorSettings.model_fields),
+    "follow_joint_trajectory": set(FollowSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
     "mqtt_review": set(ReviewSettings.model_fields),
     "mqtt_planner": set(RemotePlannerSettings.model_fields),
@@ -271,6 +274,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (RemotePlannerSettings, "mqtt_planner", {"host": "127.0.0.1", "port": 1883}),
         (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3, "transition_file": "transitions.jsonl"}),
         (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
+        (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),
         (SeparationSettings, "separation", {}),
         (NeighbourSettings, "neighbour", {"name": "b"}),
         (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),

@@ -25,7 +25,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.states import LinkState
-from construction_twin.link.status_values import controller_sentence, status_values, without_counts
+from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -443,8 +443,10 @@ class MqttBridge:
         if state is LinkState.DISCONNECTED:
             return f"{reason}: {why}" if why else reason
         # a status of a gateway that is gone says nothing of now
-        said = "" if state is LinkState.GATEWAY_OFFLINE else controller_sentence(self._supervisor.status)
-        return f"{reason}; {said}" if said else reason
+        if state is LinkState.GATEWAY_OFFLINE:
+            return reason
+        status = self._supervisor.status
+        return "; ".join(part for part in (reason, controller_sentence(status), clock_sentence(status)) if part)
 
     def _link_message(self, state: LinkState, reason: str, session: str, status: dict, values: dict[str, str]) -> Link:
         # a copy: other threads go on counting

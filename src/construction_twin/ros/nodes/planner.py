@@ -184,7 +184,7 @@ class PlannerNode:
 
     def _on_plan_from_csv(self, request) -> PlanFromCsvResponse:
         def read() -> Callable[[PlanRequest], Plan]:
-            waypoints = read_waypoints(request.path, self._robot)
+            waypoints = read_waypoints(request.path, self._robot, request.columns)
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
         return PlanFromCsvResponse(*self._requests.answer_read(read, self._request(request, request.path)).fields)
