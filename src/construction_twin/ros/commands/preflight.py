@@ -16,7 +16,6 @@ from pathlib import Path
 import pydantic
 import rosgraph
 import rospkg
-import yaml
 
 from construction_twin.broker.start import listener_ports
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -27,6 +26,7 @@ from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
+from construction_twin.ros.commands.node_files import node_files_problem, read_mapping
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home
@@ -59,7 +59,7 @@ Given = Mapping[str, str]
 
 def _read_robot(given: Given) -> RobotModel:
     """Return the robot as launch/robot.launch and launch/bringup.launch describe it."""
-    description = _mapping(given["robot_config"], "the robot's keys")
+    description = read_mapping(given["robot_config"], "the robot's keys")
     urdf = expand_xacro(given["robot_xacro"], xacro_arguments(given.get("robot_xacro_args", "")))
     return load_robot(urdf, description | {"name": given["robot"]})
 
@@ -85,7 +85,7 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
         return
     path = given["ethernet_xml"]
     load_ethernet_xml(path)
-    settings = _mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
+    settings = read_mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
     cycle = int(given.get("rsi_cycle", "4"))
     given_here = {"decimals": int(given.get("decimals", "3")), "cycle": cycle, "ethernet_xml": read_text(path)}
     gateway_config(robot, settings | given_here)
@@ -101,7 +101,7 @@ def _check_scene(given: Given, robot: RobotModel) -> None:
 
 def _check_cell(given: Given, robot: RobotModel) -> None:
     if given["cell"]:
-        cell = load_cell(_mapping(given["cell"], "the places of robots"))
+        cell = load_cell(read_mapping(given["cell"], "the places of robots"))
         for name in filter(None, (robot.name, given.get("neighbour"))):
             cell.world_T_root(name)
 
@@ -121,8 +121,8 @@ def _check_account(name: str) -> Callable[[Given, RobotModel], None]:
 
 def _check_task(given: Given, robot: RobotModel) -> None:
     """Check the task of experiment.launch as its node does: what it leaves out is config/experiment.yaml's."""
-    shipped = _mapping(str(_package() / "config" / "experiment.yaml"), "a task")
-    task = shipped | _mapping(given["task"], "a task") | {"results_dir": "/"}
+    shipped = read_mapping(str(_package() / "config" / "experiment.yaml"), "a task")
+    task = shipped | read_mapping(given["task"], "a task") | {"results_dir": "/"}
     try:
         settings = ExperimentSettings.model_validate(task)
     except pydantic.ValidationError as error:
@@ -174,7 +174,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
 
 
 def contents_problem(given: Given) -> str:
-    """Return a sentence about the first file whose contents do not fit; empty when there is none.
+    """Return a sentence about the first file whose contents do not fit, the nodes' own included; empty when there is none.
 
     Parameters
     ----------
@@ -196,17 +196,7 @@ def contents_problem(given: Given) -> str:
             path = given[name]
             # most of these sentences begin with the file
             return f"{name}:={path}: {str(error).removeprefix(path).lstrip(': ')}"
-    return ""
-
-
-def _mapping(path: str, what: str) -> dict:
-    try:
-        content = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise ConfigurationError(path, " ".join(str(error).split()), "a YAML file") from error
-    if not isinstance(content, dict):
-        raise ConfigurationError(path, content, f"a mapping: {what}")
-    return content
+    return node_files_problem(given, robot, _package() / "config")
 
 
 def _package() -> Path:
