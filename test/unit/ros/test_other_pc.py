@@ -86,7 +86,7 @@ def test_a_plan_of_a_pc_whose_clock_is_ten_seconds_ahead_is_planned_reviewed_and
         assert program.wait(60.0) == 0, program.output
     wait_until(lambda: twin.ended(plan.id), 10.0, "the end")
     assert twin.ended(plan.id) == "finished"
-    assert ("waiting for review" if by == "topic" else "goal reached") in program.output
+    assert ("waiting for review" if by == "topic" else "the goal") in program.output
     files = {"figure8.png", "figure9.png", "motion.csv", "physical.csv", "virtual.csv"}
     assert {file.name for file in tmp_path.iterdir()} == files
     for name in ("virtual", "physical"):
