@@ -60,7 +60,8 @@ class TwinPc:
         rospy.signal_shutdown("the test is over")
         if self._launch.poll() is None:
             self._launch.send_signal(signal.SIGINT)  # roslaunch ends its nodes
-        self._launch.wait(30.0)
+        self._launch.wait(60.0)
+        assert "escalating" not in self.log(), "a node did not end by itself"
 
     def ready(self) -> bool:
         """Return whether a plan could be approved."""

@@ -117,7 +117,9 @@ class FollowJointTrajectoryNode:
         )
         self._goals = TrajectoryGoals(robot, rospy.resolve_name("review_plan"))
         self._clients: dict[str, Client] = {}
-        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        # not SimpleQueue: in Python 3.11 its `get` waits for ever after a signal handler that took longer than the timeout, and
+        # rospy shuts down in one
+        self._inbox: queue.Queue[Callable[[], None]] = queue.Queue()
         self._poses = threading.Lock()
         self._tracking = Tracking(settings.arm != "none")
         self._needs_poses = threading.Event()
