@@ -95,6 +95,20 @@ class Client:
     order: tuple[int, ...]
 
 
+class _Server(ActionServer):
+    """actionlib's server, but for what it does with clocks of other PCs.
+
+    After a cancel it drops every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would lock
+    everybody else out for an hour, without a word. Here a cancel is about the goals that are there, and about nothing that comes.
+    """
+
+    def internal_cancel_callback(self, goal_id) -> None:
+        """Cancel what is there, and forget when."""
+        super().internal_cancel_callback(goal_id)
+        with self.lock:
+            self.last_cancel = rospy.Time()
+
+
 class FollowJointTrajectoryNode:
     """ROS around TrajectoryGoals."""
 
@@ -110,7 +124,9 @@ class FollowJointTrajectoryNode:
         )
         self._goals = TrajectoryGoals(robot, rospy.resolve_name("review_plan"))
         self._clients: dict[str, Client] = {}
-        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        # not SimpleQueue: in Python 3.11 its `get` waits for ever after a signal handler that took longer than the timeout, and
+        # rospy shuts down in one
+        self._inbox: queue.Queue[Callable[[], None]] = queue.Queue()
         self._poses = threading.Lock()
         self._tracking = Tracking(settings.arm != "none")
         self._needs_poses = threading.Event()
@@ -129,7 +145,7 @@ class FollowJointTrajectoryNode:
         self._servers = [self._serve(name) for name in settings.action_names]
 
     def _serve(self, name: str) -> ActionServer:
-        server: ActionServer = ActionServer(
+        server: _Server = _Server(
             name,
             self._messages.FollowJointTrajectoryAction,
             lambda handle: self._inbox.put(functools.partial(self._take_goal, server, handle)),
