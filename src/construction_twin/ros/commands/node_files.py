@@ -58,7 +58,7 @@ def _pca_monitor(values: Values, given: Given, robot: RobotModel) -> None:
     launched = {"arm": _arm(given), "transition_file": "transitions", "decimals": _decimals(given)}
     settings = _model(pca_monitor.Settings, values | launched)
     codec = JointStringCodec.of(robot, settings.decimals)
-    Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), lambda: 0)
+    Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), 0)
 
 
 def _gateway(values: Values, given: Given, robot: RobotModel) -> None:
