@@ -130,7 +130,11 @@ class NodeFile:
 NODE_FILES = (
     NodeFile("neighbour", _of(NeighbourSettings, {"name": "other"}), lambda given: bool(given.get("neighbour"))),
     NodeFile("planner", _of(planner.Settings, _PLANNER)),
-    NodeFile("follow_joint_trajectory", _of(follow_joint_trajectory.Settings, {"arm": "mock"})),
+    NodeFile(
+        "follow_joint_trajectory",
+        _of(follow_joint_trajectory.Settings, {"arm": "mock"}),
+        lambda given: is_true(given, "follow_joint_trajectory", "true"),
+    ),
     NodeFile("joint_state_publisher", None),
     NodeFile("gateway", _gateway, _has_link),
     NodeFile("mqtt_bridge", _of(mqtt_bridge.Settings, _BROKER), _has_link),
