@@ -175,9 +175,7 @@ def _scaled(node: Node, factor: float) -> Node:
     return node._replace(rates=rates, slope=factor * node.slope, outwards=factor * node.outwards)
 
 
-def _assess(
-    first: Node, last: Node, wide: float, aim: Aim, straight: tuple[float, float]
-) -> tuple[float, float]:
+def _assess(first: Node, last: Node, wide: float, aim: Aim, straight: tuple[float, float]) -> tuple[float, float]:
     """Return bound and division of the interval between two nodes."""
     half = 0.5 * wide
     change = [b - a for a, b in zip(first.away, last.away)]

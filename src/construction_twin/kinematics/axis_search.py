@@ -333,7 +333,13 @@ class AxisSearch:
         return q, (missing & ~missing[:, _PARTNERS]) | (wrist < _SINGULAR)
 
     def _promising(
-        self, samples: Samples, measured: Measured, aim: Aim, best: float, straight: tuple[float, float], slot: int | None
+        self,
+        samples: Samples,
+        measured: Measured,
+        aim: Aim,
+        best: float,
+        straight: tuple[float, float],
+        slot: int | None,
     ) -> np.ndarray:
         """Return the samples with which intervals begin that may hold a solution nearer than the best."""
         left = samples.left
