@@ -248,7 +248,9 @@ def run(options: argparse.Namespace) -> None:
     motion = rest_to_rest(np.array([start, goal]), options.duration, options.count)
     options.output.mkdir(parents=True, exist_ok=True)
     draw_figure8(chain, motion[1], options.output / "figure8.png")
-    print(f"sending {options.count} waypoints; nothing moves before a person approves", flush=True)
+    np.savetxt(options.output / "motion.csv", np.column_stack(motion), fmt="%.17g", delimiter=",")
+    clock = f"{time.time():.3f} by this PC's clock"
+    print(f"sending {options.count} waypoints at {clock}; nothing moves before a person approves", flush=True)
     message = trajectory_of(joints, motion)
     if answers is None:
         send_by_action(namespace, message, options.patience)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +30,7 @@ from construction_twin.kinematics.opw_along import OpwAlong
 from construction_twin.kinematics.solution import TURN
 
 #: Number of evenly spaced places along the axis.
-_PLACES = 41
+_PLACES = 31
 #: Where the wrist centre passes axis 1 more closely than the first [m], places are added where joint 1 has turned by these angles
 #: [rad]; not closer than the last [m].
 _PASSING, _TURNS, _CLOSEST = 0.2, np.tan([-1.3, -0.8, 0.0, 0.8, 1.3]), 1e-6
@@ -46,6 +46,8 @@ _NEARER = 5e-7
 _SINGULAR, _ASIDE = 4e-7, 1e-6
 #: Most intervals divided.
 _DIVISIONS = 1000
+#: The branches with the wrist turned over follow those without, so many.
+_WRIST = len(SLOTS) // 2
 #: Of each slot, the one with the other elbow.
 _PARTNERS = np.arange(len(SLOTS)) ^ 1
 
@@ -54,18 +56,20 @@ _PARTNERS = np.arange(len(SLOTS)) ^ 1
 class Samples:
     """The arm's branches at places along the axis.
 
+    Samples are numbered branch by branch, in the order of `SLOTS`, those of a branch along the axis.
+
     Attributes
     ----------
     flange : array, shape (4, 4)
         The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
-    places : array, shape (k,)
-        Of each sample [m]; those of a branch are in a row, ascending.
-    slots : array of int, shape (k,)
-        Branch of each sample.
-    q : array, shape (6, k)
-        [rad]; nan where a branch is missing.
-    left : array of int, shape (i,)
-        Samples with which intervals begin; they end with the next one.
+    places : array, shape (m,)
+        Ascending [m].
+    q : array, shape (6, 8 m)
+        Of each sample [rad]; nan where the branch is missing or not wanted.
+    joined : array of bool, shape (8 m + 1,)
+        Which samples bound an interval with the one before; the last number stands for no sample.
+    wrist : list of float, length 8
+        |sin| of each branch's wrist angle at the given place; nan where a branch is missing.
     singular : list of float
         Places where the wrist is exactly singular [m], as far as found.
     edges : list of float
@@ -76,9 +80,9 @@ class Samples:
 
     flange: np.ndarray
     places: np.ndarray
-    slots: np.ndarray
     q: np.ndarray
-    left: np.ndarray
+    joined: np.ndarray
+    wrist: list[float]
     singular: list[float]
     edges: list[float]
     edges_known: bool
@@ -142,6 +146,7 @@ class AxisSearch:
         self._arm, self._along = arm, OpwAlong(arm.model, travel)
         self._travel = travel
         self._low, self._high = low, high
+        self._one = np.empty((1, 4, 4))
         self._even = np.linspace(low, high, _PLACES)
         robot = arm.chain.robot
         self._lower, self._upper = np.array(robot.lower)[:, None], np.array(robot.upper)[:, None]
@@ -170,33 +175,33 @@ class AxisSearch:
         more = [place, *edges]
         if at_axis is not None and at_axis[1] < _PASSING:
             more += (at_axis[0] + max(at_axis[1], _CLOSEST) * _TURNS).tolist()
-        places = np.concatenate([self._even, [min(max(each, self._low), self._high) for each in more]])
-        q, lost = self._solve(flange, places)
-        singular = places[lost.any(axis=1)].tolist() if lost.any() else []
+        places = np.concatenate([self._even, more])
+        np.minimum(np.maximum(places, self._low, out=places), self._high, out=places)
+        places.sort()
+        q, wrist, lost = self._solve(flange, places)
+        here = wrist[int(places.searchsorted(place))].tolist()
+        singular = places[lost].tolist()
         if singular:
-            aside = [each + away for each in singular for away in (-_ASIDE, _ASIDE)]
-            beside = np.minimum(np.maximum(aside, self._low), self._high)
-            kept = ~lost.any(axis=1)
-            places = np.concatenate([places[kept], beside])
-            q = np.concatenate([q[kept], self._solve(flange, beside)[0]])
-        order = places.argsort(kind="stable")
-        places, q = places[order], q[order]
-        two = q[:, :, 1:3] - self._middle
+            beside = [each + aside for each in singular for aside in (-_ASIDE, _ASIDE)]
+            places = np.sort(np.clip(np.concatenate([places[~lost], beside]), self._low, self._high))
+            q, _, _ = self._solve(flange, places)
+        # joints 2 and 3 do not depend on how the wrist is turned, and they have less than one turn
+        two = q[:, :_WRIST, 1:3] - self._middle
         two -= TURN * np.rint(two * (1.0 / TURN))
-        near = (np.abs(two, out=two) < self._half).all(axis=2).T & wanted[:, None]
-        # one row for each branch; an interval counts if either of its ends does
-        needed = np.zeros((len(SLOTS), len(places) + 1), dtype=bool)
-        np.logical_or(near[:, 1:], near[:, :-1], out=needed[:, 1:-1])
+        near = (np.abs(two, out=two) < self._half).all(axis=2).T
+        counts = near[:, 1:] | near[:, :-1]
         if at_axis is not None:
             # all edges of the reach are among the places: between a place on a branch and one that is not, there is nothing
-            exists = ~np.isnan(two[:, :, 0]).T
-            needed[:, 1:-1] &= exists[:, 1:]
-            needed[:, 1:-1] &= exists[:, :-1]
-        kept = needed[:, 1:] | needed[:, :-1]
-        slots, rows = kept.nonzero()
-        left = needed[:, 1:][slots, rows].nonzero()[0]
-        picked = np.ascontiguousarray(q[rows, slots].T)
-        return Samples(flange, places[rows], slots, picked, left, singular, edges, at_axis is not None)
+            exists = ~np.isnan(q[:, :_WRIST, 0]).T
+            counts &= exists[:, 1:] & exists[:, :-1]
+        joined = np.zeros((2, _WRIST, len(places)), dtype=bool)
+        joined[:, :, 1:] = counts
+        joined = joined.reshape(len(SLOTS), -1) & wanted[:, None]
+        rows = q.transpose(2, 1, 0).copy()
+        rows[:, ~wanted] = math.nan
+        return Samples(
+            flange, places, rows.reshape(6, -1), np.append(joined, False), here, singular, edges, at_axis is not None
+        )
 
     def aim(self, seed: np.ndarray, turns: Sequence[int]) -> Aim:
         """Return what to search for; see `Aim`."""
@@ -204,9 +209,9 @@ class AxisSearch:
         return Aim(seed, turns, low.tolist(), high.tolist())
 
     def measure(self, samples: Samples, aim: Aim) -> Measured:
-        """Return samples with respect to an aim: moved by whole turns as near to the seed as the ranges allow, then by the aim's."""
-        away = np.empty((7, len(samples.places)))
-        np.subtract(samples.places, aim.seed[0], out=away[0])
+        """Return samples with respect to an aim, with the whole turns nearest to the seed within the ranges, and the aim's."""
+        away = np.empty((7, samples.q.shape[1]))
+        away[0].reshape(len(SLOTS), -1)[:] = samples.places - aim.seed[0]
         joints = away[1:]
         np.subtract(samples.q, aim.seed[1:, None], out=joints)
         joints -= TURN * np.rint(joints * (1.0 / TURN))
@@ -224,21 +229,22 @@ class AxisSearch:
             joints += more
             nearest[1:] += more
         squares = np.einsum("ij,ij->j", away, away)
-        excess = self._excess(joints, aim)
+        excess = self._out(joints, aim).max(axis=0)
         excess[np.isnan(squares)] = math.inf
         return Measured(away, nearest, squares, excess)
 
-    def _excess(self, joints: np.ndarray, aim: Aim) -> np.ndarray:
-        """Return by how much the worst joint is out of range, shape (k,), of distances from the seed, shape (6, k)."""
-        out = np.abs(joints - (0.5 * (np.array(aim.low) + aim.high))[:, None])
+    def _out(self, joints: np.ndarray, aim: Aim) -> np.ndarray:
+        """Return by how much joints are out of range, negative: within it, of distances from the seed, shape (6, k)."""
+        out = joints - (0.5 * (np.array(aim.low) + aim.high))[:, None]
+        np.abs(out, out=out)
         out -= self._half_ranges
-        return out.max(axis=0)
+        return out
 
     def within(self, samples: Samples, measured: Measured, aim: Aim) -> list[Found]:
         """Return the samples within the ranges, the nearest to the seed first."""
         inside = (measured.excess <= ROUNDING).nonzero()[0]
         inside = inside[measured.squares[inside].argsort(kind="stable")]
-        return [self._sample(samples, measured, aim, column) for column in inside.tolist()]
+        return [_found(samples, measured, aim, column) for column in inside.tolist()]
 
     def nearest(
         self,
@@ -265,13 +271,12 @@ class AxisSearch:
         best = min(map(at_singular, samples.singular), default=math.inf)
         found: list[Found] = []
         costs = np.where(measured.excess <= ROUNDING, measured.squares, math.inf)
-        if slot is not None:
-            costs[samples.slots != slot] = math.inf
-        if len(costs):
-            column = int(costs.argmin())
-            if costs[column] < best:
-                found.append(self._sample(samples, measured, aim, column))
-                best = found[0].square
+        count = len(samples.places)
+        first, end = (0, len(costs)) if slot is None else (slot * count, (slot + 1) * count)
+        column = first + int(costs[first:end].argmin())
+        if costs[column] < best:
+            found.append(_found(samples, measured, aim, column))
+            best = found[0].square
         counter = itertools.count()
         straight = self._straight - float(aim.seed[5]), self._sense
         heap: list[tuple[float, int, int, Interval]] = []
@@ -281,21 +286,22 @@ class AxisSearch:
                 if interval.bound < best:
                     heapq.heappush(heap, (interval.bound, next(counter), own, interval))
 
-        for column in self._promising(samples, measured, aim, best, straight, slot).tolist():
-            rates = [self._along.rates(samples.q[:, end].tolist()) for end in (column, column + 1)]
-            both = (
-                [
-                    make_node(away[:, end].tolist(), rate, aim, samples.places[end] in samples.edges)
-                    for end, rate in zip((column, column + 1), rates)
-                ]
-                for away in (measured.away, measured.nearest)
-            )
-            (first, last), (near_first, near_last) = both
-            own = int(samples.slots[column])
-            put(first, last, own)
-            # turns that are out of range at both ends may be within it between them
-            if near_first.square < first.square or near_last.square < last.square:
-                put(near_first, near_last, own)
+        nodes: dict[tuple[int, bool], Node] = {}
+
+        def node(column: int, nearest: bool) -> Node:
+            if (column, nearest) not in nodes:
+                away = (measured.nearest if nearest else measured.away)[:, column].tolist()
+                rates = self._along.rates(samples.q[:, column].tolist())
+                nodes[column, nearest] = make_node(away, rates, aim, samples.places[column % count] in samples.edges)
+            return nodes[column, nearest]
+
+        for column, promises, lowest, others in self._promising(samples, measured, aim, best, straight, (first, end)):
+            own = column // count
+            # beside the lowest place, the branch is lower only where it falls
+            if promises and (lowest is None or (node(lowest, False).slope < 0.0) == (lowest == column)):
+                put(node(column, False), node(column + 1, False), own)
+            if others:
+                put(node(column, True), node(column + 1, True), own)
         for _ in range(_DIVISIONS):
             if not heap or heap[0][0] >= max(0.0, math.sqrt(best) - _NEARER) ** 2:
                 break
@@ -325,12 +331,12 @@ class AxisSearch:
         flanges[:, :3, 3] -= places[:, None] * self._travel
         return flanges
 
-    def _solve(self, flange: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the branches at places, shape (m, 8, 6), and which of them are lost because the wrist is exactly singular."""
+    def _solve(self, flange: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return branches, |sin| of their wrist angles, and at which places one is lost because its wrist is exactly singular."""
         q, wrist, _ = self._arm.branches(self.flanges(flange, places))
         missing = np.isnan(wrist)
         # the elbow does not decide about the reach: where only one of both is missing, its wrist is the reason
-        return q, (missing & ~missing[:, _PARTNERS]) | (wrist < _SINGULAR)
+        return q, wrist, ((missing > missing[:, _PARTNERS]) | (wrist < _SINGULAR)).any(axis=1)
 
     def _promising(
         self,
@@ -339,60 +345,71 @@ class AxisSearch:
         aim: Aim,
         best: float,
         straight: tuple[float, float],
-        slot: int | None,
-    ) -> np.ndarray:
-        """Return the samples with which intervals begin that may hold a solution nearer than the best."""
-        left = samples.left
-        if slot is not None:
-            left = left[samples.slots[left] == slot]
-        squares, excess = measured.squares, measured.excess
-        before, after = measured.nearest[:, left], measured.nearest[:, left + 1]
+        part: tuple[int, int],
+    ) -> Iterator[tuple[int, bool, int | None, bool]]:
+        """Yield the samples of a part with which intervals begin whose bounds are below the best.
+
+        With each: whether it may hold a nearer solution; the end at which it is lowest, if it may do so only beside that end; and
+        whether turns that are out of range at both ends may be within it between them.
+        """
+        near = measured.nearest
+        before, after = near[:, :-1], near[:, 1:]
         steps = np.abs(after - before)
-        turned = steps > 0.5 * TURN
+        fastest = steps[1:].max(axis=0) if len(near[0]) else steps[0]
         # a joint that turns one way comes as near as this
-        gaps = np.minimum(before * before, after * after)
-        gaps[(before * after < 0.0) & ~turned] = 0.0
+        square = near * near
+        gaps = np.minimum(square[:, :-1], square[:, 1:])
+        gaps *= (before * after >= 0.0) | (steps > 0.5 * TURN)
         bounds = gaps.sum(axis=0)
-        for column in (
-            ((steps[4] > EITHER_WAY) | (steps[6] > EITHER_WAY) | (steps[1] > EITHER_WAY)).nonzero()[0].tolist()
-        ):
+        intervals = np.zeros(len(bounds), dtype=bool)
+        intervals[slice(*part)] = samples.joined[1:-1][slice(*part)]
+        for column in (intervals & (fastest > EITHER_WAY)).nonzero()[0].tolist():
             bounds[column] = either_way(before[:, column].tolist(), after[:, column].tolist(), straight)
-        first_out, last_out = excess[left], excess[left + 1]
-        inside0, inside1 = first_out <= ROUNDING, last_out <= ROUNDING
-        fastest = steps[1:].max(axis=0)
-        # between places out of range a branch may come into range by as much as its joints move
-        may_enter = np.minimum(first_out, last_out) < fastest + ROUNDING
-        # a branch that runs smoothly within the ranges is lowest beside the lowest of its places
-        rises = squares[1:] > squares[:-1]
-        joined = np.zeros(len(rises) + 2, dtype=bool)
-        joined[left + 1] = True
-        before_falls, after_rises = joined.copy(), joined.copy()
-        before_falls[1:-1] &= ~rises
-        after_rises[1:-1] &= rises
-        falls = ~rises[left]
-        lowest = np.where(falls, after_rises[left + 2] | ~joined[left + 2], before_falls[left] | ~joined[left])
-        wild = (inside0 != inside1) | (may_enter & ~inside0 & ~inside1) | (fastest > _FAST)
-        other = (measured.nearest != measured.away).any(axis=0)
-        other = (other[left] | other[left + 1]).nonzero()[0]
-        if len(other):
-            least = np.minimum(*(self._excess(ends[1:, other], aim) for ends in (before, after)))
-            wild[other] |= least < fastest[other] + ROUNDING
-        promising = (bounds < (math.sqrt(best) + _GAIN) ** 2) & (wild | (lowest & (inside0 | inside1)))
+        candidates = bounds < (math.sqrt(best) + _GAIN) ** 2
         if not samples.edges_known:
-            promising |= np.isnan(squares[left]) != np.isnan(squares[left + 1])
-        return left[promising]
+            candidates |= np.isnan(bounds)
+        candidates &= intervals
+        # a joint out of range at both ends may be within it between them if it moves by as much
+        out = self._out(near[1:], aim)
+        may_enter = (np.minimum(out[:, :-1], out[:, 1:]) <= steps[1:] + ROUNDING).all(axis=0) | ~(fastest < EITHER_WAY)
+        moved = (near != measured.away).any(axis=0).tolist()
+        joined, squares, excess = samples.joined.tolist(), measured.squares.tolist(), measured.excess.tolist()
+        for column in candidates.nonzero()[0].tolist():
+            last = column + 1
+            enters = bool(may_enter[column])
+            others = enters and (moved[column] or moved[last])
+            first_out, last_out = excess[column] > ROUNDING, excess[last] > ROUNDING
+            lowest = None
+            if first_out and last_out:
+                promises = enters
+            elif first_out or last_out or not fastest[column] <= _FAST:
+                promises = True
+            # a branch that runs smoothly within the ranges is lowest beside the lowest of its places
+            elif squares[last] <= squares[column]:
+                lowest, promises = last, not (joined[last + 1] and squares[last + 1] < squares[last])
+            else:
+                lowest, promises = column, not (joined[column] and squares[column - 1] < squares[column])
+            yield column, promises, lowest, others
 
     def _node(
         self, flange: np.ndarray, place: float, slot: int, expected: Sequence[float], aim: Aim
     ) -> tuple[Node, bool]:
-        """Return a branch at a place, with the whole turns nearest to what is expected; and whether its wrist is exactly singular."""
-        q, lost = self._solve(flange, np.array([place]))
-        joints = q[0, slot].tolist()
+        """Return a branch at a place, with turns nearest to the expected ones, and whether its wrist is exactly singular."""
+        target = self._one
+        target[0] = flange
+        for row, part in enumerate(self._travel.tolist()):
+            target[0, row, 3] -= place * part
+        q, wrist, _ = self._arm.branches(target)
+        joints, angle = q[0, slot].tolist(), float(wrist[0, slot])
         away = [place - float(aim.seed[0])]
         for value, near, guess in zip(joints, aim.seed[1:].tolist(), expected[1:]):
             value -= near
             away.append(value - TURN * round((value - guess) / TURN) if value == value else value)
-        return make_node(away, self._along.rates(joints), aim), bool(lost[0, slot])
+        singular = angle < _SINGULAR or (angle != angle and not math.isnan(wrist[0, slot ^ 1]))
+        return make_node(away, self._along.rates(joints), aim), singular
 
-    def _sample(self, samples: Samples, measured: Measured, aim: Aim, column: int) -> Found:
-        return Found(float(measured.squares[column]), aim.seed + measured.away[:, column], int(samples.slots[column]))
+
+def _found(samples: Samples, measured: Measured, aim: Aim, column: int) -> Found:
+    """Return a sample as found."""
+    square = float(measured.squares[column])
+    return Found(square, aim.seed + measured.away[:, column], column // len(samples.places))

@@ -279,11 +279,11 @@ def residual(chain: Chain, q: JointValues, pose: Pose) -> tuple[float, float]:
     return error_m, 2.0 * math.asin(min(1.0, chord / math.sqrt(8.0)))
 
 
-def distinct(solutions: Sequence[IkSolution]) -> list[IkSolution]:
-    """Return solutions without repetitions, in their order."""
+def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSolution]:
+    """Return solutions without those that are nearer than `same` to an earlier one [rad], in their order."""
     kept: list[IkSolution] = []
     for solution in solutions:
-        if all(math.dist(solution.q, other.q) > _SAME for other in kept):
+        if all(math.dist(solution.q, other.q) > same for other in kept):
             kept.append(solution)
     return kept
 

@@ -504,7 +504,7 @@ def as_template(quote: str) -> str:
 
 def test_every_package_earns_its_place():
     text = (ROOT / "docs/dependencies.md").read_text()
-    for name in ("requirements.txt", "requirements-no-deps.txt", "debian-packages.txt"):
+    for name in ("requirements.txt", "requirements-no-deps.txt", "debian-packages.txt", "debian-test-packages.txt"):
         lines = (ROOT / "setup" / name).read_text().splitlines()
         packages = [line.split("==")[0].strip() for line in lines if line.strip() and not line.startswith("#")]
         assert [package for package in packages if f"`{package}`" not in text] == []

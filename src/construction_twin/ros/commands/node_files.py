@@ -20,7 +20,15 @@ from construction_twin.monitor.gate import Gate
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import read_text
-from construction_twin.ros.nodes import executor, mqtt_bridge, mqtt_review, pca_monitor, planner, tool_marker
+from construction_twin.ros.nodes import (
+    executor,
+    mqtt_bridge,
+    mqtt_planner,
+    mqtt_review,
+    pca_monitor,
+    planner,
+    tool_marker,
+)
 from construction_twin.ros.shared.arm_listener import NeighbourSettings
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.views.preflight import is_bare, is_true
@@ -125,6 +133,7 @@ NODE_FILES = (
     NodeFile("gateway", _gateway, _has_link),
     NodeFile("mqtt_bridge", _of(mqtt_bridge.Settings, _BROKER), _has_link),
     NodeFile("mqtt_review", _of(mqtt_review.Settings, _BROKER), _has_link),
+    NodeFile("mqtt_planner", _of(mqtt_planner.Settings, _BROKER), _has_link),
     NodeFile("mock_rsi", _mock_rsi, lambda given: _arm(given) == "mock" and not is_bare(given)),
     NodeFile("executor", _executor),
     NodeFile("pca_monitor", _pca_monitor),
