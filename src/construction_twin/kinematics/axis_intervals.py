@@ -81,7 +81,7 @@ class Interval(NamedTuple):
     Attributes
     ----------
     bound : float
-        The squared distance from the seed is not less anywhere between; inf: there is nothing between.
+        Nowhere between is the squared distance from the seed less than this, unless at an end; inf: there is nothing between.
     split : float
         Where to look next, as a fraction of the way from the first to the last.
     first, last : Node
