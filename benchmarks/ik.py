@@ -50,8 +50,8 @@ ROBOTS = {
 LIMIT_S, BUDGET_S = 0.05, 0.04
 #: TRAC-IK's error bound per component of the twist, and its time [s].
 TRACIK_EPSILON, TRACIK_TIMEOUT = 1e-6, 0.05
-#: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this fraction of poses. An
-#: arm on a linear axis is searched densely instead, which finds more in less time.
+#: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this fraction of poses.
+#: An arm on a linear axis is searched densely instead, which finds more in less time.
 RESTARTS = 150
 DEEP_S, DEEP_SHARE = 1.0, 0.1
 #: Poses of a block, of which ours and TRAC-IK take turns.
@@ -124,15 +124,9 @@ def run(poses: int, seed: int, checks: int, tracik: bool) -> dict:
         )
         # the first calls are slower: code and data are not in the caches yet
         measure(inverse, tasks[:20], time.perf_counter)
-<<<<<<< HEAD
         beside = TracIk(robot) if tracik and name == "kr120" else None
         found = in_turns(inverse, tasks, beside)
-        redundant = len(robot.joint_names) > 6
-        some = max(1, round(checks * DEEP_SHARE)) if redundant else checks
-=======
-        found = measure(inverse, tasks, time.perf_counter, LIMIT_S)
         some = checks
->>>>>>> h_a
         rng = np.random.default_rng(seed + 1)
         if len(robot.joint_names) == 6:
             search = brute_force(chain, rng, RESTARTS)

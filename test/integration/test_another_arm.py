@@ -19,7 +19,7 @@ from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from sensor_msgs.msg import JointState
-from twin_client import RobotTest, Stream, TwinClient
+from twin_client import RobotTest, Stream, TwinClient, wait
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.frames import rotation_to_quaternion

@@ -64,7 +64,9 @@ class JointVelocitiesNode:
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        return Report(OK, "publishing the twin's velocities") if self.known else Report(WARN, "the twin has no pose yet")
+        return (
+            Report(OK, "publishing the twin's velocities") if self.known else Report(WARN, "the twin has no pose yet")
+        )
 
 
 def start() -> JointVelocitiesNode:
