@@ -47,8 +47,8 @@ ROBOTS = {
 LIMIT_S, BUDGET_S = 0.05, 0.04
 #: TRAC-IK's error bound per component of the twist, and its time [s].
 TRACIK_EPSILON, TRACIK_TIMEOUT = 1e-6, 0.05
-#: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this fraction of poses. An
-#: arm on a linear axis is searched densely instead, which finds more in less time.
+#: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this fraction of poses.
+#: An arm on a linear axis is searched densely instead, which finds more in less time.
 RESTARTS = 150
 DEEP_S, DEEP_SHARE = 1.0, 0.1
 PACKAGES = ("numpy", "scipy", "py-opw-kinematics", "eaik", "pytracik")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.kinematics.axis_intervals import EITHER_WAY, ROUNDING, Aim, Node, either_way, make_node
+from construction_twin.kinematics.axis_intervals import Aim, Node, make_node
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.opw_along import OpwAlong
 from construction_twin.kinematics.solution import TURN
@@ -72,7 +72,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Samples with respect to an aim, and the intervals between each of them and the next.
+    """Samples with respect to an aim.
 
     Attributes
     ----------
@@ -84,21 +84,12 @@ class Measured:
         Squared distance; nan where a branch is missing.
     excess : array, shape (k,)
         By how much the worst joint is out of range [rad].
-    bounds : array, shape (k - 1,)
-        Hardly less than this is the squared distance in an interval, if joints do not turn round in it.
-    fastest : array, shape (k - 1,)
-        By how much the joint moves that moves most [rad].
-    may_enter : array of bool, shape (k - 1,)
-        Whether joints move by as much as they are out of range at both ends.
     """
 
     away: np.ndarray
     nearest: np.ndarray
     squares: np.ndarray
     excess: np.ndarray
-    bounds: np.ndarray
-    fastest: np.ndarray
-    may_enter: np.ndarray
 
 
 class AxisSampler:
@@ -219,19 +210,7 @@ class AxisSampler:
         middle, half = 0.5 * (ends[1] + ends[0]), 0.5 * (ends[1] - ends[0])
         excess = (np.abs(joints - middle) - half).max(axis=0)
         excess[np.isnan(squares)] = math.inf
-        before, after = nearest[:, :-1], nearest[:, 1:]
-        steps = np.abs(after - before)
-        fastest = steps[1:].max(axis=0)
-        square = nearest * nearest
-        gaps = np.minimum(square[:, :-1], square[:, 1:])
-        gaps *= (before * after >= 0.0) | (steps > 0.5 * TURN)
-        bounds = gaps.sum(axis=0)
-        for column in (samples.joined[1:-1] & (fastest > EITHER_WAY)).nonzero()[0].tolist():
-            bounds[column] = either_way(before[:, column].tolist(), after[:, column].tolist(), self.straight(aim))
-        out = np.abs(nearest[1:] - middle)
-        out -= half
-        may_enter = (np.minimum(out[:, :-1], out[:, 1:]) <= steps[1:] + ROUNDING).all(axis=0) | ~(fastest < EITHER_WAY)
-        return Measured(away, nearest, squares, excess, bounds, fastest, may_enter)
+        return Measured(away, nearest, squares, excess)
 
     def straight(self, aim: Aim) -> tuple[float, float]:
         """Return where axes 4 and 6 are in line, as `axis_intervals.make_intervals` takes it."""
