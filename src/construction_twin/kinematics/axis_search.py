@@ -156,8 +156,7 @@ def _promising(
     may_enter = (out <= steps[1:] + ROUNDING).all(axis=0) | flips[columns]
     fastest = steps[1:].max(axis=0)
     columns += part.start
-    moved = (measured.nearest[:, columns] != measured.away[:, columns]).any(axis=0)
-    moved |= (measured.nearest[:, columns + 1] != measured.away[:, columns + 1]).any(axis=0)
+    moved = measured.moved[columns] | measured.moved[columns + 1]
     joined, squares, excess = samples.joined.tolist(), measured.squares.tolist(), measured.excess.tolist()
     nodes: dict[tuple[int, bool], Node] = {}
 
@@ -167,11 +166,12 @@ def _promising(
         return nodes[column, nearest]
 
     straight = sampler.straight(aim)
-    for column, first, second, fast, enters, turned in zip(
-        columns.tolist(), before.T.tolist(), after.T.tolist(), fastest.tolist(), may_enter.tolist(), moved.tolist()
-    ):
-        if fast > EITHER_WAY and either_way(first, second, straight) >= limit:
-            continue
+    each = zip(columns.tolist(), fastest.tolist(), may_enter.tolist(), moved.tolist())
+    for number, (column, fast, enters, turned) in enumerate(each):
+        if fast > EITHER_WAY:
+            first, second = before[:, number].tolist(), after[:, number].tolist()
+            if either_way(first, second, straight) >= limit:
+                continue
         last, own = column + 1, column // len(samples.places)
         first_out, last_out = excess[column] > ROUNDING, excess[last] > ROUNDING
         if first_out and last_out:
