@@ -105,6 +105,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     arm.add_argument("--responsible", default="", metavar="NAME", help="the person who is responsible; must be given")
     status = command("status", "say what link, gate and executor do")
     status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
+    _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
     _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
     return root
 
@@ -169,6 +170,13 @@ def _add_approve(approve: argparse.ArgumentParser) -> None:
     _add_reviewer(approve)
     approve.add_argument("--yes", action="store_true", help="do not ask")
     approve.add_argument("--wait", action="store_true", help="wait until the motion has ended")
+
+
+def _add_scene(scene: argparse.ArgumentParser) -> None:
+    moveit = scene.add_argument(
+        "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
+    )
+    moveit.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it from the action
 
 
 def _add_watch(watch: argparse.ArgumentParser) -> None:

@@ -287,3 +287,16 @@ def test_a_real_arm_without_accounts_or_without_a_person_must_be_meant(change, s
 )
 def test_a_real_arm_with_accounts_and_a_person_starts_and_so_does_what_is_meant(change):
     assert preflight.problem(REAL | change, "/a".__eq__, "/a".__eq__) == ""
+
+
+def test_a_real_arm_needs_a_person_whatever_a_client_calls_itself():
+    said = preflight.problem(REAL | {"auto_approve_sources": "/move_group"}, "/a".__eq__)
+    assert said.startswith(
+        "auto_approve_sources:=/move_group with arm:=real: expected none, because the name of a client proves"
+    )
+    assert (
+        preflight.problem(REAL | {"auto_approve_sources": "/move_group", "auto_approve_is_meant": "true"}, "/a".__eq__)
+        == said
+    )
+    assert preflight.problem(REAL | {"auto_approve_sources": ""}, "/a".__eq__) == ""
+    assert preflight.problem(REAL | {"arm": "mock", "auto_approve_sources": "/move_group"}, "/a".__eq__) == ""

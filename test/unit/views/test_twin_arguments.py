@@ -15,10 +15,11 @@ from scene_samples import kr120, track7
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_abc
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.views.arguments import Exit, check, parser
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
-from construction_twin.views.texts import joint_value, plan_lines, range_sentence, status_lines
+from construction_twin.views.texts import joint_value, plan_lines, range_sentence, scene_lines, status_lines
 
 ANGLES = st.floats(-89.0, 89.0)
 
@@ -249,3 +250,19 @@ def test_both_names_of_the_command_are_completed(tmp_path, capsys):
 def test_zsh_is_given_a_completion_too(capsys):
     script = completion("zsh", capsys)
     assert script.startswith("#compdef twin") and "rosrun construction_twin twin" in script and "--joints" in script
+
+
+def test_a_scene_is_listed_in_mm_with_what_carries_and_what_may_touch():
+    wall = SceneObject("wall", "box", (0.2, 2.0, 1.5), (2.0, 0.5, 0.75), padding=0.01)
+    tool = SceneObject("tool", "cylinder", (0.05, 0.2), link="tool0", touch=("link_6",))
+    lines = scene_lines(Scene((wall, tool), padding=0.02))
+    assert lines[1:3] == ["padding    20 mm", "objects    2"]
+    assert lines[3:] == [
+        "  wall: box 200 x 2000 x 1500 mm, at 2000 500 750 mm, padding 10 mm more",
+        "  tool: cylinder 50 x 200 mm, at 0 0 0 mm, carried by tool0, may touch link_6",
+    ]
+    assert scene_lines(Scene())[2] == "objects    none"
+
+
+def test_the_scene_s_options():
+    assert parsed("scene").moveit is None and parsed("scene --moveit a.scene").moveit == "a.scene"

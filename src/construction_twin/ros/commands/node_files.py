@@ -23,6 +23,7 @@ from construction_twin.robot.urdf import read_text
 from construction_twin.ros.nodes import (
     executor,
     follow_joint_trajectory,
+    joint_velocities,
     mqtt_bridge,
     mqtt_planner,
     mqtt_review,
@@ -135,6 +136,7 @@ NODE_FILES = (
         _of(follow_joint_trajectory.Settings, {"arm": "mock"}),
         lambda given: is_true(given, "follow_joint_trajectory", "true"),
     ),
+    NodeFile("joint_velocities", _of(joint_velocities.Settings, {})),
     NodeFile("joint_state_publisher", None),
     NodeFile("gateway", _gateway, _has_link),
     NodeFile("mqtt_bridge", _of(mqtt_bridge.Settings, _BROKER), _has_link),

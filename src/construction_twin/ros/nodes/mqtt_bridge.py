@@ -272,9 +272,10 @@ class MqttBridge:
         self._publish_physical(q, received, properties)
 
     def _publish_physical(self, q: tuple[float, ...], received: int, properties: StateProperties | None) -> None:
-        self._outputs.physical.publish(received, q)
         seq, command_stamp = (properties.seq, properties.command_stamp) if properties is not None else (0, 0)
+        # the gate's first: each program that looks on at the other takes its time from what comes after
         self._outputs.feedback.publish(received, q, seq, command_stamp)
+        self._outputs.physical.publish(received, q)
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
