@@ -96,20 +96,6 @@ class Client:
     order: tuple[int, ...]
 
 
-class _Server(ActionServer):
-    """actionlib's server, but for what it does with clocks of other PCs.
-
-    After a cancel it drops every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would lock
-    everybody else out for an hour, without a word. Here a cancel is about the goals that are there, and about nothing that comes.
-    """
-
-    def internal_cancel_callback(self, goal_id) -> None:
-        """Cancel what is there, and forget when."""
-        super().internal_cancel_callback(goal_id)
-        with self.lock:
-            self.last_cancel = rospy.Time()
-
-
 class FollowJointTrajectoryNode:
     """ROS around TrajectoryGoals."""
 
@@ -145,13 +131,8 @@ class FollowJointTrajectoryNode:
         Subscriber("execution", Execution, self._on_execution, refuse, queue_size=50, tcp_nodelay=True)
         self._servers = [self._serve(name) for name in settings.action_names]
 
-<<<<<<< HEAD
-    def _serve(self, name: str) -> ActionServer:
-        server: _Server = _Server(
-=======
     def _serve(self, name: str) -> GoalServer:
         server: GoalServer = GoalServer(
->>>>>>> h_d
             name,
             self._messages.FollowJointTrajectoryAction,
             lambda handle: self._inbox.put(functools.partial(self._take_goal, server, handle)),
