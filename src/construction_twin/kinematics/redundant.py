@@ -40,6 +40,8 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 _ORDER = (6, 0, 2, 4, 1, 5, 3)
 #: Values at which the joint is held, ends of the range included; and where none of them leads to a solution.
 _VALUES, _FINER = 56, 321
+#: Where the seed misses the pose by less, first only values within a window around the seed's are tried [m], [rad].
+_BESIDE, _WINDOW = 0.5, 1.0
 #: Samples that `all` returns are farther apart than this [rad]; and how many of them, at most.
 _APART, _MOST = 0.35, 64
 #: A sample out of range by less may slide into it [rad]; and how many samples are tried.
@@ -185,8 +187,13 @@ class RedundantInverse(InverseKinematics):
         """See `InverseKinematics.nearest`: the nearest along all self-motions that samples were found of; not proven."""
         start = self._checked(pose, seed, configuration)
         target = _matrix(pose)
+        if max(residual(self.chain, start, pose)) < _BESIDE:
+            found = self._along(*self._samples(_VALUES, target, float(start[self.held])), target, pose, start)
+            # what is nearer than this has the held joint within the window
+            if found and found[0].distance < _WINDOW:
+                return found[0]
         for count in (_VALUES, _FINER):
-            found = self._along(*self._samples(count, target, start), target, pose, start)
+            found = self._along(*self._samples(count, target), target, pose, start)
             if found:
                 return found[0]
         for q in self._almost(target, start)[:_SLID]:
@@ -202,7 +209,7 @@ class RedundantInverse(InverseKinematics):
         """
         found = [self.nearest(pose, seed, configuration)]
         start = np.array(seed, dtype=float)
-        samples = self._motion.into_range(self._samples(_VALUES, _matrix(pose), start)[0], start)
+        samples = self._motion.into_range(self._samples(_VALUES, _matrix(pose))[0], start)
         inside = samples[self._motion.excess(samples) <= 0.0]
         for q in inside[((inside - start) ** 2).sum(axis=1).argsort()]:
             if len(found) < _MOST and all(math.dist(q, other.q) > _APART for other in found):
@@ -240,16 +247,25 @@ class RedundantInverse(InverseKinematics):
         values = np.linspace(self._lower[self.held], self._upper[self.held], count).tolist()
         return values, [self._arm.solver(value) for value in values]
 
-    def _samples(self, count: int, target: np.ndarray, seed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the samples of a division and at the seed's value, in the order of the held joint, and how many each value has."""
+    def _samples(self, count: int, target: np.ndarray, around: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the samples of a division, in the order of the held joint, and how many each value has.
+
+        Parameters
+        ----------
+        count : int
+            Which division.
+        target : array, shape (4, 4)
+        around : float, optional
+            Only the values near this one.
+        """
         values, solvers = self._solvers[count]
-        here = float(seed[self.held])
-        at = bisect.bisect(values, here)
-        found = [solve(target) for solve in (*solvers[:at], self._arm.solver(here), *solvers[at:])]
+        if around is not None:
+            solvers = solvers[bisect.bisect(values, around - _WINDOW) : bisect.bisect(values, around + _WINDOW)]
+        found = [solve(target) for solve in solvers]
         q = [each.Q for each in found]
         counts = np.array([len(rows) for rows in q])
         if not counts.any():
-            return np.empty((0, len(seed))), counts
+            return np.empty((0, len(self._lower))), counts
         samples = np.concatenate([rows for rows in q if len(rows)])
         if self.form.exact:
             solved = ~np.concatenate([each.is_LS for each in found])
@@ -275,7 +291,7 @@ class RedundantInverse(InverseKinematics):
 
     def _almost(self, target: np.ndarray, seed: np.ndarray) -> np.ndarray:
         """Return samples that are almost in range, nearest to the ranges first."""
-        q = self._motion.into_range(self._samples(_FINER, target, seed)[0], seed)
+        q = self._motion.into_range(self._samples(_FINER, target)[0], seed)
         excess = self._motion.excess(q)
         order = excess.argsort()
         kept: list[np.ndarray] = []
