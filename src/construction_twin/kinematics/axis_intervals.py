@@ -39,14 +39,14 @@ class Aim:
     ----------
     seed : array, shape (7,)
         Near which: place [m] and joints [rad], within the ranges.
-    turns : sequence of int, length 6
-        Whole turns to add to the arm's joints where they are nearest to the seed.
+    turns : sequence of int, length 6, or None
+        By how many whole turns the arm's joints are further than the nearest one; None: nearest within the ranges.
     low, high : list of float, length 6
-        Ends of the joints' ranges, as distances from the seed [rad].
+        Ends of the joints' ranges, or of these turns, as distances from the seed [rad].
     """
 
     seed: np.ndarray
-    turns: Sequence[int]
+    turns: Sequence[int] | None
     low: list[float]
     high: list[float]
 
@@ -81,7 +81,7 @@ class Interval(NamedTuple):
     Attributes
     ----------
     bound : float
-        The squared distance from the seed is not less anywhere between; inf: there is nothing between.
+        Nowhere between is the squared distance from the seed less than this, unless at an end; inf: there is nothing between.
     split : float
         Where to look next, as a fraction of the way from the first to the last.
     first, last : Node

@@ -18,7 +18,10 @@ from itertools import product
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
-from construction_twin.kinematics.axis_search import ROUNDING, AxisSearch, Found, Samples
+from construction_twin.kinematics import axis_search
+from construction_twin.kinematics.axis_intervals import ROUNDING
+from construction_twin.kinematics.axis_samples import SINGULAR, AxisSampler, Samples
+from construction_twin.kinematics.axis_search import Found
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
@@ -39,8 +42,6 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Number of evenly spaced places at which singular wrists, and the reason for no solution, are looked for.
 _PLACES = 101
-#: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad].
-_SINGULAR = 4e-7
 #: A solution whose wrist is this close to singular belongs to the family of solutions of a singular place [rad].
 _OF_FAMILY = 1e-3
 #: A wrist centre that is out of reach by less, or closer to axis 1, may have lost its branches by rounding [m].
@@ -51,8 +52,6 @@ _SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
 _SAME = 0.01
 #: Besides the nearest ones, `all` returns solutions that are further apart than this [rad], at most so many.
 _APART, _MOST = 0.35, 64
-#: No whole turns but those that are nearest to the seed.
-_NEAREST_TURNS = (0,) * 6
 
 
 def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
@@ -106,7 +105,7 @@ class RailInverse(InverseKinematics):
         self._axis = chain.jacobian(home)[:3, 0]
         # ... and the same in the directions of the arm's model
         self._travel = arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
-        self._along = AxisSearch(arm, self._travel, *self._ranges[0])
+        self._along = AxisSampler(arm, self._travel, *self._ranges[0])
         self._all_wanted = np.ones(len(SLOTS), dtype=bool)
         # from a target of the whole chain to one of the arm's model, with the carriage at zero
         base_T_carriage = np.eye(4)
@@ -132,8 +131,9 @@ class RailInverse(InverseKinematics):
             return min((solution.distance**2 for solution in nearest), default=math.inf)
 
         samples = self._along.sample(flange, here, self._wanted(configuration))
-        aim = self._along.aim(start, _NEAREST_TURNS)
-        candidates = self._along.nearest(samples, self._along.measure(samples, aim), aim, at)
+        aim = self._along.aim(start)
+        measured = self._along.measure(samples, aim)
+        candidates = axis_search.nearest(self._along, samples, measured, aim, at)
         found += self._first_confirmed(candidates, pose, start)
         if not found or self._is_special(flange, here, samples.wrist):
             at(here)
@@ -151,11 +151,11 @@ class RailInverse(InverseKinematics):
         flange = self._flange(pose)
         found = self._nearest_at(float(start[0]), pose, start, configuration)
         samples = self._along.sample(flange, float(start[0]), self._wanted(configuration))
-        for turns in self._choices_of_turns():
+        for turns in self._choices_of_turns(start):
             aim = self._along.aim(start, turns)
             measured = self._along.measure(samples, aim)
             for slot in range(len(SLOTS)):
-                candidates = self._along.nearest(samples, measured, aim, lambda place: math.inf, slot)
+                candidates = axis_search.nearest(self._along, samples, measured, aim, lambda place: math.inf, slot)
                 found += self._first_confirmed(candidates, pose, start)
         singular = self._singular_places(flange)
         if singular:
@@ -187,9 +187,13 @@ class RailInverse(InverseKinematics):
         target[:3, :3], target[:3, 3] = pose.rotation, pose.position
         return self._opw_T_base @ target @ self._tip_T_flange
 
-    def _choices_of_turns(self) -> Iterator[tuple[int, ...]]:
-        """Return by how many whole turns each joint may be further than the nearest one, in all combinations."""
-        return product(*((-1, 0, 1) if high - low > TURN else (0,) for low, high in self._ranges[1:]))
+    def _choices_of_turns(self, seed: np.ndarray) -> Iterator[tuple[int, ...]]:
+        """Return by how many whole turns each of the arm's joints may be further than the nearest one, in all combinations."""
+        choices = []
+        for near, (low, high) in zip(seed[1:].tolist(), self._ranges[1:]):
+            turns = range(math.ceil((low - near) / TURN - 0.5), math.floor((high - near) / TURN + 0.5) + 1)
+            choices.append(turns if high - low >= TURN else (0,))
+        return product(*choices)
 
     def _first_confirmed(self, candidates: Sequence[Found], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the first of candidates that forward kinematics confirms, as a list; empty if there is none."""
@@ -206,8 +210,8 @@ class RailInverse(InverseKinematics):
 
         Whole turns are those nearest to the seed: with other ones the arm would touch the same things.
         """
-        aim = self._along.aim(seed, _NEAREST_TURNS)
-        candidates = self._along.within(samples, self._along.measure(samples, aim), aim)
+        aim = self._along.aim(seed)
+        candidates = axis_search.within(samples, self._along.measure(samples, aim), aim)
         joints = np.array([candidate.q for candidate in candidates]).reshape(-1, len(seed))
         apart = np.full(len(joints), math.inf)
         for solution in found:
@@ -231,7 +235,7 @@ class RailInverse(InverseKinematics):
             # a place beyond the end by rounding is at the end
             float(min(max(found.place, low), high))
             for found in find_singularities(self._even, wrist(self._even), wrist)
-            if found.angle <= _SINGULAR and low - ROUNDING <= found.place <= high + ROUNDING
+            if found.angle <= SINGULAR and low - ROUNDING <= found.place <= high + ROUNDING
         ]
 
     def _is_special(self, flange: np.ndarray, place: float, wrist: list[float]) -> bool:

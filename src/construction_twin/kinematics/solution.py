@@ -165,9 +165,9 @@ class InverseKinematics(abc.ABC):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """Return the solution nearest to a seed.
 
-        In closed form it is the nearest solution; with a linear axis it is the nearest up to the resolution with which the
-        axis is divided. By search it is the nearest solution found: probably the nearest that exists, but this is not proven,
-        and `all` may find a nearer one.
+        In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
+        places of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
+        proven, and `all` may find a nearer one.
 
         Parameters
         ----------

@@ -458,12 +458,18 @@ def test_services_called_in_documents_exist(file):
     assert set(called) <= known
 
 
+def launch_file(name: str) -> Path:
+    """Return where roslaunch finds a launch file of this package."""
+    own, moveit = ROOT / f"launch/{name}.launch", ROOT / f"moveit/launch/{name}.launch"
+    return moveit if moveit.exists() and not own.exists() else own
+
+
 @pytest.mark.parametrize("file", GUIDES, ids=relative)
 def test_programs_and_launch_arguments_in_documents_exist(file):
     programs = re.findall(r"rosrun construction_twin ([a-z_]+)", commands(file))
     assert set(programs) <= {path.name for path in (ROOT / "nodes").iterdir()}
     for name, rest in re.findall(r"roslaunch construction_twin (\w+)\.launch([^\n`#]*)", commands(file)):
-        known = make_reference.launch_arguments(ROOT / f"launch/{name}.launch")
+        known = make_reference.launch_arguments(launch_file(name))
         if name in ("experiment", "scenario", "two_robots"):
             known = known | make_reference.launch_arguments(ROOT / "launch/bringup.launch")
         assert set(re.findall(r"(\w+):=", rest)) <= set(known)

@@ -18,7 +18,7 @@ from construction_twin.planning.waypoints import START_TOLERANCE_M, START_TOLERA
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.moveit_config import moveit_files
 from construction_twin.robot.planning_groups import planning_groups
-from construction_twin.scene.planner_files_command import moveit_config_main
+from construction_twin.scene.moveit_config_command import main as moveit_config_main
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[3]

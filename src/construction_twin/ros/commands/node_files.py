@@ -22,6 +22,8 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import read_text
 from construction_twin.ros.nodes import (
     executor,
+    follow_joint_trajectory,
+    joint_velocities,
     mqtt_bridge,
     mqtt_planner,
     mqtt_review,
@@ -66,7 +68,7 @@ def _pca_monitor(values: Values, given: Given, robot: RobotModel) -> None:
     launched = {"arm": _arm(given), "transition_file": "transitions", "decimals": _decimals(given)}
     settings = _model(pca_monitor.Settings, values | launched)
     codec = JointStringCodec.of(robot, settings.decimals)
-    Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), lambda: 0)
+    Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), 0)
 
 
 def _gateway(values: Values, given: Given, robot: RobotModel) -> None:
@@ -129,6 +131,12 @@ class NodeFile:
 NODE_FILES = (
     NodeFile("neighbour", _of(NeighbourSettings, {"name": "other"}), lambda given: bool(given.get("neighbour"))),
     NodeFile("planner", _of(planner.Settings, _PLANNER)),
+    NodeFile(
+        "follow_joint_trajectory",
+        _of(follow_joint_trajectory.Settings, {"arm": "mock"}),
+        lambda given: is_true(given, "follow_joint_trajectory", "true"),
+    ),
+    NodeFile("joint_velocities", _of(joint_velocities.Settings, {})),
     NodeFile("joint_state_publisher", None),
     NodeFile("gateway", _gateway, _has_link),
     NodeFile("mqtt_bridge", _of(mqtt_bridge.Settings, _BROKER), _has_link),
