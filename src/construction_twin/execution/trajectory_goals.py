@@ -21,6 +21,8 @@ from construction_twin.robot.description import RobotModel
 RETRY = NANOSECONDS // 5
 #: A plan that is withdrawn counts as gone when the executor has not said so for this long [ns].
 WITHDRAWAL = 5 * NANOSECONDS
+#: A plan that takes this much longer than asked is said to [s].
+NOTABLE = 0.001
 #: States in which the executor plays the goal's plan.
 PLAYED = (GoalState.MOVING, GoalState.BRAKING)
 
@@ -121,11 +123,12 @@ Effect = Ask | Withdraw | Brake | Accept | Status | End
 
 @dataclass(frozen=True)
 class GoalPlan:
-    """The plan of a goal: as the planner answered."""
+    """The plan of a goal, as the planner answered: id, hash, duration [s], and the duration that was asked for [s], 0 for none."""
 
     id: str
     hash: str
     duration: float
+    asked: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -402,7 +405,10 @@ class TrajectoryGoals:
     def _accept(self, _reason: str) -> None:
         assert self.goal is not None  # it was planned
         plan = self._planned
-        waits = f"plan {plan.id} of {plan.duration:.3f} s waits for a person, who approves or rejects it by {self._reviewed_by}"
+        late = plan.asked and plan.duration > plan.asked + NOTABLE
+        instead = f" instead of {plan.asked:.3f} s, which would break a limit of the arm," if late else ""
+        decides = f"a person, who approves or rejects it by {self._reviewed_by}"
+        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for {decides}"
         self._effects.append(Accept(self.goal.id, waits))
 
     def _refuse(self, reason: str) -> None:

@@ -165,9 +165,9 @@ class InverseKinematics(abc.ABC):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """Return the solution nearest to a seed.
 
-        In closed form it is the nearest solution; with a linear axis it is the nearest up to the resolution with which the
-        axis is divided. By search it is the nearest solution found: probably the nearest that exists, but this is not proven,
-        and `all` may find a nearer one.
+        In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
+        places of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
+        proven, and `all` may find a nearer one.
 
         Parameters
         ----------
@@ -279,11 +279,11 @@ def residual(chain: Chain, q: JointValues, pose: Pose) -> tuple[float, float]:
     return error_m, 2.0 * math.asin(min(1.0, chord / math.sqrt(8.0)))
 
 
-def distinct(solutions: Sequence[IkSolution]) -> list[IkSolution]:
-    """Return solutions without repetitions, in their order."""
+def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSolution]:
+    """Return solutions without those that are nearer than `same` to an earlier one [rad], in their order."""
     kept: list[IkSolution] = []
     for solution in solutions:
-        if all(math.dist(solution.q, other.q) > _SAME for other in kept):
+        if all(math.dist(solution.q, other.q) > same for other in kept):
             kept.append(solution)
     return kept
 

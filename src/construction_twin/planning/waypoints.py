@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from construction_twin.core.motion_errors import TrajectoryError, WaypointsError
+from construction_twin.core.motion_errors import TrajectoryError, WaypointsError, WaypointTimesError
 from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
@@ -26,6 +26,8 @@ START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
 #: Largest velocity and acceleration that count as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
+#: Between points whose velocity is at the limit, the curve through them is up to so much faster.
+BETWEEN_POINTS = 1.1
 #: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
 
@@ -223,6 +225,43 @@ def plan_waypoints(
     return trajectory
 
 
+def retime_waypoints(
+    waypoints: Waypoints,
+    present: JointValues,
+    robot: RobotModel,
+    speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
+) -> Trajectory:
+    """Make a trajectory through waypoints whose own times break a limit: the same points, never in less time than they say.
+
+    For planners that know no jerk limit (MoveIt, and whoever else plans with steps of acceleration): nothing that they time fits.
+
+    Parameters
+    ----------
+    waypoints : Waypoints
+        With times.
+    present, robot, speed_scale, acceleration_scale, bounds : optional
+        As for `plan_waypoints`.
+
+    Raises
+    ------
+    WaypointsError, PlanSizeError, PlanningError
+        As `plan_waypoints` without times.
+    """
+    untimed = replace(waypoints, times=None, velocities=None, accelerations=None)
+    fastest = plan_waypoints(untimed, present, robot, speed_scale, acceleration_scale, bounds)
+    if waypoints.times is None:
+        return fastest
+    wished = float(waypoints.times[-1] - waypoints.times[0])
+    if fastest.duration >= wished:
+        return fastest
+    path = _from_present(waypoints, np.array(present, dtype=float), robot)
+    return time_path(
+        path, robot, duration=wished, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
+    )
+
+
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
     if len(values) != points:
         raise WaypointsError(f"{len(values)} points have a {name}, {points} a position; expected as many")
@@ -299,7 +338,8 @@ def _check_rest(waypoints: Waypoints, robot: RobotModel) -> None:
             if abs(values[row, joint]) > AT_REST:
                 found = waypoints.units[joint].text(values[row, joint], per)
                 message = f"{waypoints.place(row)}: {robot.joint_names[joint]} moves there ({found})"
-                raise WaypointsError(
+                kind = WaypointTimesError if name == "accelerations" else WaypointsError
+                raise kind(
                     f"{message}; the motion must begin and end at rest",
                     *(waypoints.rows[row], robot.joint_names[joint], float(values[row, joint]), 0.0),
                 )
@@ -349,13 +389,17 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
         value = float(excess[sample, joint])
         message = f"{where} overshoots its range by {waypoints.units[joint].text(value)}"
         message = f"{message}; give more waypoints or more time there"
-        raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
+        raise WaypointTimesError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
     for name, per in (("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
         fractions, limits = getattr(sampled, name), getattr(robot, name)
         for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():
             row, where = place(sample, joint)
             unit, limit = waypoints.units[joint], limits[joint]
+            article = "an" if name == "acceleration" else "a"
             value = float(fractions[sample, joint] * limit)
-            message = f"{where} has a {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
+            message = f"{where} has {article} {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
             message = f"{message}, give it more time"
-            raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, limit)
+            # more velocity than the joint has was not meant for this arm, whatever the times
+            much = name == "velocity" and float(fractions.max()) > BETWEEN_POINTS
+            kind = WaypointsError if much else WaypointTimesError
+            raise kind(message, waypoints.rows[row], robot.joint_names[joint], value, limit)

@@ -131,6 +131,14 @@ class TestToTheGoal:
         assert (end.goal_id, end.ending, end.code) == ("a", Ending.SUCCEEDED, ResultCode.SUCCESSFUL)
         assert desk.state is GoalState.FREE and desk.goals.goal is None
 
+    def test_a_motion_that_takes_longer_than_asked_says_so(self, desk):
+        (accepted,) = desk.send(goal()).planned(GoalPlan("p", "h", 3.5, 2.5)).effects(Accept)
+        assert accepted.text.startswith(
+            "plan p of 3.500 s instead of 2.500 s, which would break a limit of the arm, waits for a"
+        )
+        desk = Desk().send(goal()).planned(GoalPlan("p", "h", 2.5000001, 2.5))
+        assert desk.effects(Accept)[0].text.startswith("plan p of 2.500 s waits for a person")
+
     def test_what_the_planner_refuses_is_an_invalid_goal_in_its_words(self, desk):
         desk.send(goal()).effects()
         desk.goals.on_not_planned("point 0: joint_a1 is 0.2 rad, but the arm is at 0 rad", desk.now)

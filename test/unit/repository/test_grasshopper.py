@@ -199,7 +199,7 @@ def test_the_motion_that_is_reviewed_passes_the_designer_s_frames(session, cell)
 
 
 def test_the_reviewer_reads_which_account_sent_it(session, cell):
-    assert cell.planner.sources[0] == "by MQTT from account kr120-planner-ada, which says it is 'Ada'"
+    assert cell.planner.sources[0] == "MQTT account kr120-planner-ada, which says it is 'Ada'"
 
 
 def test_a_component_that_runs_again_sends_nothing_again(session, cell):

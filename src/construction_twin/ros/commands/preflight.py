@@ -44,7 +44,7 @@ from construction_twin.views.roslaunch_call import RoslaunchCall, argument_probl
 ROBOT_NODES = (
     "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
     "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation",
-    "joint_state_publisher",
+    "joint_velocities", "joint_state_publisher",
     "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
     "plc",
 )  # fmt: skip

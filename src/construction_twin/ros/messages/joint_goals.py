@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import genpy
-from trajectory_msgs.msg import JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
@@ -21,8 +21,17 @@ from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import TrajectoryGoal
 from construction_twin.robot.description import RobotModel
 
-#: md5 sum of control_msgs/FollowJointTrajectoryAction, 1.1 to 1.5: of what every client in the field speaks.
-ACTION_MD5 = "bc4f9b743838566551c0390c65f1a248"
+#: md5 sums of control_msgs 1.5 of ROS Noetic: of what every client in the field speaks.
+OFFICIAL_MD5 = {
+    "FollowJointTrajectoryAction": "bc4f9b743838566551c0390c65f1a248",
+    "FollowJointTrajectoryActionGoal": "cff5c1d533bf2f82dd0138d57f4304bb",
+    "FollowJointTrajectoryActionResult": "c4fb3b000dc9da4fd99699380efcc5d9",
+    "FollowJointTrajectoryActionFeedback": "d8920dc4eae9fc107e00999cce4be641",
+    "FollowJointTrajectoryGoal": "69636787b6ecbde4d61d711979bc7ecb",
+    "FollowJointTrajectoryResult": "493383b18409bfb604b4e26c676401d2",
+    "FollowJointTrajectoryFeedback": "10817c60c2486ef6b33e97dcd87f4474",
+    "JointTolerance": "f544fe9c16cf04547e135dd6063ff5be",
+}
 
 
 @dataclass(frozen=True)
@@ -50,10 +59,11 @@ def control_messages() -> ModuleType:
         messages = importlib.import_module("control_msgs.msg")
     except ImportError as error:
         raise ConfigurationError("the Python package control_msgs", f"missing ({error})", to_do) from error
-    found = messages.FollowJointTrajectoryAction._md5sum
-    if found != ACTION_MD5:
-        where = f"one in {messages.__file__} whose FollowJointTrajectoryAction has the md5 sum {found}"
-        raise ConfigurationError("the Python package control_msgs", where, f"{ACTION_MD5}: {to_do}")
+    for name, md5 in OFFICIAL_MD5.items():
+        found = getattr(messages, name)._md5sum
+        if found != md5:
+            where = f"one in {messages.__file__} whose {name} has the md5 sum {found}"
+            raise ConfigurationError("the Python package control_msgs", where, f"{md5}: {to_do}")
     return messages
 
 
@@ -88,6 +98,12 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
 
 def _asked(tolerances) -> list[AskedTolerance]:
     return [AskedTolerance(one.name, one.position, one.velocity, one.acceleration) for one in tolerances]
+
+
+def asked_duration(trajectory: JointTrajectory) -> float:
+    """Return how long a trajectory asks its motion to take [s]; 0: it does not say. A single point's time counts from now."""
+    times = [point.time_from_start.to_nsec() / NANOSECONDS for point in trajectory.points]
+    return times[-1] - (times[0] if len(times) > 1 else 0.0)
 
 
 def fill_feedback(feedback, sample: Sample, plan_start: int, order: Sequence[int]) -> None:

@@ -40,7 +40,13 @@ from construction_twin.execution.trajectory_goals import (
     Withdraw,
 )
 from construction_twin.msg import Execution, Feedback, Review
-from construction_twin.ros.messages.joint_goals import GoalDefaults, control_messages, fill_feedback, trajectory_goal
+from construction_twin.ros.messages.joint_goals import (
+    GoalDefaults,
+    asked_duration,
+    control_messages,
+    fill_feedback,
+    trajectory_goal,
+)
 from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -76,6 +82,7 @@ class Settings(pydantic.BaseModel):
     goal_tolerance: Tolerance
     goal_tolerance_linear: Tolerance
     goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+    retime: bool
     planner_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
 
 
@@ -109,7 +116,7 @@ class FollowJointTrajectoryNode:
         settings = read_parameters(Settings)
         self._messages = control_messages()
         self._robot = robot = robot_from_parameters()
-        self._planner_timeout = settings.planner_timeout
+        self._planner_timeout, self._retime = settings.planner_timeout, settings.retime
         self._defaults = GoalDefaults(
             Tolerances.default(robot, settings.path_tolerance, settings.path_tolerance_linear),
             Tolerances.default(robot, settings.goal_tolerance, settings.goal_tolerance_linear),
@@ -307,7 +314,8 @@ class FollowJointTrajectoryNode:
         try:
             rospy.wait_for_service("plan_trajectory", self._planner_timeout)
             planner = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
-            answer = planner(trajectory=trajectory, source=f"follow_joint_trajectory from {goal.client}")
+            source = f"follow_joint_trajectory from {goal.client}"
+            answer = planner(trajectory=trajectory, retime=self._retime, source=source)
         except rospy.ROSInterruptException:
             return
         except (rospy.ROSException, *NO_ANSWER) as error:
@@ -317,7 +325,10 @@ class FollowJointTrajectoryNode:
             self._put(self._goals.on_not_planned, sentence)
             return
         if answer.success:
-            self._put(self._goals.on_planned, GoalPlan(answer.plan_id, answer.plan_hash, answer.duration))
+            self._put(
+                self._goals.on_planned,
+                GoalPlan(answer.plan_id, answer.plan_hash, answer.duration, asked_duration(trajectory)),
+            )
         else:
             self._put(self._goals.on_not_planned, answer.message)
 
