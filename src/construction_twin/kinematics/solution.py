@@ -166,8 +166,8 @@ class InverseKinematics(abc.ABC):
         """Return the solution nearest to a seed.
 
         In closed form it is the nearest solution; with a linear axis it is the nearest up to the resolution with which the
-        axis is divided. By search it is the nearest solution found: probably the nearest that exists, but this is not proven,
-        and `all` may find a nearer one.
+        axis is divided. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
+        exists, but this is not proven; `all` of a search may find a nearer one.
 
         Parameters
         ----------
