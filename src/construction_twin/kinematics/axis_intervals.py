@@ -27,8 +27,9 @@ EITHER_WAY = 1.5
 _ROUGH, _AT_MOST, _SHARE, _OFF = 0.12, 1e-3, 0.3, 0.125
 #: Half a turn [rad].
 _HALF = 0.5 * TURN
-#: Where a branch ends in an interval, its distance may fall by this much [rad].
-_FALL = 1.3
+#: Where a branch ends in an interval, its distance may fall by this times the root of the interval [rad/sqrt(m)], as the elbow
+#: moves; shorter ones are not divided [m].
+_FALL, _END = 5.0, AT_EDGE
 #: Shorter intervals are not divided [m].
 _SHORT = 1e-8
 
@@ -149,9 +150,10 @@ def make_intervals(
 def _ending(first: Node, last: Node, edges_known: bool) -> list[Interval]:
     """Return the interval in which a branch ends."""
     square = last.square if first.square != first.square else first.square
-    if edges_known or square != square:
+    wide = last.away[0] - first.away[0]
+    if edges_known or square != square or not wide > _END:
         return []
-    return [Interval(max(math.sqrt(square) - _FALL, 0.0) ** 2, 0.5, first, last)]
+    return [Interval(max(math.sqrt(square) - _FALL * math.sqrt(wide), 0.0) ** 2, 0.5, first, last)]
 
 
 def _interval(first: Node, last: Node, aim: Aim, straight: tuple[float, float]) -> Interval:

@@ -18,8 +18,8 @@ from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.opw_along import OpwAlong
 from construction_twin.kinematics.solution import TURN
 
-#: Number of evenly spaced places along the axis.
-_PLACES = 31
+#: Number of evenly spaced places along the axis; and where it is not level, so that the edges of the reach are not known.
+_PLACES, _OBLIQUE = 31, 151
 #: Where the wrist centre passes axis 1 more closely than the first [m], places are added where joint 1 has turned by these angles
 #: [rad]; not closer than the last [m].
 _PASSING, _TURNS, _CLOSEST = 0.2, np.tan([-1.3, -0.8, 0.0, 0.8, 1.3]), 1e-6
@@ -110,7 +110,7 @@ class AxisSampler:
         self._arm, self._along = arm, OpwAlong(arm.model, travel)
         self._travel = travel
         self._low, self._high = low, high
-        self._even = np.linspace(low, high, _PLACES)
+        self._even = np.linspace(low, high, _PLACES if self._along.level else _OBLIQUE)
         robot = arm.chain.robot
         self._lower, self._upper = np.array(robot.lower)[:, None], np.array(robot.upper)[:, None]
         # of joints 2 and 3: middle of the range, and half of it with a margin

@@ -108,7 +108,10 @@ def nearest(
             break
         _, _, own, (_, split, first, last) = heapq.heappop(heap)
         place = float(aim.seed[0]) + first.away[0] + split * (last.away[0] - first.away[0])
-        expected = [a + split * (b - a) for a, b in zip(first.away, last.away)]
+        # beyond the end of a branch: as on the branch
+        start, stop = (last, last) if first.square != first.square else (first, last)
+        stop = start if last.square != last.square else stop
+        expected = [a + split * (b - a) for a, b in zip(start.away, stop.away)]
         middle, singular = sampler.node(samples.flange, place, own, expected, aim)
         middles = [middle]
         if singular:
@@ -174,7 +177,7 @@ def _promising(
                 continue
         last, own = column + 1, column // len(samples.places)
         first_out, last_out = excess[column] > ROUNDING, excess[last] > ROUNDING
-        if first_out and last_out:
+        if first_out and last_out and fast == fast:  # not nan: the branch does not end here
             promises = enters
         elif first_out or last_out or not fast <= _FAST:
             promises = True

@@ -34,6 +34,8 @@ class OpwAlong:
     def __init__(self, model: OpwModel, travel: np.ndarray):
         self._model = model
         self._travel = tuple(travel.tolist())
+        #: Whether the edges of the reach are known.
+        self.level = abs(self._travel[2]) <= _LEVEL and math.hypot(*self._travel[:2]) > 0.7
         self._forearm, self._bend = math.hypot(model.a2, model.c3), math.atan2(model.a2, model.c3)
         self._lengths = model.a1, model.b, model.c2, self._forearm
 
@@ -99,9 +101,9 @@ class OpwAlong:
             Where the wrist centre passes axis 1 most closely, and how closely [m]; None for travel that is not level.
         """
         model = self._model
-        (x, y, z), (dx, dy, dz) = model.wrist_centre(flange), self._travel
+        (x, y, z), (dx, dy, _) = model.wrist_centre(flange), self._travel
         square = dx * dx + dy * dy
-        if abs(dz) > _LEVEL or square < 0.5:
+        if not self.level:
             return [], None
         closest, beside = (x * dx + y * dy) / square, (x * dy - y * dx) ** 2 / square
         edges = []
