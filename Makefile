@@ -7,7 +7,7 @@ help:
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
 	@echo "make test             build and run every test"
 	@echo "make lint             check style, format, order of the folders and types; make test does it too"
-	@echo "make bench            measure inverse kinematics, planning and link; writes results/bench/*.json; ARGS=ik for one of them"
+	@echo "make bench            measure inverse kinematics, planning, other planners and link; writes results/bench/*.json; ARGS=ik for one of them"
 	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
 	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
@@ -22,7 +22,8 @@ setup:
 demo: setup
 	@bash -c 'source .ws/env.bash && exec python scripts/demo.py "$$@"' demo $(ARGS)
 
-test: setup
+test:
+	@bash setup/setup.sh tests
 	@bash -c 'source .ws/env.bash && python scripts/run_tests.py $(ARGS)'
 
 lint: setup

@@ -1,4 +1,4 @@
-"""Runs the benchmarks: `python scripts/bench.py [ik|planning|link] [options of that benchmark]`; without a name all of them.
+"""Runs the benchmarks: `python scripts/bench.py [ik|planning|planners|link] [its options]`; without a name all of them.
 
 Each writes its figures to results/bench/ and prints them. What they measure against (setup/bench-requirements.txt) is installed
 into the project's venv first, because nothing else needs it.
@@ -13,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = ROOT / "setup" / "bench-requirements.txt"
-BENCHMARKS = ("ik", "planning", "link")
+BENCHMARKS = ("ik", "planning", "planners", "link")
 
 
 def missing(requirements: str) -> list[str]:

@@ -35,12 +35,15 @@ NODES = {
     "planner": ("construction_twin.ros.nodes.planner", "planner"),
     "scene": ("construction_twin.ros.nodes.scene", ""),
     "neighbour": ("construction_twin.ros.shared.arm_listener", "neighbour"),
+    "follow_joint_trajectory": ("construction_twin.ros.nodes.follow_joint_trajectory", "follow_joint_trajectory"),
     "preview": ("construction_twin.ros.nodes.preview", ""),
+    "joint_velocities": ("construction_twin.ros.nodes.joint_velocities", "joint_velocities"),
     "executor": ("construction_twin.ros.nodes.executor", "executor"),
     "pca_monitor": ("construction_twin.ros.nodes.pca_monitor", "pca_monitor"),
     "virtual_robot": ("construction_twin.ros.nodes.virtual_robot", ""),
     "mqtt_bridge": ("construction_twin.ros.nodes.mqtt_bridge", "mqtt_bridge"),
     "mqtt_review": ("construction_twin.ros.nodes.mqtt_review", "mqtt_review"),
+    "mqtt_planner": ("construction_twin.ros.nodes.mqtt_planner", "mqtt_planner"),
     "mock_rsi": ("construction_twin.mock.program", "mock_rsi"),
     "tool_marker": ("construction_twin.ros.nodes.tool_marker", "tool_marker"),
     "sync_view": ("construction_twin.ros.nodes.sync_view", ""),
@@ -76,13 +79,15 @@ _EXPLAINED = {
 COMMANDS: list[tuple[str, str, list[str]]] = [
     ("twin", "nodes/twin", []),
     *((f"twin {name}", "nodes/twin", [name]) for name in ("plan", "home", "preview", "approve", "reject")),
-    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "watch")),
+    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "scene", "watch")),
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
     ("ik_report", "nodes/ik_report", []),
     ("new_arm", "nodes/new_arm", []),
     ("self_collision", "nodes/self_collision", []),
+    ("srdf", "nodes/srdf", []),
+    ("moveit_config", "nodes/moveit_config", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
     ("evaluate", "nodes/evaluate", []),
@@ -125,6 +130,10 @@ def _launch_page() -> str:
         rows = {arg: value for arg, value in own.items() if arg not in bringup or (not part and value != bringup[arg])}
         if rows:
             parts.append(_launch_table(f"{name}.launch", rows))
+    for name in ("move_group", "demo"):
+        parts.append(
+            _launch_table(f"{name}.launch (MoveIt)", launch_arguments(ROOT / "moveit" / "launch" / f"{name}.launch"))
+        )
     return "\n".join(parts)
 
 
@@ -361,6 +370,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "link states": lambda: _state_table("construction_twin.link.states"),
     "bare link states": lambda: _rows_table(_shared_rows(cells(BARE_TABLE))),
     "executor states": lambda: _state_table("construction_twin.execution.states"),
+    "goal states": lambda: _state_table("construction_twin.execution.goal_states"),
     "monitor states": lambda: _state_table("construction_twin.monitor.states"),
 }
 

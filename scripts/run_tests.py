@@ -53,6 +53,7 @@ ALONE = (
     "test_gateway_service",
     "test_impairment",
     "test_mock_udp",
+    "test_other_pc",
 )
 
 

@@ -2,6 +2,7 @@
 # Brings a Debian 12 machine to where construction_twin builds and runs. Safe to repeat; quick when nothing changed.
 #
 #   setup/setup.sh           Debian packages, Python venv, catkin workspace
+#   setup/setup.sh tests     the same, and the Debian packages that only the tests need
 #
 # Everything it makes lies under .ws/ in the repository, except the Debian packages.
 set -euo pipefail
@@ -11,6 +12,13 @@ work="$root/.ws"
 venv="$work/venv"
 workspace="$work/catkin"
 python=/usr/bin/python3 # Debian's own: the only Python that sees Debian's rospy, tf2 and PyKDL
+
+lists=("$root/setup/debian-packages.txt")
+case "${1:-}" in
+  "") ;;
+  tests) lists+=("$root/setup/debian-test-packages.txt") ;;
+  *) printf '[setup] unknown word %q; expected nothing, or tests\n' "$1" >&2 && exit 2 ;;
+esac
 
 say() { printf '[setup] %s\n' "$*"; }
 fail() {
@@ -36,7 +44,7 @@ check_system() {
 
 missing_packages() {
   local wanted
-  wanted=$(grep -vE '^[[:space:]]*(#|$)' "$root/setup/debian-packages.txt" | sort)
+  wanted=$(grep -hvE '^[[:space:]]*(#|$)' "${lists[@]}" | sort)
   comm -23 <(printf '%s\n' "$wanted") \
     <(dpkg-query -W -f '${db:Status-Status} ${Package}\n' 2>/dev/null | sed -n 's/^installed //p' | sort -u)
 }
@@ -76,8 +84,8 @@ make_venv() {
 build_inputs() {
   (
     cd "$root"
-    cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv
-    printf '%s\n' "$root" msg/*.msg srv/*.srv nodes/* examples/*/* test/integration/*.test
+    cat CMakeLists.txt package.xml setup.py msg/*.msg srv/*.srv setup/control_msgs/*.* setup/control_msgs/*/*
+    printf '%s\n' "$root" "$workspace"/src/* msg/*.msg srv/*.srv nodes/* examples/*/* test/integration/*.test
     declare -f build_workspace
   ) | sha256sum
 }
@@ -94,6 +102,16 @@ link_repository() {
   for entry in "$root"/*; do
     [ -L "$package/${entry##*/}" ] || ln -s "$entry" "$package/"
   done
+}
+
+# control_msgs, whose action other planners speak, is not in Debian 12. Where it is installed it is used, and ours must not be found.
+provide_control_msgs() {
+  local package="$workspace/src/control_msgs"
+  if [ -e /usr/share/control_msgs/package.xml ]; then
+    [ ! -L "$package" ] || rm -r "$package" "$workspace"/build/control_msgs "$workspace"/devel/{include,share,lib/python3/dist-packages}/control_msgs
+  else
+    ln -sfn "$root/setup/control_msgs" "$package"
+  fi
 }
 
 build_workspace() {
@@ -124,6 +142,7 @@ check_system
 install_packages
 make_venv
 link_repository
+provide_control_msgs
 build_workspace
 write_environment
 say "ready; for your own shell: source $work/env.bash"

@@ -277,7 +277,7 @@ class ByHandTest(RobotTest):
 
     def test_every_node_reports_diagnostics(self):
         nodes = {"tool_marker", "startup", "scene", "planner", "preview", "executor", "pca_monitor", "virtual_robot"}
-        nodes |= {"mqtt_bridge", "mqtt_review", "mock_rsi"}
+        nodes |= {"mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi"}
         self.client.wait(lambda: self.client.diagnosed_nodes() >= nodes, f"diagnostics of {nodes}", 5.0)
 
 

@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """Motion in a built scene: around a wall, along a line, from a file and a topic; what voids an approval; pause and preview."""
 
+import os
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -275,6 +277,22 @@ class MotionTest(RobotTest):
             self.client.wait_for_outcome(answer.plan_id, "finished", 60.0)
             self.client.assert_at(RIGHT, arm)
         self.client.wait_until_ready()
+        with tempfile.TemporaryDirectory() as folder:
+            file = str(Path(folder) / "plan.csv")
+            self.assertIn(f"plan {answer.plan_id}: ", self.twin("export", file))
+            self.client.go_to(HOME)
+            # what was exported is the same plan again, from the same pose
+            self.twin("plan", "--csv", file)
+            self.client.wait(lambda: self.client.plans[-1].source.startswith("twin ("), "the plan of the exported file")
+            self.assertEqual(self.client.plans[-1].hash, answer.plan_hash)
+
+    def twin(self, *words: str) -> str:
+        """Run a command of `twin` and return what it prints."""
+        command = ["rosrun", "construction_twin", "twin", *words]
+        environment = {**os.environ, "ROS_NAMESPACE": rospy.get_namespace()}
+        run = subprocess.run(command, capture_output=True, text=True, timeout=60.0, env=environment)
+        self.assertEqual(run.returncode, 0, run.stderr)
+        return run.stdout
 
     def test_a_bad_file_is_refused_naming_row_and_joint(self):
         rows = np.linspace(HOME, RIGHT, 6)

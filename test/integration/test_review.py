@@ -74,6 +74,7 @@ class ReviewTest(RobotTest):
             self.assertIn("decided already", again.message)
             self.assert_rests(arm)
             self.client.assert_within_limits(arm, missed)
+        self.client.assert_late_replies_were_late()
         self.client.wait_until_ready()
 
     def test_plan_from_another_pose_is_refused(self):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The whole system on a site's broker: TLS, an account for each program, and a person at a tablet who approves a plan."""
+"""The whole system on a site's broker: TLS, an account for each program, a person at a tablet, and a planner elsewhere."""
 
 import json
 import os
@@ -15,8 +15,9 @@ from pathlib import Path
 import rospy
 import rostest
 from construction_twin.msg import Execution
+from remote_planner import RemotePlanner
 from tablet import Tablet
-from twin_client import LEFT, RIGHT, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
 
 from construction_twin.broker.make_site import main as make_site
 from construction_twin.core.units import radians
@@ -37,7 +38,7 @@ class SiteTest(unittest.TestCase):
         cls.addClassCleanup(shutil.rmtree, cls.folder)
         site = cls.folder / "site"
         arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
-        assert make_site([str(site), *arguments]) == 0
+        assert make_site([str(site), *arguments, "--planner", "ada"]) == 0
         command = ["roslaunch", "construction_twin", "bringup.launch", f"broker_config:={site}/broker/mosquitto.conf",
                    "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260",
                    f"bridge_account:={site}/accounts/kr120-bridge/account.json",
@@ -58,6 +59,8 @@ class SiteTest(unittest.TestCase):
         cls.client = TwinClient()
         cls.tablet = Tablet(site / "accounts/kr120-tablet/account.json", PORT, TOPICS)
         cls.addClassCleanup(cls.tablet.client.disconnect)
+        cls.planner = RemotePlanner(site / "accounts/kr120-planner-ada/account.json", PORT, TOPICS)
+        cls.addClassCleanup(cls.planner.client.disconnect)
 
     @staticmethod
     def _end(launch: subprocess.Popen) -> None:
@@ -70,6 +73,14 @@ class SiteTest(unittest.TestCase):
         except AssertionError as error:
             self.fail(f"{error}\n{''.join(self.output)[-3000:]}")
         wait(self.tablet.client.is_connected, "the tablet's connection")
+        wait(self.sees_all, "a view with everything in it")
+        rospy.wait_for_service("plan_trajectory", 20.0)
+
+    def sees_all(self) -> bool:
+        """Return whether the planner elsewhere sees the whole robot, at rest and ready."""
+        view = self.planner.views[-1] if self.planner.views else {}
+        states = [(view.get(part) or {}).get("state") for part in ("link", "sync", "execution")]
+        return states == ["ARMED", "IN_SYNC", "IDLE"] and bool(view["twin"] and view["arm"])
 
     def test_a_plan_approved_at_the_tablet_is_executed_by_twin_and_arm(self):
         with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
@@ -92,6 +103,69 @@ class SiteTest(unittest.TestCase):
             arm.wait_for_more(100)
             self.assertTrue((arm.positions() == arm.positions()[0]).all())
         self.assertEqual(self.client.execution.state, Execution.IDLE)
+
+    def test_a_motion_planned_elsewhere_is_reviewed_and_executed(self):
+        goal = tuple(0.5 * (a + b) for a, b in zip(HOME, LEFT))
+        with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
+            still = arm.positions()
+            answer = self.planner.send(self.planner.motion(goal, source="facade 7", speed_scale=0.3))
+            self.assertTrue(answer["ok"], answer)
+            wait(lambda: (self.tablet.plan or {}).get("id") == answer["plan_id"], "the plan at the tablet")
+            plan = self.tablet.plan
+            self.assertEqual(plan["hash"], answer["plan_hash"])
+            self.assertEqual(plan["source"], "MQTT account kr120-planner-ada, which says it is 'facade 7'")
+            self.assertTrue((arm.positions() == still[0]).all(), "the arm moved before anybody had approved")
+            seen = len(self.planner.views)
+            self.assertTrue(self.tablet.verdict(plan, "approved")["ok"])
+            self.client.wait_for_outcome(answer["plan_id"], "finished")
+            self.client.assert_at(goal, twin, arm)
+            wait(
+                lambda: self.planner.views[-1]["execution"]["outcome"] == "finished" and self.sees_all(),
+                "the end in view",
+            )
+            last = self.planner.views[-1]
+            for name, stream in (("twin", twin), ("arm", arm)):
+                self.assertEqual(last[name]["positions"], [round(float(value), 9) for value in stream.positions()[-1]])
+        self.check_views([view for view in self.planner.views[seen:] if view["online"]], answer["plan_id"])
+
+    def check_views(self, views: list[dict], plan_id: str) -> None:
+        """Check what was seen of a plan that was approved and executed."""
+        self.assertEqual({view["retained"] for view in views}, {False})
+        self.assertEqual([view["seq"] for view in views], [views[0]["seq"] + k for k in range(len(views))])
+        rate = (len(views) - 1) / (views[-1]["stamp"] - views[0]["stamp"])
+        self.assertTrue(5.0 < rate < 30.0, f"{rate:.1f} views per second")
+        moving = [view for view in views if view["execution"]["state"] == "PLAYING"]
+        self.assertEqual({view["execution"]["plan_id"] for view in moving}, {plan_id})
+        progress = [view["execution"]["progress"] for view in moving]
+        self.assertEqual(progress, sorted(progress))
+        self.assertTrue(0.0 <= progress[0] < 0.2 and progress[-1] > 0.8, (progress[0], progress[-1]))
+        self.assertEqual(views[-1]["execution"]["progress"], 1.0)
+        # where it was seen while it moved, it had been: the twin's age is told
+        self.assertTrue(all(view["twin"]["age"] < 0.25 for view in moving))
+
+    def test_what_a_planner_elsewhere_must_not_send_reaches_nobody_and_is_counted(self):
+        motion = self.planner.motion(LEFT)
+        before = self.tablet.plan
+        first = motion["points"][0]
+        fast = first, {"positions": [value + 20.0 for value in first["positions"]], "time_from_start": 0.01}
+        for document, retain, said in (
+            (motion, True, "retained trajectory"),
+            (motion | {"id": "2", "units": {}}, False, "units are said, never guessed"),
+            (motion | {"id": "3", "points": fast}, False, "joint_a"),
+            (motion | {"id": "4", "source": "x" * 2_200_000}, False, "at most 2097152 are read"),
+        ):
+            answer = self.planner.send(document, retain)
+            self.assertIn(said, answer["reason"])
+            self.assertEqual((answer["ok"], answer["plan_id"]), (False, ""))
+        self.assertEqual(self.tablet.plan, before)
+        values = self.client.diagnostics("mqtt_planner")
+        wait(lambda: "refused size" in self.client.diagnostics("mqtt_planner"), "the counters on /diagnostics")
+        values = self.client.diagnostics("mqtt_planner")
+        counted = {key: values.get(f"refused {key}") for key in ("retained", "units", "size")}
+        self.assertEqual(counted, dict.fromkeys(counted, "1"))
+        self.assertEqual(values["trajectories no plan"], "1")
+        # what the broker kept is taken away, or every start of the node would refuse it again
+        self.planner.client.publish(self.planner.topic, b"", retain=True)
 
     def test_the_tablet_can_neither_command_nor_control(self):
         before = self.client.gateway_counters()

@@ -336,6 +336,19 @@ class TwinClient:
         if excess.any():
             print(report, flush=True)
 
+    def assert_late_replies_were_late(self) -> None:
+        """Check that the mock called no more replies late than the gateway has sent later than half a cycle after its telegram.
+
+        A mock that was held up itself leaves half a cycle for a reply; no other leaves less.
+        """
+        late = self.mock_counter("late_replies")
+        told = self.link.header.stamp
+        self.wait(lambda: self.link.header.stamp > told, "a newer report on link")
+        bins, counts = self.link.reply_us_bins, self.link.reply_us_counts
+        slow = sum(count for edge, count in zip((*bins, float("inf")), counts) if edge > 0.5e6 * self.period)
+        print(f"{sum(counts)} replies, {slow} later than half a cycle, {late} called late", flush=True)
+        assert late <= slow, f"{late} of {sum(counts)} replies were called late, but only {slow} took over half a cycle"
+
     def assert_trace_within_limits(self, path: str = "") -> None:
         """Check that what a gateway sent is inside the limits in every cycle.
 

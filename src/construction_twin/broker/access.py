@@ -11,9 +11,9 @@ from string import Template
 
 from construction_twin.core.errors import ConfigurationError
 
-#: Roles that every robot has; `plc` is made on request.
+#: Roles that every robot has; `planner` and `plc` are made on request.
 ROLES = ("bridge", "gateway", "tablet", "viewer")
-PLC = "plc"
+PLANNER, PLC = "planner", "plc"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 #: Host names and addresses, IPv6 included: nothing that openssl's configuration could take for something else.
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.:-]{0,251}[A-Za-z0-9])?|::1")
@@ -21,7 +21,7 @@ _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.:-]{0,251}[A-Za-z0-9])?|::1")
 
 @dataclass(frozen=True)
 class SiteAccount:
-    """One account: a role at one robot; `person` is empty, or names the owner of a tablet."""
+    """One account: a role at one robot; `person` is empty, or names the owner of a tablet or a planner."""
 
     robot: str
     role: str
@@ -46,6 +46,8 @@ class Site:
         Each gets a tablet account of its own at every robot; empty: one tablet account per robot.
     shared : tuple of str
         Robots that have that one tablet account beside those of people, from a run before there were any.
+    planners : tuple of str
+        People or programs that plan elsewhere: each gets an account of its own at every robot.
     plc : bool
         Also an account for a PLC that commands in place of the bridge.
     certificates : bool
@@ -75,12 +77,14 @@ class Site:
     folder: str = ""
     listen: str = ""
     shared: tuple[str, ...] = field(default=())
+    planners: tuple[str, ...] = field(default=())
 
     def __post_init__(self):
         for option, names, pattern in (
             ("--host", self.hosts, _HOST),
             ("--robot", self.robots, _NAME),
             ("--tablet", self.people, _NAME),
+            ("--planner", self.planners, _NAME),
             ("--prefix", (self.prefix,), _NAME),
             ("--listen", (self.listen,) if self.listen else (), _HOST),
         ):
@@ -99,7 +103,7 @@ class Site:
         accounts = [account.name for account in self.accounts()]
         if len(set(accounts)) != len(accounts):
             raise ConfigurationError(
-                "--robot and --tablet", sorted(accounts), "names that give every account a name of its own"
+                "--robot, --tablet and --planner", sorted(accounts), "names that give every account a name of its own"
             )
 
     def accounts(self) -> list[SiteAccount]:
@@ -109,6 +113,7 @@ class Site:
             tablets = ("",) * (not self.people or robot in self.shared) + self.people
             for role in ROLES + (PLC,) * self.plc:
                 accounts += [SiteAccount(robot, role, person) for person in (tablets if role == "tablet" else ("",))]
+            accounts += [SiteAccount(robot, PLANNER, person) for person in self.planners]
         return accounts
 
 

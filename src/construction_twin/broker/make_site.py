@@ -207,6 +207,13 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     add("--robot", action="append", default=[], help="a robot; may be repeated")
     add("--tablet", action="append", default=[], metavar="PERSON", help="a tablet account per person; may be repeated")
+    add(
+        "--planner",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="an account for a person or program that plans elsewhere, e.g. in Grasshopper; may be repeated",
+    )
     add("--plc", action="store_true", help="also an account for a PLC that commands in place of the bridge")
     add("--certificates", action="store_true", help="also client certificates, on the port above --port")
     add("--port", type=int, help="TLS port [8883]")
@@ -231,6 +238,7 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
         "robots": merged(before.get("robots", ()), arguments.robot),
         "people": people,
         "shared": shared if people else (),
+        "planners": merged(before.get("planners", ()), arguments.planner),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
         "port": arguments.port or before.get("port", 8883),

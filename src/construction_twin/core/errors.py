@@ -83,6 +83,14 @@ class ExecutionError(ConstructionTwinError):
     """An execution cannot be paused or resumed at this moment."""
 
 
+class GoalError(ConstructionTwinError):
+    """A goal of another planner cannot be taken as it is."""
+
+
+class GoalJointsError(GoalError):
+    """A goal names a joint that the robot does not have, leaves one out, or names one twice."""
+
+
 class MotionRefused(ConstructionTwinError):
     """A setpoint fails the motion check and must not be executed.
 

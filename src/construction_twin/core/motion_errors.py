@@ -364,5 +364,9 @@ class WaypointsError(PlanningError):
         super().__init__(message)
 
 
+class WaypointTimesError(WaypointsError):
+    """The times of waypoints ask for more than the arm may do; through the same points it could move at another pace."""
+
+
 class TrajectoryError(PlanningError):
     """A list of waypoints is not a trajectory that may be executed."""

@@ -25,6 +25,7 @@ PATTERNS = {
     r"^/": "a path that begins with /",
     r"^(now|motion|rest|(sync|link|execution) [A-Z_]+)$": "now, motion, rest, or a state such as `sync HOLDING`",
     r"^(fault|call|sync|execution) \S+$": "fault, call, sync or execution, and a name: `fault stall`",
+    r"^/?[A-Za-z]\w*(/\w+)*$": "a name of ROS: words of letters, digits and _, with / between them",
     r"^[A-Z_]+\??$": "the name of a state in capitals, with ? when it may be left out",
 }
 _KINDS = {

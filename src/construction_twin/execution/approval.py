@@ -12,10 +12,35 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import Executor
 from construction_twin.review.queue import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
 
-#: Reviewer of a plan that was approved because of the launch argument.
+#: Reviewer of a plan that was approved without a person, because of a launch argument.
 AUTO_APPROVE = "auto_approve"
 #: The scene that a plan was made for may be announced this long after the plan [ns].
 SCENE_DELAY = NANOSECONDS
+
+
+@dataclass(frozen=True)
+class WithoutPerson:
+    """Which plans need no person.
+
+    Attributes
+    ----------
+    every : bool
+    sources : tuple of str
+        Sources of plans, or the names of clients that they end with: `/move_group` stands for ``... from /move_group``. Whoever
+        asks for a plan chooses these words: they are no proof of who it was.
+    """
+
+    every: bool = False
+    sources: tuple[str, ...] = ()
+
+    def reason(self, source: str) -> str:
+        """Return why a plan of this source needs no person, for the record; "" when it needs one."""
+        if self.every:
+            return "the launch argument auto_approve is on"
+        for name in self.sources:
+            if source == name or source.endswith(f" from {name}"):
+                return f"the launch argument auto_approve_sources names {name}, and the plan is of {source!r}"
+        return ""
 
 
 @dataclass(frozen=True)
@@ -88,13 +113,15 @@ class Approval:
                     self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, f"not rejected: {error}", verdict.plan))
                 raise
 
-    def approve_by_itself(self, now: int) -> Taken | None:
+    def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Taken | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
 
         Parameters
         ----------
         now : int
             [ns]
+        which : WithoutPerson, optional
+            Which plans need no person; by default every one.
 
         Raises
         ------
@@ -104,14 +131,15 @@ class Approval:
         with self._lock:
             plan = self._executor.queue.plan if self._executor.is_ready() else None
             scene = self._executor.queue.scene
-        if plan is None:
+        reason = which.reason(plan.source) if plan is not None else ""
+        if plan is None or not reason:
             return None
         if self._waiting != plan.id:
             self._waiting, self._waits_since = plan.id, now
         if plan.scene != scene and now - self._waits_since <= SCENE_DELAY:
             return None
         try:
-            return self.review(plan.id, plan.hash, True, AUTO_APPROVE, "the launch argument auto_approve is on")
+            return self.review(plan.id, plan.hash, True, AUTO_APPROVE, reason)
         except ReviewError as error:
             with self._lock:
                 self._withdraw(plan.id, f"{AUTO_APPROVE}: {error}")

@@ -2,7 +2,9 @@
 
 Motion is played, limited and braked per cycle, so a controller with another cycle must be named before it is commanded: limits and
 watchdogs would mean something else. Only medians are judged: lost telegrams, stalls of either machine and jitter shift single steps
-and times by any amount, but not half of them. Standard library only; IPOC in ms, times of arrival in ns.
+and times by any amount, but not half of them. A clock that is off by less than that refuses nothing, but is named with its figure
+after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). Standard library only; IPOC in ms, times of
+arrival in ns.
 """
 
 from __future__ import annotations
@@ -29,6 +31,16 @@ LOSSES = 10
 SHORTER = 3
 #: Telegrams that the figures of the status are taken from.
 SHOWN = 250
+#: A clock off by less than `TOLERANCE` is measured in pieces of this length [ms of IPOC], by the quickest telegram of each.
+PIECE = 1000
+#: It is known after so many pieces, from the slopes between pieces that are `SPAN` apart. Two of three slopes must say the same: a
+#: route that changes, a queue that grows for a while, or a wall clock that is set, spoils a few of them.
+PIECES, SPAN = 30, 3
+#: From here on a clock is called off: five times what two quartz clocks may differ by, twice what NTP turns a clock by. It is no
+#: more when the median is under `RIGHT`.
+OFF, RIGHT = 0.001, 0.0008
+#: What the playout follows in motion, however long (docs/conventions.md, section Playout).
+FOLLOWED = 0.005
 #: Names of the cycles in KRL (docs/rsi.md, section 1).
 _MODES = {4: "#IPO_FAST", 12: "#IPO"}
 
@@ -47,6 +59,8 @@ class ControllerClock:
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
         self._heard: deque[tuple[int, int]] = deque(maxlen=self._patient)
         self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in _MODES if mode != cycle_ms}
+        # per piece: IPOC of its quickest telegram [ms], and that one's arrival minus IPOC [ns]
+        self._pieces: deque[tuple[int, int]] = deque(maxlen=PIECES)
         self.restart()
 
     def restart(self) -> None:
@@ -58,6 +72,17 @@ class ControllerClock:
         self.changed = ""
         # the last step that was another cycle, where it led, and how many of it came in a row
         self._other = self._other_ipoc = self._in_a_row = 0
+        self._pieces.clear()
+        # of the piece that is open: its end, and its quickest telegram so far
+        self._piece_ends = 0
+        self._quickest = (0, 0)
+        self._piece_closed = False
+        #: By how much the clock runs fast, as a fraction of real time; negative: slow. None until it is known.
+        self.off: float | None = None
+        #: In one sentence, that it is off by less than is refused, and by how much; "" when it is not.
+        self.off_sentence = ""
+        # whether it was judged to be another clock: then that is told, and enough
+        self._refused = False
 
     def note(self, ipoc: int, arrived: int) -> None:
         """Take a telegram, also one that is not answered.
@@ -81,6 +106,14 @@ class ControllerClock:
                 self._note_other(ipoc, step)
         heard.append((ipoc, arrived))
         self._to_judge -= 1
+        lag = arrived - ipoc * IPOC_NS
+        if ipoc >= self._piece_ends:
+            if self._piece_ends:
+                self._pieces.append(self._quickest)
+                self._piece_closed = True
+            self._piece_ends, self._quickest = ipoc + PIECE, (ipoc, lag)
+        elif lag < self._quickest[1]:
+            self._quickest = (ipoc, lag)
 
     def _note_other(self, ipoc: int, step: int) -> None:
         """Take a step of the other cycle; the session is measured anew from where the first row of them began."""
@@ -111,22 +144,44 @@ class ControllerClock:
         step, rate = self._figures(self._patient) if rates else (self._step(list(self._heard)), 1.0)
         in_time = abs(rate - 1.0) <= TOLERANCE
         if step != self._cycle:
+            self._refused = True
             return self._sentence(step, rate)
         self.changed = ""
         if in_time:
+            self._refused = False
             return ""
-        return self._sentence(step, rate) if len(self._heard) == self._patient else None
+        if len(self._heard) < self._patient:
+            return None
+        self._refused = True
+        return self._sentence(step, rate)
+
+    def measure_rate(self) -> bool:
+        """Measure how far the clock is off; return whether `off_sentence` came or went. It costs something once a second only."""
+        if not self._piece_closed or len(self._pieces) < PIECES:
+            return False
+        self._piece_closed = False
+        pieces = list(self._pieces)
+        slopes = sorted([(b[1] - a[1]) / ((b[0] - a[0]) * IPOC_NS) for a, b in zip(pieces, pieces[SPAN:])])
+        # arrivals that stand still, or run back, are no controller's: another refuses them
+        self.off = 1.0 / max(1.0 + median(slopes), 0.01) - 1.0
+        before, third = self.off_sentence, len(slopes) // 3
+        sure = slopes[third] > OFF or slopes[-1 - third] < -OFF
+        named = (abs(self.off) >= RIGHT if before else sure) and not self._refused
+        self.off_sentence = self._off_sentence(self.off) if named else ""
+        return bool(before) is not named
 
     def report(self) -> dict:
         """Return what the status says: ms, and the controller's time per real time; None where it is not known yet."""
-        if len(self._heard) <= self._base:
-            return {"expected_ms": self._cycle, "ipoc_step_ms": None, "telegram_ms": None, "rate": None}
-        step, rate = self._figures(SHOWN)
+        step = rate = None
+        if len(self._heard) > self._base:
+            step, rate = self._figures(SHOWN)
         return {
             "expected_ms": self._cycle,
             "ipoc_step_ms": step,
-            "telegram_ms": round(step / rate, 3) if rate else None,
-            "rate": round(rate, 4),
+            "telegram_ms": round(step / rate, 3) if step and rate else None,
+            "rate": None if rate is None else round(rate, 4),
+            "off_percent": None if self.off is None else round(100.0 * self.off, 3),
+            "sentence": self.off_sentence,
         }
 
     def _figures(self, count: int) -> tuple[float, float]:
@@ -140,6 +195,15 @@ class ControllerClock:
     @staticmethod
     def _step(heard: list[tuple[int, int]]) -> float:
         return median([later[0] - earlier[0] for earlier, later in zip(heard, heard[1:])])
+
+    @staticmethod
+    def _off_sentence(off: float) -> str:
+        word, harm, stop = ("fast", "faster", "silence") if off > 0.0 else ("slow", "slower", "lead")
+        ends = f", and a long motion ends in a stop ({stop}): it cannot be followed" if abs(off) > FOLLOWED else ""
+        return (
+            f"the controller's clock is {100.0 * abs(off):.2f} % {word} against this PC's: the arm is as much {harm} than planned"
+            f"{ends}; right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set"
+        )
 
     def _sentence(self, step: float, rate: float) -> str:
         cycle, mode = self._cycle, _MODES[self._cycle]

@@ -19,6 +19,7 @@ from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_clock import ControllerClock
 from construction_twin.gateway.ownership import Ownership
+from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.refusals import Refusals
 from construction_twin.gateway.rsi_session import ControllerSession, distance_off
@@ -110,7 +111,9 @@ class Gateway:
         self._stopping = StopReport(config.limits.linear)
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
+        self._cycle = config.cycle_ns
         self._standstill = STANDSTILL * config.cycle_ns
+        self._parts = PartSteps(config.cycle_ns)
         self._answered_stamp = 0
         self._ending = False
         #: What the controller says of itself, where its Ethernet XML has the optional channels.
@@ -207,8 +210,11 @@ class Gateway:
         self.counters["telegrams"] += 1
         if elapsed > self._standstill:
             # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
-            follower.rest()
-        position = self._move(follower, elapsed)
+            follower = self._rest(follower)
+        if elapsed < self._cycle or self._parts.told:
+            position = self._move_in_parts(follower, elapsed)
+        else:
+            position = self._move(follower, elapsed)
         if self.trace is not None:
             self.trace(telegram.ipoc, self.counters["rsi_sessions"], machine.state, player.stamp, position)
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
@@ -235,6 +241,8 @@ class Gateway:
         While a controller sends, call it in the pause behind an answer.
         """
         self._poll_speed_limit(now)
+        if self._measures and self.clock.measure_rate():
+            self._machine.changed = True
         if self._controller.is_silent(now):
             said = self._said.sentence
             last = f"; the last one said: {said}" if said else ""
@@ -334,10 +342,12 @@ class Gateway:
         self._ending = False
         self.correction = ()
         self.clock.restart()
+        self._parts.restart()
         self._unread_told, self._unread_count, self._clock_told = "", 0, ""
 
     def _on_session_ended(self, event: Event, occasion: Occasion) -> None:
         self._controller.end()
+        self.clock.restart()
         self._said = ControllerStatus()
         self._player.remove()
         self._disarm()
@@ -361,6 +371,23 @@ class Gateway:
         return follower
 
     # -- motion
+
+    def _rest(self, follower: Follower) -> Follower:
+        if not self._parts.told:
+            follower.rest()
+            return follower
+        # it stands within a step, not at its end
+        self._parts.restart()
+        return self._player.place(
+            tuple([start + value for start, value in zip(self._controller.origin, self.correction)])
+        )
+
+    def _move_in_parts(self, follower: Follower, elapsed: int) -> tuple[float, ...]:
+        """Answer a telegram that comes before a cycle is over: until the change of the cycle is noticed, and while it brakes."""
+        if self._machine.state not in (State.FOLLOWING, State.BRAKING):
+            self._parts.restart()
+            return follower.position
+        return self._parts.position(elapsed, follower.position, lambda: self._move(follower, self._cycle))
 
     def _move(self, follower: Follower, elapsed: int) -> tuple[float, ...]:
         machine = self._machine

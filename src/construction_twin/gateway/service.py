@@ -116,7 +116,7 @@ class GatewayService:
         self._status = StatusClock(_STATUS_PERIOD)
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
-        self._said: tuple = (None, "", False)
+        self._said: tuple = (None, "", False, False)
         self._running = True
 
     def run(self) -> None:
@@ -276,7 +276,8 @@ class GatewayService:
 
     def _log_change(self) -> None:
         gateway = self.gateway
-        before, self._said = self._said, (gateway.state, gateway.reason, gateway.speed.source == "silence")
+        silent, off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
+        before, self._said = self._said, (gateway.state, gateway.reason, silent, off)
         if self._said[:2] != before[:2]:
             # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
@@ -284,6 +285,9 @@ class GatewayService:
             wrong = unread or gateway.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
             self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
+        if self._said[3] != before[3]:
+            level = logging.WARNING if self._said[3] else logging.INFO
+            self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
         if self._said[2] and not before[2]:
             fraction = gateway.speed.given
             self._log(

@@ -48,43 +48,76 @@ class BranchInverse(InverseKinematics, abc.ABC):
         ranges = [(joint, lower, upper) for joint, (lower, upper) in enumerate(self._slack)]
         self._narrow_first = sorted(ranges, key=lambda bounds: bounds[2] - bounds[1])
 
-    def nearest_turn(
-        self, branch: Sequence[float], seed: JointValues, most: float = math.inf
-    ) -> tuple[float, list[float]] | None:
-        """Return squared distance and joint values of a branch with the whole turns nearest to the seed; None: out of range.
+    def nearest_branch(
+        self, branches: Sequence[Sequence[float]], seed: JointValues
+    ) -> tuple[int, float, list[float]] | None:
+        """Return which branch is nearest to a seed, its squared distance and its joint values; None: all are out of range.
+
+        Each joint is first moved by the whole turns that bring it nearest to the seed.
 
         Parameters
         ----------
-        branch : sequence of float, length n
+        branches : sequence of sequence of float, length n
             nan in the joint with the narrowest range: there is no such branch.
         seed : sequence of float, length n
             Within the ranges.
-        most : float
-            A squared distance above which the branch is of no interest, and None is returned.
         """
-        # plain floats, and the joint with the narrowest range first, because most branches fail at the first or second joint
-        square = 0.0
-        q = [0.0] * len(branch)
-        for joint, lower, upper in self._narrow_first:
-            value, near = branch[joint], seed[joint]
-            away = near - value
-            if not -_HALF_TURN <= away <= _HALF_TURN:
-                if away != away:  # nan
-                    return None
-                value += TURN * round(away / TURN)
-            # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
-            if value > upper:
-                value -= TURN
-            elif value < lower:
-                value += TURN
-            if not lower <= value <= upper:
+        least, nearest = math.inf, None
+        # Plain floats in one loop, and the joint with the narrowest range first: most branches fail at the first or second joint,
+        # and one further away than the nearest so far need not be known to its end.
+        for number, branch in enumerate(branches):
+            square, q = 0.0, list(branch)
+            for joint, lower, upper in self._narrow_first:
+                value, near = q[joint], seed[joint]
+                away = near - value
+                if not -_HALF_TURN <= away <= _HALF_TURN:
+                    if away != away:  # nan
+                        break
+                    value += TURN * round(away / TURN)
+                # the seed is in range, so besides the nearest turn only the next one towards the range can be in it
+                if value > upper:
+                    value -= TURN
+                elif value < lower:
+                    value += TURN
+                if not lower <= value <= upper:
+                    break
+                away = value - near
+                square += away * away
+                if square >= least:
+                    break
+                q[joint] = value
+            else:
+                least, nearest = square, (number, square, q)
+        return nearest
+
+    def nearest_confirmed(
+        self,
+        branches: Sequence[Sequence[float]],
+        pose: Pose,
+        seed: JointValues,
+        configurations: Sequence[Configuration | None],
+    ) -> IkSolution | None:
+        """Return the nearest of the branches that forward kinematics confirms, or None.
+
+        Parameters
+        ----------
+        branches, seed
+            As in `nearest_branch`.
+        pose : Pose
+        configurations : sequence of Configuration or None
+            Each branch's, for the solution.
+        """
+        left, kinds = list(branches), list(configurations)
+        while True:
+            nearest = self.nearest_branch(left, seed)
+            if nearest is None:
                 return None
-            away = value - near
-            square += away * away
-            if square > most:
-                return None
-            q[joint] = value
-        return square, q
+            number, _, q = nearest
+            # almost always the first one is confirmed
+            solution = self.confirmed(q, pose, seed, kinds[number])
+            if solution is not None:
+                return solution
+            del left[number], kinds[number]
 
     def turned(
         self,

@@ -8,7 +8,7 @@ its range.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -43,7 +43,6 @@ SLOTS = tuple(
     for wrist in ("positive", "negative")
     for shoulder, elbow in (("front", "up"), ("front", "down"), ("back", "down"), ("back", "up"))
 )
-_ALL = range(len(SLOTS))
 #: Slots of each shoulder, front and back.
 _SIDES = ((0, 1, 4, 5), (2, 3, 6, 7))
 #: With joint 5 closer than this to the pose in which axes 4 and 6 are in line, only the sum of joints 4 and 6 counts [rad].
@@ -145,7 +144,7 @@ class ClosedFormInverse(BranchInverse):
         found: list[IkSolution] = []
         families = 0
         for branches, wrist in self._solve(self.flange(pose), start):
-            families += 1 + int((wrist < _WRIST_SINGULAR).any())
+            families += 1 + any(angle < _WRIST_SINGULAR for angle in wrist)
             for slot, have in enumerate(SLOTS):
                 if configuration is None or have.matches(configuration):
                     singular = wrist[slot] < _WRIST_SINGULAR
@@ -189,32 +188,31 @@ class ClosedFormInverse(BranchInverse):
         # the sum of the elements, as the quickest test; if it is not finite although they are, `check_pose` passes
         if not math.isfinite(self._elements.dot(self._ones)):
             check_pose(pose)
-        in_base = self._target @ self._tip_T_flange
-        return in_base if self._opw_T_base is None else self._opw_T_base @ in_base
+        in_base = self._target.dot(self._tip_T_flange)
+        return in_base if self._opw_T_base is None else self._opw_T_base.dot(in_base)
 
-    def _solve(self, flange: np.ndarray, seed: JointValues) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield the branches, shape (8, 6), nan where there is none, and |sin| of each branch's wrist angle, shape (8,).
+    def _solve(self, flange: np.ndarray, seed: JointValues) -> list[tuple[np.ndarray, list[float]]]:
+        """Return the branches, shape (8, 6), nan where there is none, and |sin| of each branch's wrist angle.
 
         The first pair belongs to the target itself. Where rounding or a singularity makes branches vanish, further pairs belong
         to targets moved or rotated by less than the tolerance, for which the branches exist.
         """
-        branches, wrist, _ = self.branches(flange)
-        yield branches[0], wrist[0]
+        q, angles, _ = self.branches(flange)
+        wrist = angles[0].tolist()
         x, y, z = self.model.wrist_centre(flange)
-        if _EDGE < abs(x) and math.isfinite(sum(wrist[0].tolist())):
-            return  # no branch is missing
+        if _EDGE < abs(x) and math.isfinite(sum(wrist)):
+            return [(q[0], wrist)]  # no branch is missing
         margins = [min(both) for both in self.model.margins(x, y, z)]
-        others = [self._tilted(flange)] if _is_lost(wrist[0], margins) else []
+        targets = [self._tilted(flange)] if _is_lost(wrist, margins) else []
         if math.hypot(x, y) < _EDGE:
-            others += self._headings(flange, seed)
+            targets += self._headings(flange, seed)
         else:
             # each shoulder has its own edge of the reach: the target may be well within the other one's
             for side, margin in enumerate(margins):
                 if -_EDGE < margin < _ROUNDING:
-                    others += self._within(flange, side)
-        for other in others:
-            branches, wrist, _ = self.branches(other)
-            yield branches[0], wrist[0]
+                    targets += self._within(flange, side)
+        others = (self.branches(target) for target in targets)
+        return [(q[0], wrist), *((other[0], angle[0].tolist()) for other, angle, _ in others)]
 
     def branches(self, flanges: np.ndarray) -> Branches:
         """Return all branches of targets, ranges not considered.
@@ -258,9 +256,9 @@ class ClosedFormInverse(BranchInverse):
         best: dict[str | None, tuple[float, int]] = {}
         for number, slots in enumerate(branches.tolist()):
             for have, branch in zip(SLOTS, slots):
-                candidate = self.nearest_turn(branch, seed)
-                if candidate is not None:
-                    best[have.shoulder] = min(best.get(have.shoulder, (math.inf, 0)), (candidate[0], number))
+                nearest = self.nearest_branch([branch], seed)
+                if nearest is not None:
+                    best[have.shoulder] = min(best.get(have.shoulder, (math.inf, 0)), (nearest[1], number))
         chosen = {0, *(number for _, number in best.values())}
         moved = [_shifted(flange, directions[number]) for number in sorted(chosen)]
         return moved + [self._tilted(target) for target in moved]
@@ -278,35 +276,20 @@ class ClosedFormInverse(BranchInverse):
     def _nearest_of(
         self,
         branches: np.ndarray,
-        wrist: np.ndarray,
+        wrist: list[float],
         pose: Pose,
         seed: JointValues,
         configuration: Configuration | None,
     ) -> IkSolution | None:
         """Return the nearest of the branches that forward kinematics confirms, or None."""
         rows = branches.tolist()
-        for slot, angle in enumerate(wrist.tolist()):
+        for slot, angle in enumerate(wrist):
             if angle < _WRIST_SINGULAR:
                 rows[slot] = next(iter(self._singular_wrist.families(branches[slot], pose, seed)), rows[slot])
-        left = list(_ALL)
-        if configuration is not None:
-            left = [slot for slot in _ALL if SLOTS[slot].matches(configuration)]
-        while left:
-            # almost always the first nearest one is confirmed, so the others need not be known to their ends
-            best, nearest = math.inf, -1
-            q: list[float] = []
-            for slot in left:
-                candidate = self.nearest_turn(rows[slot], seed, best)
-                if candidate is not None:
-                    best, q = candidate
-                    nearest = slot
-            if nearest < 0:
-                return None
-            solution = self.confirmed(q, pose, seed, SLOTS[nearest])
-            if solution is not None:
-                return solution
-            left.remove(nearest)
-        return None
+        if configuration is None:
+            return self.nearest_confirmed(rows, pose, seed, SLOTS)
+        wanted = [slot for slot, have in enumerate(SLOTS) if have.matches(configuration)]
+        return self.nearest_confirmed([rows[slot] for slot in wanted], pose, seed, [SLOTS[slot] for slot in wanted])
 
     def _explain(self, pose: Pose, seed: JointValues, configuration: Configuration | None) -> NoReturn:
         """Raise the error that says why there is no solution."""
@@ -364,16 +347,15 @@ class ClosedFormInverse(BranchInverse):
         return min(found, key=max, default=(math.inf, math.inf))
 
 
-def _is_lost(wrist: np.ndarray, margins: Sequence[float]) -> bool:
+def _is_lost(wrist: list[float], margins: Sequence[float]) -> bool:
     """Return whether a shoulder that reaches the wrist centre has missing branches, which means that the wrist is singular.
 
-    `wrist`, shape (8,), is a row of `Branches.wrist`; `margins` are the distances to the edges of the reach [m].
+    `wrist` is a row of `Branches.wrist`; `margins` are the distances to the edges of the reach [m].
     """
-    values = wrist.tolist()
-    if not math.isnan(sum(values)):
+    if not math.isnan(sum(wrist)):
         return False
     for margin, slots in zip(margins, _SIDES):
-        if margin > 0.0 and any(values[slot] != values[slot] for slot in slots):
+        if margin > 0.0 and any(math.isnan(wrist[slot]) for slot in slots):
             return True
     return False
 

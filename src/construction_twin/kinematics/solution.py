@@ -165,9 +165,9 @@ class InverseKinematics(abc.ABC):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """Return the solution nearest to a seed.
 
-        In closed form it is the nearest solution; with a linear axis it is the nearest up to the resolution with which the
-        axis is divided. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
-        exists, but this is not proven; `all` of a search may find a nearer one.
+        In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
+        places of its division. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
+        exists, but this is not proven, and `all` of a search may find a nearer one.
 
         Parameters
         ----------
@@ -206,7 +206,8 @@ class InverseKinematics(abc.ABC):
         """Return every solution within the ranges, whole turns of each joint included.
 
         Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
-        each continuous family for every choice of whole turns: the one nearest to the seed.
+        each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
+        it also holds some that are spaced along the families, for whoever cannot use the nearest.
 
         Parameters
         ----------
@@ -267,22 +268,23 @@ def residual(chain: Chain, q: JointValues, pose: Pose) -> tuple[float, float]:
     f = chain.frame(q)
     x, y, z = pose.position.tolist()
     (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = pose.rotation.tolist()
-    # The chord between two rotations is exact even for tiny angles. Plain floats take half the time of arrays of this size,
-    # and every solution passes through here.
+    # The chord between two rotations is exact even for tiny angles. Plain floats take half the time of arrays of this size, a
+    # quaternion less than nine calls into KDL, and every solution passes through here.
+    i, j, k, w = f.M.GetQuaternion()
     chord = math.sqrt(
-        (f[0, 0] - xx) ** 2 + (f[0, 1] - yx) ** 2 + (f[0, 2] - zx) ** 2
-        + (f[1, 0] - xy) ** 2 + (f[1, 1] - yy) ** 2 + (f[1, 2] - zy) ** 2
-        + (f[2, 0] - xz) ** 2 + (f[2, 1] - yz) ** 2 + (f[2, 2] - zz) ** 2
+        (1.0 - 2.0 * (j * j + k * k) - xx) ** 2 + (2.0 * (i * j - k * w) - yx) ** 2 + (2.0 * (i * k + j * w) - zx) ** 2
+        + (2.0 * (i * j + k * w) - xy) ** 2 + (1.0 - 2.0 * (i * i + k * k) - yy) ** 2 + (2.0 * (j * k - i * w) - zy) ** 2
+        + (2.0 * (i * k - j * w) - xz) ** 2 + (2.0 * (j * k + i * w) - yz) ** 2 + (1.0 - 2.0 * (i * i + j * j) - zz) ** 2
     )  # fmt: skip
     error_m = math.hypot(f[0, 3] - x, f[1, 3] - y, f[2, 3] - z)
     return error_m, 2.0 * math.asin(min(1.0, chord / math.sqrt(8.0)))
 
 
-def distinct(solutions: Sequence[IkSolution]) -> list[IkSolution]:
-    """Return solutions without repetitions, in their order."""
+def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSolution]:
+    """Return solutions without those that are nearer than `same` to an earlier one [rad], in their order."""
     kept: list[IkSolution] = []
     for solution in solutions:
-        if all(math.dist(solution.q, other.q) > _SAME for other in kept):
+        if all(math.dist(solution.q, other.q) > same for other in kept):
             kept.append(solution)
     return kept
 

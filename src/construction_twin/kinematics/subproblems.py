@@ -147,23 +147,7 @@ class SubproblemInverse(BranchInverse):
             return self._nearest_polished(rows, pose, seed)
         if self.is_singular(rows):
             return None, False
-        left = list(rows)
-        while left:
-            # almost always the first nearest one is confirmed, so the others need not be known to their ends
-            best, nearest = math.inf, None
-            q: list[float] = []
-            for row in left:
-                candidate = self.nearest_turn(row, seed, best)
-                if candidate is not None:
-                    best, q = candidate
-                    nearest = row
-            if nearest is None:
-                break
-            solution = self.confirmed(q, pose, seed, None)
-            if solution is not None:
-                return solution, True
-            left.remove(nearest)
-        return None, True
+        return self.nearest_confirmed(rows, pose, seed, [None] * len(rows)), True
 
     def _nearest_polished(
         self, rows: Sequence[Sequence[float]], pose: Pose, seed: list[float]
@@ -171,9 +155,9 @@ class SubproblemInverse(BranchInverse):
         polished, lost = self._all_polished(rows, pose)
         best, complete = None, not (lost or self.is_singular(rows))
         for row in polished:
-            turned = self.nearest_turn(row, seed)
-            if turned is not None and (best is None or turned[0] < best.distance**2):
-                best = self.confirmed(turned[1], pose, seed, None) or best
+            nearest = self.nearest_branch([row], seed)
+            if nearest is not None and (best is None or nearest[1] < best.distance**2):
+                best = self.confirmed(nearest[2], pose, seed, None) or best
         return best, complete
 
     def _all_polished(self, rows: Sequence[Sequence[float]], pose: Pose) -> tuple[list[list[float]], bool]:

@@ -15,9 +15,9 @@ _LONGEST = 300
 _LISTS = ("stop.distance_deg", "stop.moved_deg")
 _MOST_AXES = 12
 
-#: What counts in the gateway's reason while it refuses datagrams, and where a parser stopped: both change with every second of a
-#: sender that goes on.
-_COUNTS = re.compile(r"(datagrams refused:|\bline|\bcolumn) \d+")
+#: What counts in the gateway's reason while it refuses datagrams, where a parser stopped, and by how much a clock is off: these
+#: change with every second of a sender that goes on.
+_COUNTS = re.compile(r"(datagrams refused:|\bline|\bcolumn|\bclock is) \d+(?:\.\d+)?")
 
 
 def without_counts(reason: str) -> str:
@@ -56,6 +56,11 @@ def controller_sentence(status: dict) -> str:
     """Return why the arm may not move, as the controller told the gateway (`status_values` has checked it); "" for no reason."""
     controller = status.get("controller", {})
     return _text("controller.sentence", controller.get("sentence", ""))
+
+
+def clock_sentence(status: dict) -> str:
+    """Return by how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be."""
+    return _text("cycle.sentence", status.get("cycle", {}).get("sentence", ""))
 
 
 def _text(name: str, value: object) -> str:

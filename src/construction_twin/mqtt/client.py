@@ -80,7 +80,12 @@ OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
 def make_client(
-    broker: Broker, client_id: str, will_topic: str, will: str = OFFLINE, direct: bool = False
+    broker: Broker,
+    client_id: str,
+    will_topic: str,
+    will: str = OFFLINE,
+    direct: bool = False,
+    will_retained: bool = True,
 ) -> PlainClient:
     """Return a client that is not connected yet.
 
@@ -90,11 +95,13 @@ def make_client(
     client_id : str
         See `unique_id`.
     will_topic : str
-        The broker publishes `will` there, retained, when the connection is lost.
+        The broker publishes `will` there when the connection is lost.
     will : str, optional
         Empty: the topic's retained message is taken away.
     direct : bool, optional
         Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
+    will_retained : bool, optional
+        Whether the broker keeps the will for who comes later.
 
     Returns
     -------
@@ -110,7 +117,7 @@ def make_client(
     if is_tested():
         kind = DirectClient if direct and not broker.encrypted else FastClient
     client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=_PROTOCOLS[broker.protocol])
-    client.will_set(will_topic, will, qos=1, retain=True)
+    client.will_set(will_topic, will, qos=1, retain=will_retained)
     # the same on a TLS socket: it hands the option to the TCP socket below
     client.on_socket_open = _without_delay
     client.reconnect_delay_set(min_delay=1, max_delay=2)

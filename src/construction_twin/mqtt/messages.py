@@ -90,6 +90,25 @@ class Topics:
         """Answers to verdicts."""
         return self._topic("review/ack")
 
+    @property
+    def trajectory(self) -> str:
+        """Motions that were planned elsewhere."""
+        return self._topic("trajectory")
+
+    @property
+    def trajectory_ack(self) -> str:
+        """Answers to them."""
+        return self._topic("trajectory/ack")
+
+    @property
+    def view(self) -> str:
+        """The state of everything, for programs that show it."""
+        return self._topic("view")
+
+    def trajectory_from(self, account: str) -> str:
+        """Motions that were planned elsewhere, from one account; ``+`` for any."""
+        return self._topic(f"trajectory/from/{account}")
+
 
 @dataclass(frozen=True)
 class CommandProperties:

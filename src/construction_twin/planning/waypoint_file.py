@@ -1,37 +1,55 @@
-"""Waypoints from a CSV file, read strictly: a refusal names the line, the column, and what was expected there.
+"""Waypoints as CSV files: read strictly, where a refusal names the line, the column and what was expected there; and written.
 
 The first line that is neither empty nor a comment (``#`` to the end of the line) names the columns, in any order:
 
 - ``<joint>_deg`` or ``<joint>_rad``, for a prismatic joint ``<joint>_mm`` or ``<joint>_m``: every joint exactly once;
 - ``<joint>_deg_s`` and so on: velocities, of all joints or none, only with times;
+- ``<joint>_deg_s2`` and so on: accelerations, of all joints or none, only with velocities;
 - ``time_s``: optional.
 
-Columns are separated by commas, or by semicolons if the header has one; numbers have a decimal point.
+A file of numbers alone, such as MATLAB's ``writematrix`` writes, has no such line: its reader is told the columns in the same
+words. No unit is ever guessed. Columns are separated by commas, or by semicolons if the first line has one; numbers have a decimal
+point.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
 from construction_twin.core.motion_errors import WaypointsError
 from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan
+from construction_twin.robot.trajectory import Trajectory
 
 _FACTORS = {"deg": math.pi / 180.0, "rad": 1.0, "mm": 1e-3, "m": 1.0}
-_COLUMN = re.compile(r"^(?P<joint>.+?)_(?P<unit>deg|rad|mm|m)(?P<rate>_s)?$")
+_COLUMN = re.compile(r"^(?P<joint>.+?)_(?P<unit>deg|rad|mm|m)(?P<rate>_s2?)?$")
+#: Words that stand for a column of every joint, in the robot's order; a prismatic one is in the second unit.
+_ALL_JOINTS = re.compile(r"^joints_(?P<unit>rad|deg)(?P<rate>_s2?)?$")
+_LINEAR_UNITS = {"rad": "m", "deg": "mm"}
+#: Stricter than `float`, which also takes 1_000 and the digits of other scripts.
+_NUMBER = re.compile(r"^[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)$", re.ASCII | re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$", re.ASCII)
 _TIME = "time_s"
+#: Suffixes of the columns of velocities and accelerations.
+_RATES = {"_s": "velocities", "_s2": "accelerations"}
 
 
-def parse_waypoints(text: str, robot: RobotModel) -> Waypoints:
+def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoints:
     """Read the text of a CSV file of waypoints.
 
     Parameters
     ----------
     text : str
     robot : RobotModel
+    columns : str, optional
+        For a file without a line of names: the names of its columns, separated by commas. ``joints_rad`` and ``joints_deg`` stand
+        for a column of every joint in the robot's order (a prismatic joint: in m, in mm), ``joints_rad_s`` and ``joints_rad_s2``
+        for its velocities and accelerations. Empty: the file names them.
 
     Returns
     -------
@@ -51,28 +69,105 @@ def parse_waypoints(text: str, robot: RobotModel) -> Waypoints:
         raise WaypointsError(
             "the file is empty; expected a line that names the columns, then one line for each waypoint"
         )
-    header_line, header = lines[0]
-    separator = ";" if ";" in header else ","
-    columns = [name.strip() for name in header.split(separator)]
-    _check_columns(header_line, columns, robot)
-    values = np.array([_numbers(number, line.split(separator), columns) for number, line in lines[1:]])
-    values = values.reshape(len(lines) - 1, len(columns))
-    by_name = dict(zip(columns, values.T))
+    first_line, first = lines[0]
+    separator = ";" if ";" in first else ","
+    cells = [cell.strip() for cell in first.split(separator)]
+    numbers_alone = all(_NUMBER.match(cell) or _DECIMAL_COMMA.match(cell) for cell in cells)
+    if columns.strip():
+        if not numbers_alone:
+            raise WaypointsError(
+                f"line {first_line} begins with {cells[0]!r}, but columns were told for a file of numbers alone; leave them out "
+                "when the file names its own",
+                first_line,
+            )
+        names = _told(columns, robot)
+        _check_columns("columns", None, names, robot)
+    else:
+        if numbers_alone:
+            raise WaypointsError(
+                f"line {first_line}: {len(cells)} numbers; {_expected(robot)}; a file of numbers alone, as MATLAB's writematrix "
+                f"makes it, needs its columns told: --columns {_TIME},joints_rad (or joints_deg)",
+                first_line,
+            )
+        names = cells
+        _check_columns(f"line {first_line}", first_line, names, robot)
+        lines = lines[1:]
+    values = np.array([_numbers(number, line, separator, names) for number, line in lines])
+    values = values.reshape(len(lines), len(names))
+    by_name = dict(zip(names, values.T))
     units, positions = _joint_values(by_name, robot, "")
-    rates = any(name.endswith("_s") and name != _TIME for name in columns)
+    derivatives = {
+        kind: _joint_values(by_name, robot, rate)[1] if _given(names, rate) else None for rate, kind in _RATES.items()
+    }
     waypoints = Waypoints(
-        rows=tuple(number for number, _ in lines[1:]),
+        rows=tuple(number for number, _ in lines),
         row_name="line",
         units=units,
         positions=positions,
         times=by_name.get(_TIME),
-        velocities=_joint_values(by_name, robot, "_s")[1] if rates else None,
+        **derivatives,
     )
     check_finite(waypoints, robot)
     return waypoints
 
 
-def _check_columns(line: int, columns: list[str], robot: RobotModel) -> None:
+def format_waypoints(
+    trajectory: Trajectory, linear: Iterable[bool], comments: Iterable[str] = (), degrees: bool = False
+) -> str:
+    """Return a trajectory as a CSV file, times, positions, velocities and accelerations, that `parse_waypoints` reads.
+
+    Numbers are the shortest decimals that give the same 64 bit value again: read back, a file in rad has the trajectory's hash.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    linear : iterable of bool, length n
+        Which joints are prismatic.
+    comments : iterable of str, optional
+        Lines before the names, after ``#``.
+    degrees : bool, optional
+        In deg and mm; exact to the last digit or two. Otherwise in rad and m.
+    """
+    units = [("mm" if is_linear else "deg") if degrees else ("m" if is_linear else "rad") for is_linear in linear]
+    names = [_TIME]
+    names += [f"{name}_{unit}{rate}" for rate in ("", *_RATES) for name, unit in zip(trajectory.joint_names, units)]
+    factors = np.array([_FACTORS[unit] for unit in units])
+    tables = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
+    rows = np.column_stack((trajectory.times, *(table / factors for table in tables))).tolist()
+    lines = [f"# {' '.join(comment.split())}" for comment in comments]
+    lines.append(",".join(names))
+    lines += [",".join(map(repr, row)) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def format_plan(plan: Plan, linear: Iterable[bool], degrees: bool = False) -> str:
+    """Return a plan as a CSV file; comments before the names say which plan it was. See `format_waypoints`."""
+    comments = (f"plan {plan.id} for {plan.source}, made by {plan.planner}", f"hash {plan.hash}", f"scene {plan.scene}")
+    return format_waypoints(plan.trajectory, linear, comments, degrees)
+
+
+def _told(columns: str, robot: RobotModel) -> list[str]:
+    """Return the names of columns, with those of every joint in the place of the words that stand for them."""
+    names: list[str] = []
+    for word in (part.strip() for part in columns.split(",")):
+        match = _ALL_JOINTS.match(word)
+        if match is None or "joints" in robot.joint_names:
+            names.append(word)
+            continue
+        angle, rate = match["unit"], match["rate"] or ""
+        names += [
+            f"{name}_{_LINEAR_UNITS[angle] if linear else angle}{rate}"
+            for name, linear in zip(robot.joint_names, robot.linear)
+        ]
+    return names
+
+
+def _given(names: Iterable[str], rate: str) -> bool:
+    """Return whether there are columns of velocities, or of accelerations."""
+    return any(name != _TIME and (match := _COLUMN.match(name)) and match["rate"] == rate for name in names)
+
+
+def _check_columns(place: str, line: int | None, columns: list[str], robot: RobotModel) -> None:
     counts: dict[str, str] = {}
     for name in columns:
         if name == _TIME:
@@ -80,22 +175,27 @@ def _check_columns(line: int, columns: list[str], robot: RobotModel) -> None:
         else:
             match = _COLUMN.match(name)
             if match is None or match["joint"] not in robot.joint_names:
-                raise WaypointsError(f"line {line}: unknown column {name!r}; {_expected(robot)}", line, "", name)
+                raise WaypointsError(f"{place}: unknown column {name!r}; {_expected(robot)}", line, "", name)
             linear = robot.linear[robot.joint_names.index(match["joint"])]
             if (match["unit"] in ("mm", "m")) != linear:
                 kind, units = ("prismatic", "mm or m") if linear else ("revolute", "deg or rad")
-                message = f"line {line}: column {name!r} of a {kind} joint; expected its unit to be {units}"
+                message = f"{place}: column {name!r} of a {kind} joint; expected its unit to be {units}"
                 raise WaypointsError(message, line, match["joint"], name)
             key = match["joint"] + (match["rate"] or "")
         if key in counts:
-            raise WaypointsError(f"line {line}: columns {counts[key]!r} and {name!r} are the same; expected one", line)
+            raise WaypointsError(f"{place}: columns {counts[key]!r} and {name!r} are the same; expected one", line)
         counts[key] = name
     missing = [name for name in robot.joint_names if name not in counts]
     if missing:
-        raise WaypointsError(f"line {line}: no column for {', '.join(missing)}; {_expected(robot)}", line, missing[0])
-    rates = [name for name in robot.joint_names if f"{name}_s" in counts]
-    if rates and (len(rates) < len(robot.joint_names) or _TIME not in counts):
-        raise WaypointsError(f"line {line}: velocities need a column for every joint, and {_TIME}", line, rates[0])
+        raise WaypointsError(f"{place}: no column for {', '.join(missing)}; {_expected(robot)}", line, missing[0])
+    needs = {
+        "_s": ("velocities", _TIME in counts, _TIME),
+        "_s2": ("accelerations", _given(columns, "_s"), "velocities"),
+    }
+    for rate, (kind, there, needed) in needs.items():
+        named = [name for name in robot.joint_names if f"{name}{rate}" in counts]
+        if named and (len(named) < len(robot.joint_names) or not there):
+            raise WaypointsError(f"{place}: {kind} need a column for every joint, and {needed}", line, named[0])
 
 
 def _expected(robot: RobotModel) -> str:
@@ -103,18 +203,23 @@ def _expected(robot: RobotModel) -> str:
     return f"expected {', '.join(names)} (or _rad, _m), and {_TIME} if the waypoints are timed"
 
 
-def _numbers(line: int, cells: list[str], columns: list[str]) -> list[float]:
+def _numbers(line: int, text: str, separator: str, columns: list[str]) -> list[float]:
+    cells = text.split(separator)
     if len(cells) != len(columns):
-        message = f"line {line}: {len(cells)} values; expected {len(columns)}, one for each column of the header"
+        message = f"line {line}: {len(cells)} values; expected {len(columns)}, one for each column"
+        if len(cells) == 1 and len(text.split()) > 1:
+            message += "; they are separated by blanks or tabs, expected commas or semicolons"
+        elif len(cells) > len(columns) and separator == "," and "." not in text:
+            message += "; if this is a decimal comma, write a decimal point"
         raise WaypointsError(message, line, "", len(cells))
     numbers = []
-    for name, cell in zip(columns, cells):
-        try:
-            numbers.append(float(cell))
-        except ValueError as error:
+    for name, cell in zip(columns, map(str.strip, cells)):
+        if not _NUMBER.match(cell):
             match = _COLUMN.match(name)
-            message = f"line {line}: {name} is {cell.strip()!r}; expected a number with a decimal point"
-            raise WaypointsError(message, line, match["joint"] if match else "", cell.strip()) from error
+            comma = " with a decimal comma" if _DECIMAL_COMMA.match(cell) else ""
+            message = f"line {line}: {name} is {cell!r}{comma}; expected a number with a decimal point"
+            raise WaypointsError(message, line, match["joint"] if match else "", cell)
+        numbers.append(float(cell))
     return numbers
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from construction_twin.core.motion_errors import TrajectoryError, WaypointsError
+from construction_twin.core.motion_errors import TrajectoryError, WaypointsError, WaypointTimesError
 from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
@@ -26,6 +26,8 @@ START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
 #: Largest velocity and acceleration that count as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
+#: Between points whose velocity is at the limit, the curve through them is up to so much faster.
+BETWEEN_POINTS = 1.1
 #: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
 
@@ -82,7 +84,7 @@ def from_points(
     accelerations: Sequence[Sequence[float]] | None = None,
     times: Sequence[float] | None = None,
 ) -> Waypoints:
-    """Return the waypoints in a trajectory message.
+    """Return the waypoints in a trajectory message. A single point is a goal: the motion to it begins at the present pose.
 
     Parameters
     ----------
@@ -129,22 +131,21 @@ def from_points(
         arrays["velocity"] if timed else None,
         arrays["acceleration"] if timed else None,
     )
-    check_finite(waypoints, robot)
+    check_finite(waypoints, robot, least=1)
     return waypoints
 
 
-def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
-    """Check that there are waypoints and that every value is a finite number.
+def check_finite(waypoints: Waypoints, robot: RobotModel, least: int = 2) -> None:
+    """Check that there are waypoints, `least` of them, and that every value is a finite number.
 
     Raises
     ------
     WaypointsError
         Naming row, joint and value.
     """
-    if len(waypoints.positions) < 2:
-        raise WaypointsError(
-            f"{len(waypoints.positions)} waypoints; a motion needs at least two, the first where the arm is"
-        )
+    if len(waypoints.positions) < least:
+        needed = "two, the first where the arm is" if least == 2 else "one, its goal"
+        raise WaypointsError(f"{len(waypoints.positions)} waypoints; a motion needs at least {needed}")
     for name in ("positions", "velocities", "accelerations"):
         values = getattr(waypoints, name)
         wrong = np.argwhere(~np.isfinite(values)) if values is not None else np.empty((0, 2), dtype=int)
@@ -179,7 +180,8 @@ def plan_waypoints(
     waypoints : Waypoints
     present : sequence of float, length n
         The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and the
-        trajectory then begins exactly at `present`.
+        trajectory then begins exactly at `present`. A single waypoint is the goal of a straight joint motion from there; its time
+        is how long the motion takes.
     robot : RobotModel
     speed_scale, acceleration_scale : float, optional
         As in `timing.time_path`; only for waypoints without times.
@@ -203,6 +205,8 @@ def plan_waypoints(
     bounds.check(0.0, len(waypoints.rows))
     robot.check_range(present)
     _check_ranges(waypoints, robot)
+    if len(waypoints.positions) == 1:
+        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
     positions = _from_present(waypoints, np.array(present, dtype=float), robot)
     if waypoints.times is None:
         return time_path(
@@ -219,6 +223,43 @@ def plan_waypoints(
         raise WaypointsError(f"the times are too close together: {error}") from error
     _check_limits(trajectory, waypoints, robot)
     return trajectory
+
+
+def retime_waypoints(
+    waypoints: Waypoints,
+    present: JointValues,
+    robot: RobotModel,
+    speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
+) -> Trajectory:
+    """Make a trajectory through waypoints whose own times break a limit: the same points, never in less time than they say.
+
+    For planners that know no jerk limit (MoveIt, and whoever else plans with steps of acceleration): nothing that they time fits.
+
+    Parameters
+    ----------
+    waypoints : Waypoints
+        With times.
+    present, robot, speed_scale, acceleration_scale, bounds : optional
+        As for `plan_waypoints`.
+
+    Raises
+    ------
+    WaypointsError, PlanSizeError, PlanningError
+        As `plan_waypoints` without times.
+    """
+    untimed = replace(waypoints, times=None, velocities=None, accelerations=None)
+    fastest = plan_waypoints(untimed, present, robot, speed_scale, acceleration_scale, bounds)
+    if waypoints.times is None:
+        return fastest
+    wished = float(waypoints.times[-1] - waypoints.times[0])
+    if fastest.duration >= wished:
+        return fastest
+    path = _from_present(waypoints, np.array(present, dtype=float), robot)
+    return time_path(
+        path, robot, duration=wished, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
+    )
 
 
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
@@ -243,6 +284,22 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
             f"{unit.text(robot.upper[joint])}",
             *(waypoints.rows[row], name, float(value), limit),
         )
+
+
+def _goal_from(goal: Waypoints, present: np.ndarray) -> Waypoints:
+    """Return the two ends of a motion from rest at the present pose to a single waypoint."""
+
+    def behind_rest(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else np.vstack([np.zeros_like(present), values])
+
+    return replace(
+        goal,
+        rows=goal.rows * 2,
+        positions=np.vstack([present, goal.positions]),
+        times=None if goal.times is None else np.array([0.0, float(goal.times[0])]),
+        velocities=behind_rest(goal.velocities),
+        accelerations=behind_rest(goal.accelerations),
+    )
 
 
 def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) -> np.ndarray:
@@ -281,7 +338,8 @@ def _check_rest(waypoints: Waypoints, robot: RobotModel) -> None:
             if abs(values[row, joint]) > AT_REST:
                 found = waypoints.units[joint].text(values[row, joint], per)
                 message = f"{waypoints.place(row)}: {robot.joint_names[joint]} moves there ({found})"
-                raise WaypointsError(
+                kind = WaypointTimesError if name == "accelerations" else WaypointsError
+                raise kind(
                     f"{message}; the motion must begin and end at rest",
                     *(waypoints.rows[row], robot.joint_names[joint], float(values[row, joint]), 0.0),
                 )
@@ -331,13 +389,17 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
         value = float(excess[sample, joint])
         message = f"{where} overshoots its range by {waypoints.units[joint].text(value)}"
         message = f"{message}; give more waypoints or more time there"
-        raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
+        raise WaypointTimesError(message, waypoints.rows[row], robot.joint_names[joint], value, 0.0)
     for name, per in (("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
         fractions, limits = getattr(sampled, name), getattr(robot, name)
         for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():
             row, where = place(sample, joint)
             unit, limit = waypoints.units[joint], limits[joint]
+            article = "an" if name == "acceleration" else "a"
             value = float(fractions[sample, joint] * limit)
-            message = f"{where} has a {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
+            message = f"{where} has {article} {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
             message = f"{message}, give it more time"
-            raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, limit)
+            # more velocity than the joint has was not meant for this arm, whatever the times
+            much = name == "velocity" and float(fractions.max()) > BETWEEN_POINTS
+            kind = WaypointsError if much else WaypointTimesError
+            raise kind(message, waypoints.rows[row], robot.joint_names[joint], value, limit)

@@ -13,18 +13,15 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-import pydantic
-import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
 from construction_twin.scene.pair_sampling import sample_pairs
+from construction_twin.scene.self_collision_file import parse_pairs, read_pairs_yaml
 
 #: Poses that are sampled by default, and the seed of their random numbers.
 SAMPLES, SEED = 20000, 0
@@ -137,18 +134,6 @@ def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[
     return pairs, adjacent
 
 
-class _Description(pydantic.BaseModel):
-    """The YAML file."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-    robot: str
-    geometry: Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
-    samples: Annotated[int, pydantic.Field(ge=1)]
-    seed: Annotated[int, pydantic.Field(ge=0)]
-    ignored: tuple[tuple[str, str, Literal["adjacent", "always", "never"]], ...]
-
-
 def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, seed: int) -> str:
     """Return the text of the file: the same to the byte for the same robot, samples and seed."""
     lines = [
@@ -180,11 +165,7 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     ConfigurationError
         If a key is wrong, or the robot's geometry is not the one the file was made from.
     """
-    try:
-        parsed = _Description.model_validate(dict(description))
-    except pydantic.ValidationError as error:
-        wrong = wrong_value(error, _Description.model_json_schema())
-        raise ConfigurationError(f"{where} {wrong.key}", wrong.value, wrong.expected) from error
+    parsed = parse_pairs(description, where)
     found = geometry_hash(bodies)
     if parsed.geometry != found:
         raise ConfigurationError(
@@ -192,15 +173,9 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
             f"{found}, that of robot {bodies.robot.name}: its shapes, joints or ranges have changed; run "
             f"`rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> {where}`",
         )  # fmt: skip
-    return SelfCollision({frozenset((first, second)): why for first, second, why in parsed.ignored}, found)
+    return SelfCollision(parsed.reasons, found)
 
 
 def read_self_collision(path: str | Path, robot: RobotModel) -> SelfCollision:
     """Read a file; see `load_self_collision`, also for what it raises."""
-    try:
-        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), str(error), "a YAML file of self collision pairs") from error
-    if not isinstance(description, dict):
-        raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
-    return load_self_collision(description, RobotBodies(robot), str(path))
+    return load_self_collision(read_pairs_yaml(path), RobotBodies(robot), str(path))

@@ -91,6 +91,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     _add_plan(command("plan", "have a motion planned for review; nothing moves"))
     _add_pace(command("home", "have a motion to the home pose planned for review; nothing moves"))
     command("show", "show the plan under review")
+    _add_export(command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads"))
     preview = command("preview", "let the ghost play the plan under review")
     preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
     _add_approve(command("approve", "approve the plan under review: it starts"))
@@ -104,6 +105,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     arm.add_argument("--responsible", default="", metavar="NAME", help="the person who is responsible; must be given")
     status = command("status", "say what link, gate and executor do")
     status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
+    _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
     _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
     return root
 
@@ -126,6 +128,12 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
     )
     csv = goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
     csv.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it from the action
+    plan.add_argument(
+        "--columns",
+        default="",
+        metavar="NAMES",
+        help="with --csv, for a file of numbers alone: time_s,joints_rad or joints_deg or each by its name",
+    )
     plan.add_argument("--line", action="store_true", help="with --pose: move the tool on a straight line")
     plan.add_argument(
         "--frame", default="", metavar="FRAME", help="with --pose: tf frame of the pose [the robot's base]"
@@ -135,6 +143,12 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
     )
     plan.add_argument("--tool-speed", type=_positive, metavar="MM_S", help="with --line: speed of the tool [mm/s]")
     _add_pace(plan)
+
+
+def _add_export(export: argparse.ArgumentParser) -> None:
+    file = export.add_argument("file", metavar="FILE", help="the file to write; -: standard output")
+    file.complete = shtab.FILE  # type: ignore[attr-defined]
+    export.add_argument("--deg", action="store_true", help="in deg and mm [rad and m, to the last bit]")
 
 
 def _add_pace(command: argparse.ArgumentParser) -> None:
@@ -158,6 +172,13 @@ def _add_approve(approve: argparse.ArgumentParser) -> None:
     approve.add_argument("--wait", action="store_true", help="wait until the motion has ended")
 
 
+def _add_scene(scene: argparse.ArgumentParser) -> None:
+    moveit = scene.add_argument(
+        "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
+    )
+    moveit.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it from the action
+
+
 def _add_watch(watch: argparse.ArgumentParser) -> None:
     watch.add_argument("--once", action="store_true", help="print one picture and end")
     watch.add_argument("--rate", type=_rate, default=4.0, metavar="HZ", help="pictures per second, at most 10 [4]")
@@ -172,6 +193,8 @@ def check(options: argparse.Namespace) -> str:
     for name in ("line", "frame", "configuration"):
         if getattr(options, name) and not options.pose:
             return f"--{name} belongs to --pose"
+    if options.columns and not options.csv:
+        return "--columns belongs to --csv"
     if options.tool_speed and not options.line:
         return "--tool-speed belongs to --line"
     if options.configuration and options.line:

@@ -27,9 +27,11 @@ SWITCHES = (
     "gateway",
     "commissioning",
     "tool_marker",
+    "follow_joint_trajectory",
     "track",
     "gui",
     "separation",
+    "mqtt_trajectories",
 )
 #: Whole numbers with their bounds.
 NUMBERS = {
@@ -92,6 +94,11 @@ def _nobody_approves(given: Mapping[str, str], _is_file: Question, _is_anonymous
         return (
             "auto_approve:=true with arm:=real: the arm would move without a person who has approved the plan; leave it out, or "
             "give auto_approve_is_meant:=true as well"
+        )
+    if real and given.get("auto_approve_sources"):
+        return (
+            f"auto_approve_sources:={given['auto_approve_sources']} with arm:=real: expected none, because the name of a "
+            "client proves nothing, and the arm would move without a person who has approved the plan; leave it out"
         )
     return ""
 

@@ -74,6 +74,8 @@ class Seen:
         Whether a pose of the arm, a pose of the twin, a scene has come.
     controller : str
         Why the arm may not move, as the controller says itself; "" for no reason.
+    clock : str
+        By how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be.
     """
 
     link: Word | None = None
@@ -83,6 +85,7 @@ class Seen:
     twin: bool = False
     scene: bool = False
     controller: str = ""
+    clock: str = ""
 
 
 @dataclass(frozen=True)
@@ -136,9 +139,8 @@ class StartUp:
         self._since = self._reason_since = 0.0
         self._said: Missing | None = None
         self._ready = False
-        self._controller = ""
-        self._controller_said = ""
-        self._controller_since = 0.0
+        self._controller = _Beside("the controller reports nothing against a motion any more")
+        self._clock = _Beside("the controller's clock is right again")
 
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.
@@ -149,16 +151,8 @@ class StartUp:
         now : float
             On a clock that never runs back [s].
         """
-        return self._progress(seen, now) + self._note_controller(seen.controller, now)
-
-    def _note_controller(self, sentence: str, now: float) -> list[str]:
-        """Return what the controller says against a motion, when it has said it for `PATIENCE`, and that it does no more."""
-        if sentence != self._controller:
-            self._controller, self._controller_since = sentence, now
-        if sentence == self._controller_said or now - self._controller_since < PATIENCE:
-            return []
-        self._controller_said = sentence
-        return [sentence or "the controller reports nothing against a motion any more"]
+        beside = self._controller.update(seen.controller, now) + self._clock.update(seen.clock, now)
+        return self._progress(seen, now) + beside
 
     def _progress(self, seen: Seen, now: float) -> list[str]:
         missing, before = first_missing(seen, self._deployment), self.missing
@@ -186,6 +180,24 @@ class StartUp:
         self._ready, self._said = True, None
         robot = self._deployment.namespace.strip("/")
         return [f"ready; plan with `rosrun construction_twin twin --robot {robot} plan ...`, look with `... watch`"]
+
+
+class _Beside:
+    """Tells what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
+
+    def __init__(self, gone: str):
+        self._gone = gone
+        self._sentence = self._said = ""
+        self._since = 0.0
+
+    def update(self, sentence: str, now: float) -> list[str]:
+        news = without_counts(sentence)
+        if news != self._sentence:
+            self._sentence, self._since = news, now
+        if news == self._said or now - self._since < PATIENCE:
+            return []
+        self._said = news
+        return [sentence or self._gone]
 
 
 def first_missing(seen: Seen, deployment: Deployment) -> Missing | None:

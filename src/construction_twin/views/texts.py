@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.scene.objects import Scene
 from construction_twin.views.snapshot import Snapshot
 
 
@@ -53,6 +54,24 @@ def _fractions(plan: Plan) -> str:
             largest = max(range(len(values)), key=values.__getitem__)
             parts.append(f"{quantity} {values[largest]:.0%} ({names[largest]})")
     return "largest fractions: " + ", ".join(parts) if parts else "not measured"
+
+
+def scene_lines(scene: Scene) -> list[str]:
+    """Return a scene's version and padding, then one line for each object: shape, size, where it stands, what it may touch."""
+    lines = [
+        f"version    {scene.hash[:12]}",
+        f"padding    {scene.padding * 1e3:g} mm",
+        f"objects    {len(scene.objects) or 'none'}",
+    ]
+    for item in scene.objects:
+        size = " x ".join(f"{value:g}" if item.shape == "mesh" else f"{value * 1e3:g}" for value in item.size)
+        place = " ".join(f"{value * 1e3:.0f}" for value in item.position)
+        words = [f"{item.shape} {size}{' times' if item.shape == 'mesh' else ' mm'}", f"at {place} mm"]
+        words += [f"carried by {item.link}"] if item.link else []
+        words += [f"padding {item.padding * 1e3:g} mm more"] if item.padding else []
+        words += [f"may touch {', '.join(item.touch)}"] if item.touch else []
+        lines.append(f"  {item.name}: {', '.join(words)}")
+    return lines
 
 
 def status_lines(snapshot: Snapshot) -> list[str]:

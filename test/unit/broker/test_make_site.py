@@ -164,6 +164,17 @@ def test_people_get_tablets_of_their_own(tmp_path):
     }
 
 
+def test_planners_get_accounts_of_their_own_only_when_asked_for(folder):
+    make(folder, "--planner", "ada", "--planner", "studio")
+    assert names_of(folder) == {
+        "kr120-bridge", "kr120-gateway", "kr120-tablet", "kr120-viewer", "kr120-planner-ada", "kr120-planner-studio"
+    }  # fmt: skip
+    for name in ("account", "certificate"):
+        assert load_account(folder / f"accounts/kr120-planner-ada/{name}.json").context().check_hostname
+    make(folder)
+    assert "kr120-planner-ada" in (folder / "broker/access.acl").read_text()
+
+
 def test_the_tablet_that_nobody_owns_by_name_outlives_the_first_person(folder, capsys):
     before = contents(folder)
     capsys.readouterr()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import pytest
 from executor_bench import GOAL, ROBOT, SCENE, Bench, make_plan, reach
 
 from construction_twin.core.errors import RecordError, ReviewError
-from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval
+from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
 from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.trajectory import Trajectory
@@ -326,3 +327,30 @@ class TestAutoApprove:
         assert bench.approval.approve_by_itself(SCENE_DELAY + 1) is None
         assert "made for scene n3w" in bench.executor.take_events()[0].reason
         assert bench.executor.queue.plan is None
+
+
+class TestAutoApproveSources:
+    TRUSTED = WithoutPerson(sources=("/move_group", "our own program"))
+
+    @pytest.mark.parametrize(
+        ("source", "named"),
+        [("follow_joint_trajectory from /move_group", "/move_group"), ("our own program", "our own program")],
+    )
+    def test_plans_of_a_named_client_need_no_person_and_the_record_says_why(self, bench, source, named):
+        bench.executor.offer(replace(make_plan(), source=source))
+        verdict = bench.approval.approve_by_itself(bench.stamp, self.TRUSTED).verdict
+        assert bench.state is ExecutorState.PLAYING and bench.records == [verdict]
+        assert (verdict.reviewer, verdict.reason) == (
+            AUTO_APPROVE,
+            f"the launch argument auto_approve_sources names {named}, and the plan is of {source!r}",
+        )
+
+    @pytest.mark.parametrize(
+        "source",
+        ["request", "", "follow_joint_trajectory from /move_group_2", "x from /kr120/move_group", "/move_group says"],
+    )
+    def test_all_others_wait_for_a_person(self, bench, source):
+        bench.executor.offer(replace(make_plan(), source=source))
+        assert bench.approval.approve_by_itself(bench.stamp, self.TRUSTED) is None
+        assert bench.approval.approve_by_itself(bench.stamp, WithoutPerson()) is None
+        assert bench.state is ExecutorState.IDLE and bench.executor.queue.plan is not None and bench.records == []

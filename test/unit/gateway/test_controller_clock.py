@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import random
 
 import pytest
-from gateway_cell import START, Cell, gap
+from gateway_cell import CONFIG, START, Cell, gap, slow
 
 from construction_twin.gateway.controller_clock import (
     FIRST,
     LOSSES,
     PATIENT,
+    PIECE,
+    PIECES,
     SHORTER,
     TOLERANCE,
     ControllerClock,
@@ -182,11 +185,13 @@ def test_every_second_telegram_lost_is_no_change_either():
 
 def test_figures_are_reported_once_they_are_known():
     clock = ControllerClock(4)
-    unknown = {"expected_ms": 4, "ipoc_step_ms": None, "telegram_ms": None, "rate": None}
+    unknown = {
+        "expected_ms": 4, "ipoc_step_ms": None, "telegram_ms": None, "rate": None, "off_percent": None, "sentence": "",
+    }  # fmt: skip
     assert clock.report() == unknown
     for ipoc, at in regular(4, 2.0, 100):
         clock.note(ipoc, round(at * MS))
-    assert clock.report() == {"expected_ms": 4, "ipoc_step_ms": 4, "telegram_ms": 2.0, "rate": 2.0}
+    assert clock.report() == unknown | {"ipoc_step_ms": 4, "telegram_ms": 2.0, "rate": 2.0}
     clock.restart()
     assert clock.report() == unknown
 
@@ -217,7 +222,7 @@ def test_a_controller_of_another_cycle_is_answered_and_held_but_never_armed():
     ok, why = cell.arm()
     assert not ok and why.startswith(f"gateway is other_cycle: {said}")
     assert cell.gateway.status()["cycle"] == {
-        "expected_ms": 4, "ipoc_step_ms": 12, "telegram_ms": 12.0, "rate": 1.0,
+        "expected_ms": 4, "ipoc_step_ms": 12, "telegram_ms": 12.0, "rate": 1.0, "off_percent": None, "sentence": "",
     }  # fmt: skip
     assert set(cell.replies) == {(0.0, 0.0)}
     # nor does a stop and reset lead around it
@@ -386,3 +391,165 @@ def test_the_end_of_the_program_is_told_to_a_controller_of_another_cycle_too():
     assert not cell.gateway.ends
     cell.gateway.end("the gateway is ending")
     assert cell.gateway.ends
+
+
+# -- a clock that is off by less than is refused -----------------------------------------------------------------------
+
+#: From here on it is known how far a clock is off [ms].
+KNOWN = PIECE * (PIECES + 1)
+
+
+def heard(clock, telegrams, end=math.inf):
+    """Let a clock hear (IPOC [ms], arrival [ms]); return what it says in the end, and how often it began or ceased to say it."""
+    news = 0
+    for ipoc, arrived in telegrams:
+        if ipoc - telegrams[0][0] > end:
+            break
+        clock.note(ipoc, round(arrived * MS))
+        news += clock.measure_rate()
+    return clock.off_sentence, news
+
+
+@pytest.mark.parametrize("cycle_ms", [4, 12])
+@pytest.mark.parametrize(
+    "off, sentence",
+    [
+        (0.049, "the controller's clock is 4.90 % fast against this PC's: the arm is as much faster than planned, and a long "
+                "motion ends in a stop (silence): it cannot be followed; right clocks agree within 0.02 %, so one of them is "
+                "simulated, virtual, or being set"),
+        (-0.02, "the controller's clock is 2.00 % slow against this PC's: the arm is as much slower than planned, and a long "
+                "motion ends in a stop (lead): it cannot be followed; right clocks agree within 0.02 %, so one of them is "
+                "simulated, virtual, or being set"),
+        (0.002, "the controller's clock is 0.20 % fast against this PC's: the arm is as much faster than planned; right clocks "
+                "agree within 0.02 %, so one of them is simulated, virtual, or being set"),
+    ],
+)  # fmt: skip
+def test_a_clock_a_little_off_is_named_with_its_figure_after_half_a_minute(cycle_ms, off, sentence):
+    clock, telegrams = ControllerClock(cycle_ms), regular(cycle_ms, cycle_ms / (1.0 + off), 60_000 // cycle_ms)
+    assert heard(clock, telegrams, KNOWN - 2 * PIECE) == ("", 0) and clock.report()["off_percent"] is None
+    assert heard(ControllerClock(cycle_ms), telegrams) == (sentence, 1)
+    heard(clock, telegrams)
+    report = clock.report()
+    assert report["off_percent"] == pytest.approx(100.0 * off, abs=1e-3) and report["sentence"] == sentence
+    assert len(sentence) < 300 and clock.judge() == ""
+    clock.restart()
+    assert clock.report()["off_percent"] is None and clock.report()["sentence"] == ""
+
+
+def troubled(seed, cycle_ms=4, off=0.0, seconds=90):
+    """Telegrams of a clock that is `off`, between machines and over a path that are worse than any cell's.
+
+    Jitter; stalls up to 0.3 s after which everything comes at once, many of them for some seconds; losses; a path that becomes
+    15 ms longer; a queue that grows and is emptied again; a wall clock that is set.
+    """
+    rng, sent, free, route, stall_until = random.Random(seed), [], 0.0, 0.0, 0.0
+    longer, queue, is_set = (rng.uniform(10.0, seconds - 10.0) * 1e3 for _ in range(3))
+    burst = rng.uniform(0.0, seconds) * 1e3
+    for k in range(seconds * 1000 // cycle_ms):
+        at = k * cycle_ms / (1.0 + off)
+        if at > longer and not route:
+            route = 15.0
+        if rng.random() < (0.05 if burst < at < burst + 3e3 else 0.002):
+            stall_until = at + rng.uniform(5.0, 300.0)
+        grown = 0.01 * (at - queue) if queue < at < queue + 4e3 else 0.0
+        free = max(at + route + grown + rng.expovariate(1 / 0.8), stall_until, free)
+        if rng.random() > 0.05:
+            sent.append((10**9 + k * cycle_ms, free + (250.0 if at > is_set else 0.0)))
+    return sent
+
+
+@pytest.mark.parametrize("cycle_ms", [4, 12])
+@pytest.mark.parametrize("seed", range(20))
+def test_stalls_bursts_queues_and_a_wall_clock_that_is_set_are_never_called_a_clock_that_is_off(seed, cycle_ms):
+    off = random.Random(seed).uniform(-2e-4, 2e-4)
+    assert heard(ControllerClock(cycle_ms), troubled(seed, cycle_ms, off)) == ("", 0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("off", [-0.03, 0.005])
+def test_nor_do_they_hide_one_that_is(seed, off):
+    clock = ControllerClock(4)
+    said, _ = heard(clock, troubled(seed, 4, off))
+    assert f"% {'slow' if off < 0 else 'fast'} against this PC's" in said
+    assert clock.off == pytest.approx(off, rel=0.1)
+
+
+def test_a_clock_that_comes_right_again_is_no_longer_named():
+    slow = regular(4, 4.0 * 1.01, 15_000)
+    last, at = slow[-1]
+    right = [(last + 4 * k, at + 4.0 * k) for k in range(1, 15_000)]
+    clock = ControllerClock(4)
+    assert heard(clock, slow)[0] and heard(clock, right) == ("", 1)
+
+
+def test_a_clock_that_is_refused_is_not_named_twice():
+    clock = ControllerClock(4)
+    for ipoc, at in regular(4, 2.0, 20_000):
+        clock.note(ipoc, round(at * MS))
+        clock.judge()
+        assert not clock.measure_rate()
+    assert clock.off == pytest.approx(1.0)
+
+
+def test_a_gateway_tells_it_as_a_change_and_still_arms():
+    cell = Cell(measures=True)
+    for _ in range(KNOWN // 4 + 500):
+        cell.now += round(4 * MS / 1.012)
+        cell.ipoc += 4
+        cell.telegram()
+        cell.gateway.poll(cell.now)
+        if cell.ipoc < 1_000_000 + PIECE * PIECES // 2:
+            cell.gateway.take_change()
+    assert cell.gateway.take_change() and cell.state is State.READY and cell.arm() == (True, "armed")
+    told = cell.gateway.status()["cycle"]
+    assert told["off_percent"] == pytest.approx(1.2, abs=1e-3) and told["sentence"].startswith(
+        "the controller's clock is 1.20 % fast"
+    )
+    # what it measured ends with the session
+    gap(cell)
+    assert cell.gateway.status()["cycle"]["off_percent"] is None
+
+
+@pytest.mark.parametrize("off, cause", [(-0.02, "lead"), (0.02, "silence"), (-0.004, ""), (0.004, "")])
+def test_what_the_sentence_says_of_a_long_motion_is_so(off, cause):
+    cell = Cell()
+    cell.cycle(10)
+    assert cell.arm()[0]
+    began, period, commands = cell.now, 4e6 / (1.0 + off), 0
+    for k in range(10_000):
+        while commands * 4e6 <= k * period:
+            cell.now = began + commands * 4 * MS
+            cell.send(slow(commands, 0.5))
+            commands += 1
+        cell.now = began + round(k * period)
+        cell.ipoc += 4
+        cell.telegram()
+        cell.gateway.poll(cell.now)
+        if cell.state is not State.FOLLOWING:
+            break
+    assert (cell.state is State.FOLLOWING) is not bool(cause) and cause in cell.gateway.reason
+
+
+@pytest.mark.parametrize("gap_ms", [4, 16, 60])
+@pytest.mark.parametrize("at", [60, 90, 120])
+def test_telegrams_of_a_shorter_cycle_move_the_arm_no_faster_and_brake_it_no_harder(gap_ms, at):
+    cell = measured(12, decimals=6)
+    assert cell.arm()[0]
+    cell.stream(slow(k, 4.0) for k in range(3 * at))
+    assert cell.state is State.FOLLOWING and cell.count("settling") == 0
+    at_rest = gap_ms > 24
+    before = 0.0 if at_rest else cell.replies[-1][0] - cell.replies[-2][0]
+    assert at_rest or abs(before) > 1e-3
+    told = len(cell.replies) - 1
+    cell.cycle(step_ms=gap_ms)
+    cell.cycle(300, step_ms=4)
+    assert cell.count("stops_cycle") == 1 and cell.state is State.HOLDING
+    steps = [b[0] - a[0] for a, b in zip(cell.replies[told:], cell.replies[told + 1 :])]
+    # a telegram after a gap is answered with a whole step, those of 4 ms with a third of one each
+    first = 0 if gap_ms == 4 else 1
+    whole = [before, *steps[:first], *(sum(steps[k : k + 3]) for k in range(first, len(steps) - 2, 3))]
+    allowed = (CONFIG.acceleration[0] + 0.1) * 0.012**2
+    assert max(abs(b - a) for a, b in zip(whole, whole[1:])) <= allowed
+    # no third is larger than the others
+    assert all(3.0 * max(map(abs, steps[k : k + 3])) <= abs(sum(steps[k : k + 3])) + 1e-9 for k in range(first, 200, 3))
+    assert steps[-1] == 0.0

@@ -14,23 +14,28 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
 
 TOPICS = (
-    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "review/ack", "somewhere/else",
+    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "review/ack",
+    "trajectory", "trajectory/from/one-planner-ada", "trajectory/ack", "view", "somewhere/else",
 )  # fmt: skip
 #: What each role publishes and what it hears, under <prefix>/<robot>/.
 WRITES = {
-    "bridge": {"command", "control", "bridge/status", "plan", "review/ack"},
+    "bridge": {"command", "control", "bridge/status", "plan", "review/ack", "trajectory/ack", "view"},
     "gateway": {"state", "status", "control/ack"},
     "tablet": {"review"},
     "viewer": set(),
     "plc": {"command", "control"},
+    "planner": {"trajectory", "trajectory/from/one-planner-ada"},
 }
 READS = {
-    "bridge": {"state", "status", "control/ack", "plan", "review"},
+    "bridge": {"state", "status", "control/ack", "plan", "review", "trajectory", "trajectory/from/one-planner-ada"},
     "gateway": {"command", "control"},
     "tablet": set(TOPICS),
     "viewer": set(TOPICS),
     "plc": {"state", "status", "control/ack"},
+    "planner": {"trajectory/ack", "view", "plan", "state", "status", "bridge/status"},
 }
+#: Account of a role at robot one.
+ACCOUNTS = {role: f"one-{role}" for role in WRITES} | {"planner": "one-planner-ada"}
 #: For every topic that anybody may write, one who may.
 WRITER = {topic: next(role for role in WRITES if topic in WRITES[role]) for topic in TOPICS[:-1]}
 NOT_AUTHORIZED = 135
@@ -38,7 +43,7 @@ NOT_AUTHORIZED = 135
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    site = SiteBroker(tmp_path_factory.mktemp("site"))
+    site = SiteBroker(tmp_path_factory.mktemp("site"), planners=("ada", "ben"))
     site.start()
     yield site
     site.stop()
@@ -48,7 +53,7 @@ def site(tmp_path_factory):
 def crowd(site, request):
     """One listener per role at robot one, subscribed to everything there is."""
     listeners = {
-        role: Listener(site.broker(site.account(f"one-{role}", request.param)), "#", f"{request.param}-{role}")
+        role: Listener(site.broker(site.account(ACCOUNTS[role], request.param)), "#", f"{request.param}-{role}")
         for role in WRITES
     }
     yield listeners
@@ -64,10 +69,11 @@ NUMBERS = payloads("message")
 
 
 def test_the_table_knows_every_role_and_topic():
-    assert set(WRITES) == set(READS) == {*ROLES, "plc"}
+    assert set(WRITES) == set(READS) == {*ROLES, "plc", "planner"}
     topics = Topics("twin", "one")
     names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
-    assert {getattr(topics, name) for name in names} == {f"twin/one/{topic}" for topic in TOPICS[:-1]}
+    listed = {getattr(topics, name) for name in names} | {topics.trajectory_from("one-planner-ada")}
+    assert listed == {f"twin/one/{topic}" for topic in TOPICS[:-1]}
 
 
 @pytest.mark.parametrize("role", sorted(WRITES))
@@ -126,6 +132,35 @@ def test_nobody_publishes_outside_the_robots_topics(crowd, topic):
                 crowd[role].client.publish(topic, b"x", qos=1)
         else:
             assert crowd[role].publish(topic, b"x").value == NOT_AUTHORIZED, role
+
+
+def test_a_planner_cannot_send_in_another_one_s_name(site, crowd):
+    ben = Listener(site.broker(site.account("one-planner-ben")), "#", "ben")
+    try:
+        assert ben.publish("twin/one/trajectory/from/one-planner-ada", b"not Ada").value == NOT_AUTHORIZED
+        mine = next(NUMBERS)
+        assert ben.publish("twin/one/trajectory/from/one-planner-ben", mine).value != NOT_AUTHORIZED
+        bridge = crowd["bridge"]
+        wait_until(lambda: ("twin/one/trajectory/from/one-planner-ben", mine) in bridge.messages, what="what Ben sent")
+        assert not any(payload == b"not Ada" for _, payload in bridge.messages)
+    finally:
+        ben.close()
+
+
+def test_a_long_trajectory_passes_the_broker_and_a_still_longer_one_does_not(site, crowd):
+    """At 16 kB to 64 kB most of compas_fab's would be cut off."""
+    bridge, long = crowd["bridge"], b"x" * 3_000_000
+    crowd["planner"].publish("twin/one/trajectory", long)
+    wait_until(lambda: ("twin/one/trajectory", long) in bridge.messages, what="3 MB")
+    ben = Listener(site.broker(site.account("one-planner-ben")), "twin/one/view", "ben")
+    try:
+        gone = []
+        ben.client.on_disconnect = lambda *_: gone.append(True)
+        ben.client.publish("twin/one/trajectory", b"x" * 5_000_000, qos=0)
+        wait_until(lambda: gone, what="the broker's hanging up")
+    finally:
+        ben.close()
+    assert not any(len(payload) == 5_000_000 for _, payload in bridge.messages)
 
 
 def test_nobody_hears_the_broker_s_own_figures(site):
@@ -200,6 +235,7 @@ def test_a_prefix_of_ones_own_stands_in_every_rule():
         ({"hosts": ("a,DNS:evil",)}, "--host"),
         ({"hosts": ("-x",)}, "--host"),
         ({"people": ("anna:x",)}, "--tablet"),
+        ({"planners": ("ada/#",)}, "--planner"),
         ({"prefix": "a/b"}, "--prefix"),
         ({"port": 65535}, "--port"),
         ({"folder": "/a b"}, "--broker-folder"),

@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
 
-from construction_twin.core.motion_errors import WaypointsError
+from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
+from construction_twin.planning.limit_usage import limit_usage
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints
-from construction_twin.robot.description import read_robot_files
+from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints, retime_waypoints
+from construction_twin.robot.description import RobotModel, read_robot_files
 
 ROOT = Path(__file__).parents[3]
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -135,6 +136,8 @@ def test_too_fast_names_the_limit(span, quantity):
     with pytest.raises(WaypointsError, match=quantity) as caught:
         plan_waypoints(from_points(robot, NAMES, rows, times=[0.0, span]), HOME, robot)
     assert caught.value.row == 1 and caught.value.value > caught.value.limit
+    # three times the velocity is a mistake, too much jerk is another timing's to mend
+    assert isinstance(caught.value, WaypointTimesError) == (quantity != "velocity")
     assert caught.value.limit == getattr(robot, quantity)[0]
 
 
@@ -168,7 +171,6 @@ def test_the_joints_must_be_the_robot_s(names):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"positions": ROWS[:1]}, "1 waypoints"),
         ({"positions": []}, "0 waypoints"),
         ({"positions": [*ROWS[:2], ROWS[2][:5]]}, "point 2: 5 values of position; expected 6"),
         ({"positions": ROWS, "times": [0, 1]}, "2 times for 4 points"),
@@ -189,3 +191,114 @@ def test_values_that_do_not_fit_are_refused(values, message):
 def test_times_that_are_all_zero_are_none():
     points = from_points(ROBOT, NAMES, ROWS, velocities=[[], [], [], []], times=[0.0] * 4)
     assert points.times is None and points.velocities is None
+
+
+def test_a_single_point_is_the_goal_of_a_motion_from_the_present_pose():
+    goal = HOME + 0.2
+    motion = plan_waypoints(from_points(ROBOT, NAMES, [goal]), HOME, ROBOT, speed_scale=0.5)
+    assert motion.positions[0].tobytes() == HOME.tobytes() and motion.positions[-1].tobytes() == goal.tobytes()
+    assert limit_use(motion, ROBOT).velocity <= 0.5
+    # what MATLAB's users send: a time, and velocities of zero
+    timed = plan_waypoints(from_points(ROBOT, NAMES, [goal], velocities=[[0.0] * 6], times=[3.0]), HOME, ROBOT)
+    assert timed.duration == 3.0 and timed.positions[-1].tobytes() == goal.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"times": [0.1]}, "point 0 (on the path to it, 0.028 s after the start): joint_a1 has a velocity of "),
+        ({"times": [-1.0]}, "point 0: its time -1 s is not after the 0 s of the one before; times must increase"),
+        (
+            {"times": [3.0], "velocities": [[0.1] * 6]},
+            "point 0: joint_a1 moves there (0.1 rad/s); the motion must begin",
+        ),
+    ],
+)
+def test_a_single_point_that_cannot_be_reached_so_is_refused(values, message):
+    assert message in str(refused([HOME + 0.2], **values))
+
+
+def test_no_point_is_no_motion():
+    assert str(refused([])) == "0 waypoints; a motion needs at least one, its goal"
+
+
+def without_jerk_limit(robot: RobotModel, goal: np.ndarray, period: float = 0.1):
+    """A straight motion as planners without a jerk limit time it: full acceleration, full deceleration, points every `period`."""
+    way = goal - HOME
+    acceleration = float(np.min(np.array(robot.acceleration)[way != 0.0] / np.abs(way[way != 0.0])))
+    half = float(np.sqrt(1.0 / acceleration))
+    times = np.append(np.arange(0.0, 2 * half, period), 2 * half)
+    rising = times < half
+    left = 2 * half - times
+    part = np.where(rising, 0.5 * acceleration * times**2, 1.0 - 0.5 * acceleration * left**2)
+    speed = acceleration * np.where(rising, times, left)
+    push = np.where(rising, acceleration, -acceleration)
+    return times, HOME + np.outer(part, way), np.outer(speed, way), np.outer(push, way)
+
+
+@pytest.mark.parametrize("with_accelerations", [True, False])
+def test_times_of_planners_without_a_jerk_limit_are_refused_and_may_be_replaced(with_accelerations):
+    times, rows, velocities, accelerations = without_jerk_limit(ROBOT, HOME + np.array([0.6, 0.2, -0.3, 0.1, 0.0, 0.4]))
+    points = from_points(ROBOT, NAMES, rows, velocities, accelerations if with_accelerations else None, times)
+    with pytest.raises(WaypointTimesError):
+        plan_waypoints(points, HOME, ROBOT)
+    trajectory = retime_waypoints(points, HOME, ROBOT)
+    use = limit_usage(trajectory, ROBOT)
+    assert max(*use.velocity, *use.acceleration) <= 0.9 + 1e-6 and max(use.jerk) <= 1.0 + 1e-6
+    assert times[-1] <= trajectory.duration < 3.0 * times[-1]
+    np.testing.assert_allclose(trajectory.positions[-1], rows[-1], atol=1e-12)
+    # the same points: the motion is a straight line, so is this
+    way = rows[-1] - HOME
+    along = (trajectory.positions - HOME) @ way / (way @ way)
+    np.testing.assert_allclose(trajectory.positions, HOME + np.outer(along, way), atol=1e-6)
+
+
+def test_times_that_are_replaced_are_never_made_shorter():
+    """Whoever plans slowly wants it slow: full acceleration of a tenth, over a long time."""
+    slow = dataclasses.replace(ROBOT, acceleration=tuple(value / 200 for value in ROBOT.acceleration))
+    times, rows, velocities, accelerations = without_jerk_limit(slow, HOME + 0.5)
+    points = from_points(ROBOT, NAMES, rows, velocities, accelerations, times)
+    with pytest.raises(WaypointTimesError, match="at rest"):
+        plan_waypoints(points, HOME, ROBOT)
+    assert retime_waypoints(points, HOME, ROBOT).duration == pytest.approx(times[-1], abs=1e-6)
+
+
+def trapezoid(speed: float, acceleration: float, step: float) -> dict[str, np.ndarray]:
+    """What MoveIt's time parameterization makes of a straight line: constant acceleration, speed, deceleration, sampled evenly.
+
+    `speed` and `acceleration` are fractions of the limits.
+    """
+    way = np.array([0.5, 0.2, -0.3, 0.3, -0.2, 0.4])
+    v = np.min(speed * np.array(ROBOT.velocity) / np.abs(way))
+    a = np.min(acceleration * np.array(ROBOT.acceleration) / np.abs(way))
+    rise = min(v / a, 1.0 / np.sqrt(a))
+    end = 1.0 / (a * rise) + rise
+    t = np.append(np.arange(0.0, end, step), end)
+    late = end - t
+    s = np.where(t < rise, a * t**2 / 2, np.where(late < rise, 1 - a * late**2 / 2, a * rise * (t - rise / 2)))
+    ds = np.where(t < rise, a * t, np.where(late < rise, a * late, a * rise))
+    dds = np.where(t < rise, a, np.where(late < rise, -a, 0.0))
+    return {
+        "positions": HOME + way * s[:, None],
+        "velocities": way * ds[:, None],
+        "accelerations": way * dds[:, None],
+        "times": t,
+    }
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(1.0, 1.0), (0.1, 0.1), (0.5, 0.3)])
+@pytest.mark.parametrize("step", [0.1, 0.02])
+def test_accelerations_that_jump_are_refused_or_the_same_points_are_passed_in_times_of_our_own(
+    speed, acceleration, step
+):
+    given = trapezoid(speed, acceleration, step)
+    rows, asked = given["positions"], given["times"][-1]
+    with pytest.raises(WaypointTimesError):
+        plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
+    motion = retime_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
+    assert motion.positions[-1].tobytes() == rows[-1].tobytes() and motion.duration >= asked - 1e-9
+    use = limit_use(motion, ROBOT)
+    assert use.velocity <= 1.0 and use.acceleration <= 1.0 and use.jerk <= 1.0
+    _, q = samples_of(motion)
+    for row in rows:
+        assert np.min(np.max(np.abs(q - row), axis=1)) < 5e-3

@@ -18,7 +18,10 @@ from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import home_positions, read_robot_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
+from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
+from construction_twin.ros.nodes.joint_velocities import Settings as VelocitySettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
+from construction_twin.ros.nodes.mqtt_planner import Settings as RemotePlannerSettings
 from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
@@ -46,10 +49,12 @@ THIRD_PARTY = {
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
-    "executor": {"arm", "auto_approve", "review_file", "neighbour", "realtime_priority"},
+    "executor": {"arm", "auto_approve", "auto_approve_sources", "review_file", "neighbour", "realtime_priority"},
+    "follow_joint_trajectory": {"arm"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
+    "mqtt_planner": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "trajectories"},
     "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
     "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
     "experiment": {"results_dir"},
@@ -231,8 +236,10 @@ SETTINGS = {
     "gateway": {field.name for field in fields(GatewayConfig)},
     "mock_rsi": set(MockSettings.model_fields),
     "executor": set(ExecutorSettings.model_fields),
+    "follow_joint_trajectory": set(FollowSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
     "mqtt_review": set(ReviewSettings.model_fields),
+    "mqtt_planner": set(RemotePlannerSettings.model_fields),
     "neighbour": set(NeighbourSettings.model_fields),
     "pca_monitor": set(MonitorSettings.model_fields),
     "planner": set(PlannerSettings.model_fields),
@@ -265,10 +272,13 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
         (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
+        (RemotePlannerSettings, "mqtt_planner", {"host": "127.0.0.1", "port": 1883}),
         (MonitorSettings, "pca_monitor", {"arm": "mock", "decimals": 3, "transition_file": "transitions.jsonl"}),
         (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
+        (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),
         (SeparationSettings, "separation", {}),
         (NeighbourSettings, "neighbour", {"name": "b"}),
+        (VelocitySettings, "joint_velocities", {}),
         (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
         (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
     ],
@@ -287,5 +297,5 @@ def test_the_shipped_gateway_settings_make_a_configuration():
 
 def test_rviz_begins_at_the_robot_s_home():
     publisher = config("joint_state_publisher")
+    assert (publisher["rate"], publisher["source_list"]) == (50, ["velocities/joint_states"])
     assert home_positions(ROOT / "config/kr120.yaml") == dict(zip(ROBOT.joint_names, ROBOT.home))
-    assert (publisher["rate"], publisher["source_list"]) == (50, ["twin/joint_states"])

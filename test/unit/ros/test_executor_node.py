@@ -7,6 +7,7 @@ import threading
 from types import SimpleNamespace
 
 import numpy as np
+import pydantic
 import pytest
 import rospy
 from construction_twin.msg import Conflict, Link, Scene, SpeedLimit, Sync
@@ -261,3 +262,17 @@ def test_an_approval_without_a_reason_is_no_warning(world, monkeypatch):
     assert [line for line in told if line.endswith(" approved by Ada")] and [
         line for line in told if line.startswith("pause: ")
     ]
+
+
+def test_no_client_is_trusted_with_a_real_arm():
+    given = {
+        "review_file": "r.jsonl",
+        "speed_limit_deadline": 0.5,
+        "speed_limit_silent": 0.1,
+        "speed_limit_required": False,
+    }
+    trusted = given | {"auto_approve_sources": ["/move_group"]}
+    assert module.Settings(arm="mock", **trusted).auto_approve_sources == ("/move_group",)
+    with pytest.raises(pydantic.ValidationError, match="the name of a client proves nothing, a person has to approve"):
+        module.Settings(arm="real", **trusted)
+    assert module.Settings(arm="real", **given).auto_approve_sources == ()

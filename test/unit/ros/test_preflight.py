@@ -15,7 +15,9 @@ import yaml
 from processes import listens, wait_until
 from ros_master import Node, ros_master
 
+from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands import preflight
+from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
 from construction_twin.views.roslaunch_call import RoslaunchCall
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -39,6 +41,8 @@ TRACK = KR120 | {
     "self_collision": f"{ROOT}/config/kr120_track_self_collision.yaml",
     "ethernet_xml": f"{ROOT}/krl/ethernet/ctwin_e1_ethernet.xml",
 }
+
+SCENARIO = (ROOT / "config" / "scenarios" / "nominal.yaml").read_text()
 
 
 # -- contents
@@ -131,6 +135,16 @@ def test_a_range_that_the_wire_cannot_carry_is_refused(tmp_path):
         ("task", "duration: [", "expected a YAML file"),
         ("scenario", "scenario: {title: t}", "steps: found nothing, expected a list with 1 or more entries"),
         ("scenario", "steps: []", "expected the key `scenario`"),
+        (
+            "scenario",
+            f"{SCENARIO}\npca_monitor: {{policy: replann}}",
+            "pca_monitor: policy: found 'replann', expected ",
+        ),
+        (
+            "scenario",
+            f"{SCENARIO}\nexecutor: {{auto_aprove: true}}",
+            "executor: auto_aprove: found True, expected no such key",
+        ),
         ("results_dir", "", "expected a folder that files can be written into"),
         ("review_file", "", "expected a folder that files can be written into"),
     ],
@@ -364,3 +378,101 @@ def test_what_waits_to_say_a_sentence_holds_no_socket_of_the_process_that_ended(
     finally:
         awaited.communicate()
     wait_until(lambda: said.read_text() == "the sentence\n", what="the sentence")
+
+
+# -- the nodes' own files
+
+PAIR = KR120 | {"neighbour": "other", "tool_marker": "true", "separation": "true"}
+
+
+@pytest.fixture
+def config_folder(tmp_path):
+    for file in NODE_FILES:
+        (tmp_path / f"{file.name}.yaml").write_text((ROOT / "config" / f"{file.name}.yaml").read_text())
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def kr120():
+    return read_robot_files(KR120["robot_xacro"], KR120["robot_config"])
+
+
+def changed(folder, name, **values):
+    """Write another file of a node; return its path."""
+    file = folder / f"{name}.yaml"
+    content = yaml.safe_load(file.read_text()) | values
+    file.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not None}))
+    return file
+
+
+def test_every_file_that_the_launch_files_load_for_a_node_is_checked():
+    trees = [
+        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link", "gate")
+    ]
+    loaded = {Path(tag.get("file", "")).stem for tree in trees for tag in tree.iter("rosparam") if tag.get("file")}
+    # the cell is an argument, and checked as one
+    assert {file.name for file in NODE_FILES} == {name for name in loaded if "$(" not in name}
+
+
+def test_the_shipped_files_are_fine(config_folder, kr120):
+    for given in (PAIR, PAIR | {"gateway_kind": "plc"}, PAIR | {"arm": "none"}, PAIR | {"rsi_cycle": "12"}):
+        assert node_files_problem(given, kr120, config_folder) == ""
+
+
+@pytest.mark.parametrize(
+    "name, values, sentence",
+    [
+        ("executor", {"speed_limit_deadlin": 0.5}, "speed_limit_deadlin: found 0.5, expected no such key; did you mean"),
+        ("executor", {"speed_limit_deadline": 0}, "speed_limit_deadline: found 0, expected a number above 0"),
+        ("pca_monitor", {"threshold": None}, "threshold: found nothing, expected a number"),
+        ("pca_monitor", {"thresholds": {"joint_a7": 0.1}}, "thresholds: found 'joint_a7', expected names of joints"),
+        ("planner", {"planner": "RTRConnect"}, "planner: found 'RTRConnect', expected one of "),
+        ("planner", {"edge_step": 0.0}, "edge_step: found 0.0, expected a number at least 0.001 and at most 0.5"),
+        ("neighbour", {"padding": 0.0}, "watch_padding + own_step / 2 must not be more than padding"),
+        ("gateway", {"silence": -1.0}, "silence"),
+        ("gateway", {"silense": 0.1}, "silense"),
+        ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a number above 0"),
+        ("mqtt_planner", {"view_rate": 0}, "view_rate: found 0, expected a number at least 1 and at most 50"),
+        ("mqtt_review", {"path_points": 1}, "path_points: found 1, expected a whole number at least 2 and at most 1000"),
+        ("mock_rsi", {"start_pose_deg": [0.0]}, "start_pose_deg: found [0.0], expected 6 numbers"),
+        (
+            "mock_rsi", {"start_pose_deg": [0.0, -90.0, 999.0, 0.0, 0.0, 0.0]},
+            "A3 is 999 deg, outside its range -120 deg to 155 deg",
+        ),
+        ("mqtt_planner", {"view_rate": 0.5}, "view_rate: found 0.5, expected a number at least 1 and at most 50"),
+        ("follow_joint_trajectory", {"goal_tolerance": -1.0}, "goal_tolerance: found -1.0, expected a number at least 0"),
+        ("tool_marker", {"scale": 0.0}, "scale: found 0.0, expected a number above 0"),
+        ("separation", {"table": [[1.0, 0.5], [0.5, 1.0]]}, "table"),
+        ("separation", {"rate": 0}, "rate: found 0, expected a number at least 1"),
+    ],
+)  # fmt: skip
+def test_a_file_with_which_a_node_would_not_start_is_refused_before_it(config_folder, kr120, name, values, sentence):
+    file = changed(config_folder, name, **values)
+    said = node_files_problem(PAIR, kr120, config_folder)
+    assert said.startswith(f"{file}: ") and sentence in said
+    assert "expected" in said or "outside its range" in said
+    assert "\n" not in said and said.count(str(file)) == 1
+
+
+@pytest.mark.parametrize("name", [file.name for file in NODE_FILES])
+def test_a_file_that_is_no_mapping_is_refused_only_where_it_is_loaded(config_folder, kr120, name):
+    file = config_folder / f"{name}.yaml"
+    file.write_text("[1, 2")
+    assert node_files_problem(PAIR, kr120, config_folder).startswith(f"{file}: found ")
+    file.write_text("- 1")
+    assert (
+        node_files_problem(PAIR, kr120, config_folder)
+        == f"{file}: found [1], expected a mapping: the settings of {name}"
+    )
+    bare = {"robot": "kr120", "arm": "none"}
+    assert bool(node_files_problem(bare, kr120, config_folder)) is (
+        name in ("planner", "follow_joint_trajectory", "joint_state_publisher", "executor", "pca_monitor")
+    )
+
+
+def test_the_start_is_refused_for_them_too(monkeypatch, config_folder):
+    changed(config_folder, "executor", speed_limit_silent=2.0)
+    monkeypatch.setattr(
+        preflight, "node_files_problem", lambda given, robot, _: node_files_problem(given, robot, config_folder)
+    )
+    assert "speed_limit_silent: found 2.0" in preflight.contents_problem(KR120)

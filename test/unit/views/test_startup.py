@@ -85,6 +85,19 @@ def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_wh
     assert startup.update(GOOD, 31.0 + PATIENCE) == ["the controller reports nothing against a motion any more"]
 
 
+def off(percent):
+    return replace(
+        GOOD, clock=f"the controller's clock is {percent:.2f} % slow against this PC's: the arm is as much slower"
+    )
+
+
+def test_a_clock_that_is_off_is_told_once_though_its_figure_wavers_and_when_it_is_right_again():
+    startup = StartUp(CELL)
+    said = lines_over(startup, lambda now: off(1.2 + 0.01 * (int(4 * now) % 3)), 1.0)
+    assert len(said) == 2 and said[0].startswith("ready") and said[1].startswith("the controller's clock is 1.2")
+    assert lines_over(startup, lambda now: GOOD, 20.0) == ["the controller's clock is right again"]
+
+
 def refused(count, why="xml: telegram is not well-formed: line 1, column 19"):
     reason = f"gateway has no RSI session: no telegram yet; datagrams refused: {count}, the last one for {why}"
     return replace(GOOD, link=Word("NO_CONTROLLER", reason, "no_controller"))
@@ -274,3 +287,16 @@ def test_a_real_arm_without_accounts_or_without_a_person_must_be_meant(change, s
 )
 def test_a_real_arm_with_accounts_and_a_person_starts_and_so_does_what_is_meant(change):
     assert preflight.problem(REAL | change, "/a".__eq__, "/a".__eq__) == ""
+
+
+def test_a_real_arm_needs_a_person_whatever_a_client_calls_itself():
+    said = preflight.problem(REAL | {"auto_approve_sources": "/move_group"}, "/a".__eq__)
+    assert said.startswith(
+        "auto_approve_sources:=/move_group with arm:=real: expected none, because the name of a client proves"
+    )
+    assert (
+        preflight.problem(REAL | {"auto_approve_sources": "/move_group", "auto_approve_is_meant": "true"}, "/a".__eq__)
+        == said
+    )
+    assert preflight.problem(REAL | {"auto_approve_sources": ""}, "/a".__eq__) == ""
+    assert preflight.problem(REAL | {"arm": "mock", "auto_approve_sources": "/move_group"}, "/a".__eq__) == ""

@@ -15,10 +15,11 @@ from scene_samples import kr120, track7
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_abc
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.views.arguments import Exit, check, parser
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
-from construction_twin.views.texts import joint_value, plan_lines, range_sentence, status_lines
+from construction_twin.views.texts import joint_value, plan_lines, range_sentence, scene_lines, status_lines
 
 ANGLES = st.floats(-89.0, 89.0)
 
@@ -50,6 +51,7 @@ def test_a_plan_s_options():
     assert options.joints == [-30.0, -75.5, 70.0, 20.0, 70.0, -40.0]
     assert options.speed == pytest.approx(0.3) and options.duration == 4.0 and check(options) == ""
     assert check(parsed("plan --pose 1 2 3 -4 5 6 --line --tool-speed 50")) == ""
+    assert check(parsed("plan --csv a --columns time_s,joints_rad")) == ""
 
 
 @pytest.mark.parametrize(
@@ -73,6 +75,7 @@ def test_nonsense_is_a_usage_error(text, capsys):
         ("plan --joints 1 --configuration front", "--configuration belongs"),
         ("plan --pose 1 2 3 4 5 6 --tool-speed 5", "belongs to --line"),
         ("plan --pose 1 2 3 4 5 6 --line --configuration front", "does not go with --line"),
+        ("plan --joints 1 --columns joints_rad", "--columns belongs to --csv"),
         ("plan --csv a --duration 5", "--duration does not go with --csv"),
         ("arm", "arm needs --responsible NAME"),
         ("arm --responsible=", "arm needs --responsible NAME"),
@@ -223,7 +226,7 @@ def test_bash_completes(line, offers, completed):
 
 def test_bash_completes_files(completed, tmp_path):
     (tmp_path / "points.csv").touch()
-    assert completed("twin plan --csv po") == ["points.csv"]
+    assert completed("twin plan --csv po") == completed("twin export po") == ["points.csv"]
 
 
 def test_any_other_rosrun_is_left_to_ros(completed):
@@ -247,3 +250,19 @@ def test_both_names_of_the_command_are_completed(tmp_path, capsys):
 def test_zsh_is_given_a_completion_too(capsys):
     script = completion("zsh", capsys)
     assert script.startswith("#compdef twin") and "rosrun construction_twin twin" in script and "--joints" in script
+
+
+def test_a_scene_is_listed_in_mm_with_what_carries_and_what_may_touch():
+    wall = SceneObject("wall", "box", (0.2, 2.0, 1.5), (2.0, 0.5, 0.75), padding=0.01)
+    tool = SceneObject("tool", "cylinder", (0.05, 0.2), link="tool0", touch=("link_6",))
+    lines = scene_lines(Scene((wall, tool), padding=0.02))
+    assert lines[1:3] == ["padding    20 mm", "objects    2"]
+    assert lines[3:] == [
+        "  wall: box 200 x 2000 x 1500 mm, at 2000 500 750 mm, padding 10 mm more",
+        "  tool: cylinder 50 x 200 mm, at 0 0 0 mm, carried by tool0, may touch link_6",
+    ]
+    assert scene_lines(Scene())[2] == "objects    none"
+
+
+def test_the_scene_s_options():
+    assert parsed("scene").moveit is None and parsed("scene --moveit a.scene").moveit == "a.scene"

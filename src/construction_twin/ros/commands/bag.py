@@ -9,6 +9,7 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import genpy
 import numpy as np
@@ -26,6 +27,8 @@ from construction_twin.evaluation.recording import (
     Stream,
 )
 from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
+from construction_twin.robot.plan import Plan as PlanValue
+from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.known_bag import open_bag
 
 TWIN = "twin/joint_states"
@@ -82,6 +85,28 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
     return _to_recording(robot, messages)
 
 
+def read_plans(path: str | Path, namespace: str | None = None) -> list[PlanValue]:
+    """Return every plan of one robot in a bag, the oldest first.
+
+    Parameters
+    ----------
+    path, namespace
+        As in `read_recording`.
+
+    Raises
+    ------
+    EvaluationError
+        As `read_recording`.
+    TrajectoryError
+        For a plan that is not what its hash says.
+    """
+    with open_bag(path, TYPES.values()) as bag:
+        types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
+        messages = _read_messages(bag, _choose_robot(types, namespace), types, (PLAN,))
+    # a latched plan is recorded once more by whoever listens again
+    return list({message.id: plan_from_msg(message) for _, message in messages[PLAN]}.values())
+
+
 def robots_in(topics: Iterable[str]) -> list[str]:
     """Return the namespaces that hold a ``twin/joint_states``, sorted; ``/`` for the root."""
     return sorted(topic[: -len(TWIN)].rstrip("/") or "/" for topic in topics if topic.endswith(f"/{TWIN}"))
@@ -101,14 +126,16 @@ def _choose_robot(types: dict[str, str], namespace: str | None) -> str:
     return wanted
 
 
-def _read_messages(bag: rosbag.Bag, robot: str, types: dict[str, str]) -> dict[str, list[tuple[int, object]]]:
+def _read_messages(
+    bag: rosbag.Bag, robot: str, types: dict[str, str], wanted: Iterable[str] = TOPICS
+) -> dict[str, list[tuple[int, Any]]]:
     """Return per topic (relative) the pairs of reception [ns] and message, in order of reception."""
-    relative = {f"{robot.rstrip('/')}/{topic}": topic for topic in TOPICS}
+    relative = {f"{robot.rstrip('/')}/{topic}": topic for topic in wanted}
     for topic, name in relative.items():
         found = types.get(topic)
         if found not in (None, TYPES[name]._type):
             raise EvaluationError(f"{topic} in the bag is a {found}; expected a {TYPES[name]._type}")
-    messages: dict[str, list[tuple[int, object]]] = defaultdict(list)
+    messages: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     for topic, message, received in bag.read_messages(topics=list(relative)):
         messages[relative[topic]].append((received.to_nsec(), message))
     return messages

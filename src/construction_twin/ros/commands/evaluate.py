@@ -10,12 +10,13 @@ import rospkg
 import rospy
 from rich.console import Console
 
-from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import check_writable
+from construction_twin.core.errors import ConstructionTwinError, EvaluationError
+from construction_twin.core.files import check_writable, write_whole
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
+from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.ros.commands.bag import read_recording
+from construction_twin.ros.commands.bag import read_plans, read_recording
 
 #: This package's arms, as URDF and robot YAML; the first one whose joints are the bag's is taken.
 ROBOTS = (
@@ -45,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         recording = read_recording(options.bag, options.robot)
         robot = _robot(options, recording.joint_names)
         report = write_report(recording, robot, directory)
+        plans = _write_plans(options, robot, directory) if options.plans else ()
     except (ConstructionTwinError, OSError) as error:
         print(f"evaluate: {error}", file=sys.stderr)
         return 1
@@ -53,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(
             f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
         )
-    print_files(console, report.files)
+    print_files(console, (*report.files, *plans))
     return 0
 
 
@@ -77,6 +79,19 @@ def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotMo
     return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
 
 
+def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path) -> tuple[Path, ...]:
+    """Write every plan in the bag as a CSV file; return where they are."""
+    files: list[Path] = []
+    for plan in read_plans(options.bag, options.robot):
+        if plan.trajectory.joint_names != robot.joint_names:
+            raise EvaluationError(
+                f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
+            )
+        files.append(directory / f"plan_{len(files) + 1}.csv")
+        write_whole(files[-1], format_plan(plan, robot.linear))
+    return tuple(files)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="evaluate", description="Compare twin and physical arm in a bag: tables, figures and summary.json."
@@ -86,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: BAG + _evaluation)")
     parser.add_argument("--robot", metavar="NAMESPACE", help="which robot, when the bag holds several, e.g. /kr120")
+    parser.add_argument("--plans", action="store_true", help="also write each plan as plan_N.csv, for twin plan --csv")
     parser.add_argument(
         "--robot-xacro",
         type=Path,

@@ -2,7 +2,7 @@
 
 Called by bringup.launch, while roslaunch reads it, as ``preflight --for-roslaunch name:=value ...``, and by view.launch for the
 names of the arguments alone; by hand without the option. It looks at the arguments, at what is in the files they name, at the nodes
-that run on the master, and at the ports. It changes nothing.
+that run on the master, and at the ports. It changes nothing but who may start the robot (`start_claim`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from pathlib import Path
 import pydantic
 import rosgraph
 import rospkg
-import yaml
 
 from construction_twin.broker.start import listener_ports
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -27,10 +26,12 @@ from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
+from construction_twin.ros.commands.node_files import node_files_problem, read_mapping
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
+from construction_twin.ros.shared.start_claim import claim
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
@@ -42,8 +43,9 @@ from construction_twin.views.roslaunch_call import RoslaunchCall, argument_probl
 
 #: Nodes of one robot, in its namespace: a second one of a name would end the first.
 ROBOT_NODES = (
-    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mock_rsi", "planner", "scene", "neighbour",
-    "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "joint_state_publisher",
+    "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
+    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation",
+    "joint_velocities", "joint_state_publisher",
     "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
     "plc",
 )  # fmt: skip
@@ -58,7 +60,7 @@ Given = Mapping[str, str]
 
 def _read_robot(given: Given) -> RobotModel:
     """Return the robot as launch/robot.launch and launch/bringup.launch describe it."""
-    description = _mapping(given["robot_config"], "the robot's keys")
+    description = read_mapping(given["robot_config"], "the robot's keys")
     urdf = expand_xacro(given["robot_xacro"], xacro_arguments(given.get("robot_xacro_args", "")))
     return load_robot(urdf, description | {"name": given["robot"]})
 
@@ -84,7 +86,7 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
         return
     path = given["ethernet_xml"]
     load_ethernet_xml(path)
-    settings = _mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
+    settings = read_mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
     cycle = int(given.get("rsi_cycle", "4"))
     given_here = {"decimals": int(given.get("decimals", "3")), "cycle": cycle, "ethernet_xml": read_text(path)}
     gateway_config(robot, settings | given_here)
@@ -100,7 +102,7 @@ def _check_scene(given: Given, robot: RobotModel) -> None:
 
 def _check_cell(given: Given, robot: RobotModel) -> None:
     if given["cell"]:
-        cell = load_cell(_mapping(given["cell"], "the places of robots"))
+        cell = load_cell(read_mapping(given["cell"], "the places of robots"))
         for name in filter(None, (robot.name, given.get("neighbour"))):
             cell.world_T_root(name)
 
@@ -120,8 +122,8 @@ def _check_account(name: str) -> Callable[[Given, RobotModel], None]:
 
 def _check_task(given: Given, robot: RobotModel) -> None:
     """Check the task of experiment.launch as its node does: what it leaves out is config/experiment.yaml's."""
-    shipped = _mapping(str(_package() / "config" / "experiment.yaml"), "a task")
-    task = shipped | _mapping(given["task"], "a task") | {"results_dir": "/"}
+    shipped = read_mapping(str(_package() / "config" / "experiment.yaml"), "a task")
+    task = shipped | read_mapping(given["task"], "a task") | {"results_dir": "/"}
     try:
         settings = ExperimentSettings.model_validate(task)
     except pydantic.ValidationError as error:
@@ -173,7 +175,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
 
 
 def contents_problem(given: Given) -> str:
-    """Return a sentence about the first file whose contents do not fit; empty when there is none.
+    """Return a sentence about the first file whose contents do not fit, the nodes' own included; empty when there is none.
 
     Parameters
     ----------
@@ -195,17 +197,7 @@ def contents_problem(given: Given) -> str:
             path = given[name]
             # most of these sentences begin with the file
             return f"{name}:={path}: {str(error).removeprefix(path).lstrip(': ')}"
-    return ""
-
-
-def _mapping(path: str, what: str) -> dict:
-    try:
-        content = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise ConfigurationError(path, " ".join(str(error).split()), "a YAML file") from error
-    if not isinstance(content, dict):
-        raise ConfigurationError(path, content, f"a mapping: {what}")
-    return content
+    return node_files_problem(given, robot, _package() / "config")
 
 
 def _package() -> Path:
@@ -237,6 +229,21 @@ def running_problem(given: Given, uri: str) -> str:
     if windows:
         return f"gui:=true: rviz runs already on {uri}: {windows[0]}; a second one would end it. Use view.launch, or leave it out"
     return ""
+
+
+def claim_problem(given: Given, uri: str, pid: int) -> str:
+    """Claim the robot for the roslaunch of a number; return a sentence when another start has claimed it, empty when it has not.
+
+    To be asked last: what is refused for another reason claims nothing.
+    """
+    robot = given.get("robot", "")
+    other = claim(robot, uri, pid) if robot else ""
+    if not other:
+        return ""
+    return (
+        f"robot:={robot}: {other}; a second start would end its nodes one by one. End that launch first, or give this robot a name "
+        f"of its own, e.g. robot:={robot}_2"
+    )
 
 
 def port_problem(given: Given) -> str:
@@ -332,7 +339,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     above = roslaunch_above() if for_roslaunch else None
     pid, call = above if above is not None else (None, None)
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
-    sentence = refusal(given, call, _master(call))
+    uri = _master(call)
+    sentence = refusal(given, call, uri)
+    if not sentence and uri and pid is not None:
+        sentence = claim_problem(given, uri, pid)
     if sentence:
         print(f"preflight: {sentence}", file=sys.stderr, flush=True)
         say_below(f"preflight: {sentence}", pid)

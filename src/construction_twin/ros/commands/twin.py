@@ -12,17 +12,26 @@ from pathlib import Path
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.files import write_whole
 from construction_twin.msg import Execution
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.commands.watch import watch
+from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.planner_scene import planner_scene, scene_text
+from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.views.arguments import Exit, check, parser
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.texts import plan_lines, status_lines
+from construction_twin.views.texts import plan_lines, scene_lines, status_lines
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
@@ -56,7 +65,7 @@ class Command:
         options, client = self._options, self._client
         scale, duration = options.speed or 0.0, options.duration or 0.0
         if options.csv is not None:
-            print(client.plan_from_csv(str(Path(options.csv).absolute()), scale))
+            print(client.plan_from_csv(str(Path(options.csv).absolute()), scale, options.columns))
         elif options.joints is not None:
             print(client.plan_to_joints(joint_goal(options.joints, self._robot()), duration, scale))
         elif options.line:
@@ -72,6 +81,29 @@ class Command:
 
     def _show(self) -> Exit:
         self._print_plan(self._under_review(self._listener()))
+        return Exit.DONE
+
+    def _export(self) -> Exit:
+        options = self._options
+        listener = self._listener()
+        listener.wait(lambda: listener.newest("plan") is not None, min(LATCHED, options.timeout))
+        newest = listener.newest("plan")
+        if newest is None:
+            raise RequestRefused("no plan was made since the planner started; plan one, then export it")
+        plan = listener.plan(newest.id)
+        if plan is None:
+            raise RequestRefused(listener.refused)
+        text = format_plan(plan, self._robot().linear, options.deg)
+        if options.file == "-":
+            print(text, end="")
+            return Exit.DONE
+        try:
+            write_whole(Path(options.file), text)
+        except OSError as error:
+            raise ConfigurationError(
+                options.file, error.strerror or str(error), "a file that can be written"
+            ) from error
+        print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
 
     def _preview(self) -> Exit:
@@ -116,7 +148,40 @@ class Command:
         watch(self._listener(rates=True), options.rate, options.once, options.timeout)
         return Exit.DONE
 
+    def _scene(self) -> Exit:
+        scene = self._present_scene()
+        if self._options.moveit is None:
+            print("\n".join(scene_lines(scene)))
+            return Exit.DONE
+        bodies = RobotBodies(self._robot())
+        text, remarks = scene_text(
+            planner_scene(bodies, scene, SelfCollision({}, "")), f"{self._options.robot} {scene.hash[:12]}"
+        )
+        for remark in remarks:
+            print(f"twin: {remark}", file=sys.stderr)
+        if self._options.moveit == "-":
+            print(text, end="")
+            return Exit.DONE
+        path = Path(self._options.moveit).absolute()
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise ConfigurationError("--moveit", str(path), f"a file that can be written ({error.strerror})") from error
+        print(
+            f"{path}: {sum(not item.link for item in scene.objects)} objects, in {parse_urdf(bodies.robot.urdf).get_root()}"
+        )
+        return Exit.DONE
+
     # -- what several of them need
+
+    def _present_scene(self) -> Scene:
+        """Return the scene that stands now; SilenceError when nobody publishes one."""
+        topic = f"{self._namespace}/scene"
+        expect_publisher(topic)
+        try:
+            return scene_from_msg(rospy.wait_for_message(topic, SceneMsg, self._options.timeout))
+        except rospy.ROSException as error:
+            raise SilenceError(topic, "the scene node does not publish", "see why it is down") from error
 
     def _robot(self) -> RobotModel:
         return robot_from_parameters(f"{self._namespace}/")

@@ -85,8 +85,8 @@ def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint
     return path
 
 
-def read_waypoints(path: str, robot: RobotModel) -> Waypoints:
-    """Read a CSV file of joint waypoints; see `waypoint_file`.
+def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:
+    """Read a CSV file of joint waypoints, whose columns are told if it does not name them; see `waypoint_file`.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def read_waypoints(path: str, robot: RobotModel) -> Waypoints:
         raise PlanningError(f"{path} cannot be read: it is not text in UTF-8; save it as CSV") from error
     except ValueError as error:  # a null character in the path
         raise PlanningError(f"{path!r} cannot be read: {error}") from error
-    return parse_waypoints(text, robot)
+    return parse_waypoints(text, robot, columns)
 
 
 def trajectory_waypoints(msg: JointTrajectory, robot: RobotModel) -> Waypoints:

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, RecordError, ReviewError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.approval import AUTO_APPROVE, Approval
+from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.speed_limit import LimitState, SpeedLimit
@@ -55,11 +55,21 @@ class Settings(NodeSettings):
 
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
+    auto_approve_sources: tuple[Annotated[str, pydantic.Field(min_length=1)], ...] = ()
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     neighbour: str = ""
     speed_limit_deadline: float = pydantic.Field(gt=0)
     speed_limit_silent: float = pydantic.Field(ge=0, le=1)
     speed_limit_required: bool
+
+    @pydantic.field_validator("auto_approve_sources")
+    @classmethod
+    def _never_with_a_real_arm(cls, names: tuple[str, ...], given: pydantic.ValidationInfo) -> tuple[str, ...]:
+        if names and given.data.get("arm") == "real":
+            raise ValueError(
+                "expected none with a real arm: the name of a client proves nothing, a person has to approve"
+            )
+        return names
 
 
 class Said(NamedTuple):
@@ -101,8 +111,8 @@ class ExecutorNode:
     outputs : Outputs
     diagnostics : callable
         Takes `report`; returns the node's NodeDiagnostics.
-    auto_approve : bool, optional
-        Whether plans are approved without a person.
+    without_person : WithoutPerson, optional
+        Which plans are approved without a person; by default none.
     """
 
     def __init__(
@@ -113,7 +123,7 @@ class ExecutorNode:
         log: ReviewLog,
         outputs: Outputs,
         diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
-        auto_approve: bool = False,
+        without_person: WithoutPerson = WithoutPerson(),
     ):
         self._robot = robot
         self._executor = executor
@@ -126,7 +136,7 @@ class ExecutorNode:
         self._started = rospy.Time.now()
         self._lock = threading.Lock()
         self._approval = Approval(executor, log.append, self._lock)
-        self._auto_approve = auto_approve
+        self._without_person = without_person
         self._session: str | None = None
         self._sync_at = 0
         self._reported: Said | None = None
@@ -292,10 +302,10 @@ class ExecutorNode:
         self.write_records()
         with self._lock:
             self._executor.queue.scene_alive = scene_alive
-        if not self._auto_approve:
+        if self._without_person == WithoutPerson():
             return
         try:
-            taken = self._approval.approve_by_itself(time.monotonic_ns())
+            taken = self._approval.approve_by_itself(time.monotonic_ns(), self._without_person)
         except RecordError as error:
             rospy.logerr_throttle(5.0, "%s", error)
             return
@@ -419,7 +429,7 @@ def start() -> ExecutorNode:
             Publisher("review", Review, queue_size=10, latch=True),
         ),
         functools.partial(NodeDiagnostics, robot.name),
-        settings.auto_approve,
+        WithoutPerson(settings.auto_approve, settings.auto_approve_sources),
     )
     refuse = node.refuse
     JointSubscriber("twin/joint_states", names, node.on_twin, refuse, queue_size=1, pause=TWIN_PAUSE)
@@ -440,6 +450,9 @@ def start() -> ExecutorNode:
     rospy.loginfo("verdicts are recorded in %s (%d so far)", log.path, log.state.lines)
     if settings.auto_approve:
         rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
+    elif settings.auto_approve_sources:
+        named = ", ".join(settings.auto_approve_sources)
+        rospy.logwarn("auto_approve_sources is set: plans of %s are approved by themselves, without a person", named)
     return node
 
 

@@ -184,26 +184,27 @@ class PlannerNode:
 
     def _on_plan_from_csv(self, request) -> PlanFromCsvResponse:
         def read() -> Callable[[PlanRequest], Plan]:
-            waypoints = read_waypoints(request.path, self._robot)
+            waypoints = read_waypoints(request.path, self._robot, request.columns)
             return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
 
         return PlanFromCsvResponse(*self._requests.answer_read(read, self._request(request, request.path)).fields)
 
     def _on_plan_trajectory(self, request) -> PlanTrajectoryResponse:
         asked = self._request(request, f"plan_trajectory from {caller_of(request)}")
-        return PlanTrajectoryResponse(*self._requests.answer_read(self._through(request.trajectory), asked).fields)
+        read = self._through(request.trajectory, request.retime)
+        return PlanTrajectoryResponse(*self._requests.answer_read(read, asked).fields)
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
         caller = caller_of(msg)
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}")
         self._requests.answer_read(self._through(msg), asked)
 
-    def _through(self, msg: JointTrajectory) -> Callable[[], Callable[[PlanRequest], Plan]]:
+    def _through(self, msg: JointTrajectory, retime: bool = False) -> Callable[[], Callable[[PlanRequest], Plan]]:
         """Return what reads a trajectory and then makes a plan of it, from where the twin stands."""
 
         def read() -> Callable[[PlanRequest], Plan]:
             waypoints = trajectory_waypoints(msg, self._robot)
-            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked)
+            return lambda asked: self._pipeline.through(waypoints, self._present_pose(), asked, retime)
 
         return read
 

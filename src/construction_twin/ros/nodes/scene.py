@@ -19,10 +19,12 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.shared.planning_scene import PlanningScenePublisher
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.scene.collision_world import CollisionWorld
@@ -72,7 +74,8 @@ class Settings(pydantic.BaseModel):
 class SceneNode:
     """Services `add_object`, `remove_object`, `attach_object`, `detach_object`, `clear_scene`.
 
-    Latched topics `scene` and `scene_markers`; listens to `twin/joint_states` and tf.
+    Latched topics `scene` and `scene_markers`, and `planning_scene` where moveit_msgs is installed; listens to `twin/joint_states`
+    and tf.
     """
 
     def __init__(self):
@@ -98,6 +101,7 @@ class SceneNode:
         self._tf_listener = tf2_ros.TransformListener(self._tf)
         self._scene_publisher = Publisher("scene", SceneMsg, queue_size=1, latch=True)
         self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
+        self._planning_scene = self._for_moveit()
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names, self._diagnostics.refuse)
         with self._busy:
             for sentence in self._new_lasting_contacts():
@@ -230,7 +234,20 @@ class SceneNode:
 
     def _publish_scene(self) -> None:
         self._scene_publisher.publish(scene_to_msg(self._world.scene, rospy.Time.now(), self._base_frame))
+        if self._planning_scene is not None:
+            self._planning_scene.publish(self._world.scene, rospy.Time.now())
         self._publish_markers()
+
+    def _for_moveit(self) -> PlanningScenePublisher | None:
+        """Return what tells MoveIt of the scene, where its message types are installed."""
+        types = moveit_types()
+        if types is None:
+            rospy.loginfo(
+                "moveit_msgs is not installed: planning_scene is not published; `twin scene --moveit` writes a file"
+            )
+            return None
+        publisher = Publisher("planning_scene", types.moveit.PlanningScene, queue_size=1, latch=True)
+        return PlanningScenePublisher(types, self._robot, self._world.self_collision, publisher)
 
     def _publish_markers(self) -> None:
         names = set(self._world.scene.names)

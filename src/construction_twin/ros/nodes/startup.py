@@ -72,7 +72,8 @@ class StartupNode:
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        came, link = self._came, snapshot.link
+        came = self._came
+        told = snapshot.link.counters if snapshot.link is not None and "link" in words else {}
         seen = Seen(
             link=words.get("link"),
             sync=words.get("sync"),
@@ -80,7 +81,8 @@ class StartupNode:
             feedback="feedback" in came,
             twin="twin" in came,
             scene="scene" in came,
-            controller=link.counters.get("controller_sentence", "") if link is not None and "link" in words else "",
+            controller=told.get("controller_sentence", ""),
+            clock=told.get("cycle_sentence", ""),
         )
         for line in self._startup.update(seen, time.monotonic()):
             waits = self._startup.missing is not None

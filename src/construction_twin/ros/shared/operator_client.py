@@ -66,9 +66,10 @@ class OperatorClient:
         request = {"waypoints": [CartesianWaypoint(pose=pose_to_msg(pose))], "speed": speed, "speed_scale": speed_scale}
         return self._call("plan_cartesian", PlanCartesian, source=self._source, frame_id=frame, **request)
 
-    def plan_from_csv(self, path: str, speed_scale: float = 0.0) -> str:
-        """Have the waypoints of a file, an absolute path on the planner's machine, checked and timed."""
-        return self._call("plan_from_csv", PlanFromCsv, path=path, speed_scale=speed_scale, source=self._source)
+    def plan_from_csv(self, path: str, speed_scale: float = 0.0, columns: str = "") -> str:
+        """Have the waypoints of a file, an absolute path on the planner's machine, checked and timed; see `waypoint_file`."""
+        request = {"path": path, "speed_scale": speed_scale, "columns": columns}
+        return self._call("plan_from_csv", PlanFromCsv, source=self._source, **request)
 
     def preview(self, speed: float = 1.0) -> str:
         """Let the ghost play the plan under review; 1: as fast as the plan."""

@@ -6,18 +6,38 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import PoseUnknownError
-from construction_twin.ros.transport.joint_stream import joint_values
+from construction_twin.ros.transport.joint_stream import from_time, joint_values
 from construction_twin.ros.transport.subscriber import Subscriber
 
 #: Between two reads of the socket while no pose is asked for [s]: of what has come in the meantime only the newest is kept.
 PAUSE = 0.1
 #: How long a caller waits for what lies in the socket, or for the stream's next message [s].
 NEXT_MESSAGE = 0.01
+
+
+@dataclass(frozen=True)
+class StampedPose:
+    """A pose and its times.
+
+    Attributes
+    ----------
+    positions : tuple, shape (n,)
+        [rad], or [m] for prismatic joints, in the order of the names.
+    stamp : int
+        Of its header [ns].
+    received : float
+        Monotonic time at which it was read [s].
+    """
+
+    positions: tuple[float, ...]
+    stamp: int
+    received: float
 
 
 class LatestPose:
@@ -41,7 +61,11 @@ class LatestPose:
         self._subscriber = Subscriber(topic, rospy.AnyMsg, self._receive, refused, queue_size=1, tcp_nodelay=True)
 
     def pose(self, oldest: float, patience: float = 0.0) -> tuple[float, ...]:
-        """Return the newest pose.
+        """Return the newest pose; see `newest`."""
+        return self.newest(oldest, patience).positions
+
+    def newest(self, oldest: float, patience: float = 0.0) -> StampedPose:
+        """Return the newest pose with its times.
 
         Parameters
         ----------
@@ -52,8 +76,7 @@ class LatestPose:
 
         Returns
         -------
-        q : tuple, shape (n,)
-            [rad], or [m] for prismatic joints, in the order of the names.
+        newest : StampedPose
 
         Raises
         ------
@@ -70,7 +93,8 @@ class LatestPose:
                 raise PoseUnknownError(self._subscriber.resolved_name, self._age(), oldest)
             newest = self._newest
         assert newest is not None  # its age was finite
-        return joint_values(JointState().deserialize(newest[1]._buff), self._names)
+        received, message = newest[0], JointState().deserialize(newest[1]._buff)
+        return StampedPose(joint_values(message, self._names), from_time(message.header.stamp), received)
 
     def close(self) -> None:
         """Listen no longer."""

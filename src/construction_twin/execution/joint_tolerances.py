@@ -1,0 +1,132 @@
+"""How far a joint may be off on the path and at the goal, as another planner asks for it in control_msgs/JointTolerance. Pure.
+
+Joint vectors are in the robot's order: rad, or m for prismatic joints, per s and per s^2. In what a planner asks, 0 stands for the
+default and a negative number for no bound; inside, no bound is infinity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from construction_twin.core.errors import GoalError, GoalJointsError
+from construction_twin.core.units import for_people
+from construction_twin.robot.description import RobotModel
+
+#: What a tolerance bounds, with what stands behind the joint's unit.
+QUANTITIES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
+
+
+@dataclass(frozen=True)
+class AskedTolerance:
+    """The tolerance of one joint, as it was asked for: 0 is the default, a negative number no bound.
+
+    Attributes
+    ----------
+    joint : str
+    position, velocity, acceleration : float
+        [rad, rad/s, rad/s^2], or in m.
+    """
+
+    joint: str
+    position: float
+    velocity: float = 0.0
+    acceleration: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far every joint may be off.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : tuple of float, length n
+        In the robot's joint order; infinity: no bound.
+    """
+
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    acceleration: tuple[float, ...]
+
+    @classmethod
+    def default(cls, robot: RobotModel, revolute: float, prismatic: float) -> Tolerances:
+        """Return one position tolerance for all revolute joints [rad] and one for all prismatic ones [m]; 0: no bound."""
+        position = tuple((prismatic if linear else revolute) or math.inf for linear in robot.linear)
+        free = (math.inf,) * len(robot.linear)
+        return cls(position, free, free)
+
+    def asked(self, robot: RobotModel, asked: Iterable[AskedTolerance], name: str) -> Tolerances:
+        """Return these tolerances with what a goal asks for in their place.
+
+        Parameters
+        ----------
+        robot : RobotModel
+        asked : iterable of AskedTolerance
+            Joints in any order; those that are missing keep their default. The last word on a joint counts.
+        name : str
+            Of the field, for messages.
+
+        Raises
+        ------
+        GoalJointsError
+            Naming a joint that is none of the robot's.
+        GoalError
+            Naming joint and value that is not a number.
+        """
+        columns = {quantity: list(getattr(self, quantity)) for quantity in QUANTITIES}
+        for one in asked:
+            if one.joint not in robot.joint_names:
+                known = ", ".join(robot.joint_names)
+                raise GoalJointsError(f"{name} names the joint {one.joint!r}; expected only {known}")
+            index = robot.joint_names.index(one.joint)
+            for quantity, column in columns.items():
+                value = getattr(one, quantity)
+                if math.isnan(value):
+                    raise GoalError(
+                        f"{name}: the {quantity} of {one.joint} is nan; expected a number, 0 for the default, below 0 for no bound"
+                    )
+                if value:
+                    column[index] = value if value > 0.0 else math.inf
+        return Tolerances(*(tuple(column) for column in columns.values()))
+
+    def violation(
+        self, robot: RobotModel, position: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]
+    ) -> str:
+        """Return which joint is off by more than it may, with the values; "" when none is.
+
+        Parameters
+        ----------
+        robot : RobotModel
+        position, velocity, acceleration : sequence of float, length n
+            Actual minus desired.
+        """
+        for (quantity, per), errors in zip(QUANTITIES.items(), (position, velocity, acceleration)):
+            for index, (error, bound) in enumerate(zip(errors, getattr(self, quantity))):
+                # written so that a nan does not pass
+                if not abs(error) <= bound:
+                    unit = ("m" if robot.linear[index] else "rad") + per
+                    return (
+                        f"the {quantity} of {robot.joint_names[index]} is off by {for_people(abs(error), unit)}; "
+                        f"its tolerance is {for_people(bound, unit)}"
+                    )
+        return ""
+
+
+def check_joint_names(robot: RobotModel, names: Sequence[str]) -> None:
+    """Check that a goal names each of the robot's joints once, in any order.
+
+    Raises
+    ------
+    GoalJointsError
+        Naming the first joint that is too many or missing.
+    """
+    known = ", ".join(robot.joint_names)
+    for name in names:
+        if name not in robot.joint_names:
+            raise GoalJointsError(f"the goal names the joint {name!r}; expected each of {known} once")
+        if list(names).count(name) > 1:
+            raise GoalJointsError(f"the goal names the joint {name} twice; expected each of {known} once")
+    for name in robot.joint_names:
+        if name not in names:
+            raise GoalJointsError(f"the goal does not name the joint {name}; expected each of {known} once")

@@ -1,0 +1,491 @@
+"""Goals of other planners: from a trajectory to a plan under review, an execution and a result. Pure.
+
+One goal has the arm at a time. `TrajectoryGoals` takes what happens and says, as a list of effects, what has to be done: the node
+around it talks to planner, executor and clients. Times are on the monotonic clock [ns].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.goal_states import ROWS, GoalEvent, GoalState, Guard, Row
+from construction_twin.execution.joint_tolerances import Tolerances
+from construction_twin.execution.states import ACTIVE, ExecutorState
+from construction_twin.execution.tracking import Sample
+from construction_twin.review.queue import EXECUTOR
+from construction_twin.robot.description import RobotModel
+
+#: A call that failed, of `stop` or `review_plan`, is made again after this time [ns].
+RETRY = NANOSECONDS // 5
+#: A plan that is withdrawn counts as gone when the executor has not said so for this long [ns].
+WITHDRAWAL = 5 * NANOSECONDS
+#: A plan that takes this much longer than asked is said to [s].
+NOTABLE = 0.001
+#: States in which the executor plays the goal's plan.
+PLAYED = (GoalState.MOVING, GoalState.BRAKING)
+
+
+class ResultCode(IntEnum):
+    """Error codes of control_msgs/FollowJointTrajectoryResult; a header's stamp is never too old, because it is not used."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class Ending(Enum):
+    """How a goal ends, in the words of actionlib."""
+
+    REJECTED = "rejected"
+    CANCELED = "canceled"  # recalled before it was accepted, preempted after
+    ABORTED = "aborted"
+    SUCCEEDED = "succeeded"
+
+
+@dataclass(frozen=True)
+class TrajectoryGoal:
+    """A goal that names the robot's joints; whether its motion is possible is the planner's to say.
+
+    Attributes
+    ----------
+    id : str
+    client : str
+        Name of the node that sent it: an address, not a proof.
+    path, goal : Tolerances
+        While it moves, and at the end.
+    time_tolerance : float
+        How much later than planned the arm may be at the goal [s].
+    """
+
+    id: str
+    client: str
+    path: Tolerances
+    goal: Tolerances
+    time_tolerance: float
+
+
+@dataclass(frozen=True)
+class Ask:
+    """The planner is to be asked for a plan."""
+
+    goal: TrajectoryGoal
+
+
+@dataclass(frozen=True)
+class Withdraw:
+    """A plan is to be rejected in its client's name."""
+
+    plan_id: str
+    plan_hash: str
+    client: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Brake:
+    """The executor is to brake along the path."""
+
+    plan_id: str
+
+
+@dataclass(frozen=True)
+class Accept:
+    """A goal is active from now on."""
+
+    goal_id: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Status:
+    """The text of an active goal's status."""
+
+    goal_id: str
+    text: str
+
+
+@dataclass(frozen=True)
+class End:
+    """A goal has its result."""
+
+    goal_id: str
+    ending: Ending
+    code: ResultCode
+    sentence: str
+
+
+Effect = Ask | Withdraw | Brake | Accept | Status | End
+
+
+@dataclass(frozen=True)
+class GoalPlan:
+    """The plan of a goal, as the planner answered: id, hash, duration [s], and the duration that was asked for [s], 0 for none."""
+
+    id: str
+    hash: str
+    duration: float
+    asked: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Heard:
+    """The executor's last report."""
+
+    plan_id: str = ""
+    state: ExecutorState = ExecutorState.WAITING
+    outcome: str = ""
+    reason: str = ""
+
+
+class TrajectoryGoals:
+    """Takes goals, one at a time, and says what has to be done about them.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    reviewed_by : str
+        How a person approves, for the client: the name of the service.
+
+    Attributes
+    ----------
+    state : GoalState
+    goal : TrajectoryGoal or None
+        The one that has the arm.
+    """
+
+    def __init__(self, robot: RobotModel, reviewed_by: str):
+        self._robot = robot
+        self._reviewed_by = reviewed_by
+        self.state = GoalState.FREE
+        self.goal: TrajectoryGoal | None = None
+        self._client = ""
+        self._plan: GoalPlan | None = None
+        self._next: TrajectoryGoal | None = None
+        self._coming: TrajectoryGoal | None = None
+        self._why = ""
+        self._off_path = False
+        self._retry_at = self._since = self._now = 0
+        self._heard = _Heard()
+        self._verdict: tuple[str, str] = ("", "")
+        self._effects: list[Effect] = []
+
+    @property
+    def plan(self) -> GoalPlan | None:
+        """The plan of the goal that has the arm; None before the planner has answered."""
+        return self._plan
+
+    def take_effects(self) -> list[Effect]:
+        """Return what has to be done since the last call, in this order."""
+        effects, self._effects = self._effects, []
+        return effects
+
+    def describe(self) -> str:
+        """Return the state as one sentence, for operators."""
+        if self.state is GoalState.FREE:
+            return "no goal"
+        plan = f", plan {self._plan.id}" if self._plan else ""
+        return f"goal of {self._client} is {self.state.value}{plan}"
+
+    # -- what clients ask
+
+    def on_goal(self, goal: TrajectoryGoal, now: int) -> None:
+        """Take a goal."""
+        self._coming = goal
+        self._on(GoalEvent.GOAL, now)
+
+    def on_stand_still(self, goal: TrajectoryGoal, now: int) -> None:
+        """Take a goal without points: it cancels what the same client has asked for, and is done."""
+        ours = [each for each in (self.goal, self._next) if each is not None and each.client == goal.client]
+        if not ours:
+            sentence = (
+                "the trajectory has no points, and no goal of yours is there to be stopped; give at least one point"
+            )
+            self._effects.append(End(goal.id, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence))
+            return
+        self._effects.append(Accept(goal.id, "no points: your other goal is cancelled"))
+        for each in reversed(ours):
+            self.on_cancel(each.id, now)
+        sentence = "no points: your other goal is cancelled, and ends when the arm is at rest"
+        self._effects.append(End(goal.id, Ending.SUCCEEDED, ResultCode.SUCCESSFUL, sentence))
+
+    def on_cancel(self, goal_id: str, now: int) -> None:
+        """Take a request to cancel a goal; one that has ended is left alone."""
+        if self._next is not None and self._next.id == goal_id:
+            self._end(
+                self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, "cancelled before it was planned"
+            )
+            self._next = None
+        elif self.goal is not None and self.goal.id == goal_id:
+            if not self._why:
+                self._why = "cancelled by its client"
+            self._on(GoalEvent.CANCEL, now)
+
+    # -- what the planner answers
+
+    def on_planned(self, plan: GoalPlan, now: int) -> None:
+        """Take the plan that was made of the goal; it is under review."""
+        self._plan = plan
+        self._on(GoalEvent.PLANNED, now)
+        # verdict and execution travel on connections of their own and may have been faster
+        if self._verdict[0] == plan.id:
+            self._on(GoalEvent.TURNED_DOWN, now, self._verdict[1])
+        if self._heard.plan_id == plan.id:
+            self._follow_execution(now)
+
+    def on_not_planned(self, sentence: str, now: int) -> None:
+        """Take the planner's refusal, or that it did not answer."""
+        self._on(GoalEvent.NOT_PLANNED, now, sentence)
+
+    # -- what the executor says
+
+    def on_verdict(self, plan_id: str, approved: bool, reviewer: str, reason: str, now: int) -> None:
+        """Take a verdict on a plan; an approval counts when the executor begins."""
+        if approved:
+            if self._plan is not None and plan_id == self._plan.id and self.state is GoalState.REVIEW:
+                self._tell(f"plan {plan_id} was approved by {reviewer}")
+            return
+        what = f"withdrawn by the {EXECUTOR}" if reviewer == EXECUTOR else f"rejected by {reviewer}"
+        sentence = f"plan {plan_id} was {what}{': ' if reason else ''}{reason}"
+        self._verdict = plan_id, sentence
+        if self._plan is not None and plan_id == self._plan.id:
+            self._on(GoalEvent.TURNED_DOWN, now, sentence)
+
+    def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, now: int) -> None:
+        """Take what the executor does, with the plan that it plays or played last."""
+        before, self._heard = self._heard, _Heard(plan_id, state, outcome, reason)
+        if self._plan is None:
+            return
+        if plan_id == self._plan.id:
+            moving = self.state is GoalState.MOVING
+            self._follow_execution(now)
+            if moving and self.state is GoalState.MOVING and before.state is not state:
+                self._tell(f"{state.name}: {reason}")
+        elif self.state in PLAYED:
+            self._on(GoalEvent.LOST, now, f"the executor no longer plays plan {self._plan.id}: {reason}")
+
+    def on_call_failed(self, now: int) -> None:
+        """Take that a call of `stop` or `review_plan` did not do what it was for: it is made again, while it is still needed."""
+        self._retry_at = now + RETRY
+
+    # -- what time and poses bring
+
+    def tick(self, now: int, sample: Sample | None, at_rest: bool) -> None:
+        """Take the time, where the arm is, and whether the twin is at rest.
+
+        Parameters
+        ----------
+        now : int
+            [ns]
+        sample : Sample or None
+            The newest one; None: not known.
+        at_rest : bool
+        """
+        self._now = now
+        if self._retry_at and now >= self._retry_at:
+            self._retry_at = 0
+            self._repeat()
+        if self.state is GoalState.WITHDRAWING and now - self._since > WITHDRAWAL:
+            self._why = f"{self._why}; the executor does not say that plan {self._planned.id} is withdrawn: reject it"
+            self._on(GoalEvent.TOO_LATE, now)
+        if at_rest:
+            self._on(GoalEvent.STILL, now)
+        if self.state is GoalState.MOVING and sample is not None:
+            self._check_path(sample, now)
+        if self.state is GoalState.SETTLING:
+            self._check_goal(sample if at_rest else None, now)
+        if self.state is GoalState.FREE and self._next is not None and at_rest:
+            self._coming, self._next = self._next, None
+            self._on(GoalEvent.GOAL, now)
+
+    def _check_path(self, sample: Sample, now: int) -> None:
+        assert self.goal is not None  # it moves
+        error = sample.error
+        problem = self.goal.path.violation(self._robot, error.position, error.velocity, error.acceleration)
+        if problem:
+            self._on(GoalEvent.OFF_PATH, now, f"on the path {problem}")
+
+    def _check_goal(self, sample: Sample | None, now: int) -> None:
+        assert self.goal is not None  # it settles
+        problem = "twin and arm are not known to be at rest"
+        if sample is not None:
+            # the twin rests at the path's end: what it shows is the goal
+            error = sample.error
+            problem = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
+        if not problem:
+            self._on(GoalEvent.AT_GOAL, now)
+        elif now - self._since > self.goal.time_tolerance * NANOSECONDS:
+            self._on(GoalEvent.TOO_LATE, now, f"{self.goal.time_tolerance:g} s after the plan's end {problem}")
+
+    # -- the table
+
+    @property
+    def _planned(self) -> GoalPlan:
+        assert self._plan is not None  # the planner has answered in every state in which this is asked for
+        return self._plan
+
+    def _follow_execution(self, now: int) -> None:
+        heard = self._heard
+        if heard.state in ACTIVE:
+            self._on(GoalEvent.STARTED, now)
+        elif heard.outcome == "finished":
+            self._on(GoalEvent.FINISHED, now)
+        elif heard.outcome:
+            self._on(GoalEvent.ENDED, now, heard.reason)
+
+    def _on(self, event: GoalEvent, now: int, reason: str = "") -> None:
+        """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
+        self._now = now
+        for row in ROWS[self.state, event]:
+            if self._is_true(row.guard):
+                self._follow(row, reason)
+                return
+
+    def _is_true(self, guard: Guard) -> bool:
+        if guard is Guard.BUSY:
+            return self._heard.state in ACTIVE
+        if guard is Guard.STRANGER:
+            return self._coming is not None and self._coming.client != self._client
+        return True
+
+    def _follow(self, row: Row, reason: str) -> None:
+        if row.target is not row.state:
+            self._since, self._retry_at = self._now, 0
+        if row.target is not None:
+            self.state = row.target
+        getattr(self, f"_{row.action.name.lower()}")(reason)
+        if self.state is GoalState.FREE:
+            self.goal = self._plan = None
+            self._why, self._off_path = "", False
+
+    # -- actions: one method for each of the table
+
+    def _nothing(self, _reason: str) -> None:
+        """Do nothing."""
+
+    def _ask(self, _reason: str) -> None:
+        self.goal, self._coming = self._coming, None
+        assert self.goal is not None  # the event brings it
+        self._client = self.goal.client
+        self._effects.append(Ask(self.goal))
+
+    def _turn_away(self, _reason: str) -> None:
+        has = f"{self._client} has the arm ({self.describe()})"
+        self._reject_coming(f"{has}; cancel that goal, or send this one when it has ended")
+
+    def _turn_away_busy(self, _reason: str) -> None:
+        heard = self._heard
+        self._reject_coming(
+            f"the arm follows plan {heard.plan_id}, which is of no goal of this action; wait for its end"
+        )
+
+    def _line_up(self, _reason: str) -> None:
+        if self._next is not None:
+            self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, "replaced by a newer goal")
+        self._next, self._coming = self._coming, None
+
+    def _replace(self, _reason: str) -> None:
+        self._why = "replaced by a newer goal"
+        self._cancel("")
+        self._line_up("")
+
+    def _withdraw(self, _reason: str) -> None:
+        plan = self._planned
+        self._effects.append(Withdraw(plan.id, plan.hash, self._client, self._why or "no longer wanted by its client"))
+        self._tell(f"{self._why}; plan {plan.id} is being withdrawn")
+
+    def _withdraw_for_next(self, _reason: str) -> None:
+        self._why = self._why or "replaced by a newer goal"
+        self._withdraw("")
+        self._line_up("")
+
+    def _accept(self, _reason: str) -> None:
+        assert self.goal is not None  # it was planned
+        plan = self._planned
+        late = plan.asked and plan.duration > plan.asked + NOTABLE
+        instead = f" instead of {plan.asked:.3f} s, which would break a limit of the arm," if late else ""
+        decides = f"a person, who approves or rejects it by {self._reviewed_by}"
+        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for {decides}"
+        self._effects.append(Accept(self.goal.id, waits))
+
+    def _refuse(self, reason: str) -> None:
+        self._finish(Ending.REJECTED, ResultCode.INVALID_GOAL, reason)
+
+    def _recall(self, _reason: str) -> None:
+        self._cancel("")
+
+    def _preempt(self, _reason: str) -> None:
+        self._cancel("")
+
+    def _abort_invalid(self, reason: str) -> None:
+        self._finish(Ending.ABORTED, ResultCode.INVALID_GOAL, reason)
+
+    def _abort_path(self, _reason: str) -> None:
+        heard = self._heard
+        code = ResultCode.PATH_TOLERANCE_VIOLATED if heard.outcome == "held" else ResultCode.GOAL_TOLERANCE_VIOLATED
+        self._finish(Ending.ABORTED, code, f"plan {self._planned.id} ended as {heard.outcome}: {heard.reason}")
+
+    def _abort_goal(self, reason: str) -> None:
+        self._finish(Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, reason)
+
+    def _end_stopped(self, _reason: str) -> None:
+        where = f"the arm is at rest on its path; {self._heard.reason}" if self._heard.reason else "the arm is at rest"
+        if self._off_path:
+            self._finish(Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{self._why}; {where}")
+        else:
+            self._cancel(where)
+
+    def _brake(self, _reason: str) -> None:
+        self._effects.append(Brake(self._planned.id))
+        self._tell(f"{self._why}; brakes on the path")
+
+    def _brake_for_next(self, _reason: str) -> None:
+        self._why = self._why or "replaced by a newer goal"
+        self._brake("")
+        self._line_up("")
+
+    def _brake_off_path(self, reason: str) -> None:
+        self._why, self._off_path = reason, True
+        self._brake("")
+
+    def _say_moving(self, _reason: str) -> None:
+        self._tell(f"{self._heard.state.name}: {self._heard.reason}")
+
+    def _succeed(self, _reason: str) -> None:
+        self._finish(
+            Ending.SUCCEEDED, ResultCode.SUCCESSFUL, f"plan {self._planned.id} was executed; the arm is at the goal"
+        )
+
+    def _repeat(self) -> None:
+        """Make a call again that failed and is still needed."""
+        if self.state is GoalState.WITHDRAWING:
+            self._withdraw("")
+        elif self.state is GoalState.BRAKING:
+            self._effects.append(Brake(self._planned.id))
+
+    # -- what clients are told
+
+    def _cancel(self, where: str) -> None:
+        sentence = f"{self._why}; {where}" if where else self._why
+        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
+
+    def _finish(self, ending: Ending, code: ResultCode, sentence: str) -> None:
+        """End the goal that has the arm; while its plan is being withdrawn, there may be none."""
+        if self.goal is not None:
+            self._end(self.goal, ending, code, sentence)
+        self.goal = None
+
+    def _end(self, goal: TrajectoryGoal, ending: Ending, code: ResultCode, sentence: str) -> None:
+        self._effects.append(End(goal.id, ending, code, sentence))
+
+    def _reject_coming(self, sentence: str) -> None:
+        assert self._coming is not None  # the event brings it
+        self._end(self._coming, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence)
+        self._coming = None
+
+    def _tell(self, text: str) -> None:
+        if self.goal is not None:
+            self._effects.append(Status(self.goal.id, text))

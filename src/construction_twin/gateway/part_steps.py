@@ -1,0 +1,57 @@
+"""A cycle's step in parts, for telegrams that come faster than one a cycle.
+
+A controller that is switched to a shorter cycle is noticed after some telegrams only, and an arm that is braked then is still
+moving. A whole step of the longer cycle in each of them would be several times the speed, and many times the braking. Standard
+library only; rad and ns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+
+class PartSteps:
+    """Spreads the steps of whole cycles over the telegrams within them.
+
+    Parameters
+    ----------
+    cycle_ns : int
+        The configured cycle [ns].
+    """
+
+    def __init__(self, cycle_ns: int):
+        self._cycle = cycle_ns
+        #: How much of the present step has been told [ns]; 0: all of it.
+        self.told = 0
+        self._before: tuple[float, ...] = ()
+
+    def restart(self) -> None:
+        """Begin with a whole step."""
+        self.told = 0
+
+    def position(
+        self, elapsed: int, now: tuple[float, ...], step: Callable[[], tuple[float, ...]]
+    ) -> tuple[float, ...]:
+        """Return where to be after `elapsed` more controller time [ns].
+
+        Parameters
+        ----------
+        elapsed : int
+            [ns]
+        now : tuple, shape (n,)
+            Where the present step ends [rad].
+        step : callable
+            Takes the step of one cycle and returns where it ends [rad].
+        """
+        begun = self.told > 0
+        self.told += elapsed
+        if not begun:
+            self._before, now = now, step()
+        while self.told > self._cycle:
+            self._before, now = now, step()
+            self.told -= self._cycle
+        part = self.told / self._cycle
+        if self.told == self._cycle:
+            self.told = 0
+            return now
+        return tuple([start + part * (end - start) for start, end in zip(self._before, now)])

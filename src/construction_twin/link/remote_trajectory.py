@@ -1,0 +1,452 @@
+"""`trajectory` on MQTT: a motion that was planned elsewhere, as JSON; read strictly. Pure; standard library only.
+
+Units are said by the sender and converted here to SI: m, rad, s. Two forms are read, see docs/reference/mqtt.md: our own, and what
+`compas_fab.robots.JointTrajectory` serialises to, alone or as `trajectory` of an envelope. What is not exactly one of them is
+refused (PayloadError). Ranges, limits and the start are the planner's to check.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.mqtt.messages import parse_object
+
+#: Longest id, name and other short text.
+MAX_TEXT = 64
+#: No position, velocity, acceleration or time of an arm is larger, in whatever unit.
+LARGEST = 1e6
+#: What COMPAS calls the type of compas_fab's trajectory; its values are rad and m by definition.
+COMPAS_TYPE = "compas_fab.robots/JointTrajectory"
+#: `joint_types` of COMPAS: revolute and continuous, prismatic.
+_COMPAS_LINEAR = {0: False, 1: False, 2: True}
+_FACTORS = {"angle": {"rad": 1.0, "deg": math.pi / 180.0}, "length": {"m": 1.0, "mm": 1e-3}, "time": {"s": 1.0}}
+_ENVELOPE = ("id", "source", "speed_scale", "acceleration_scale")
+_PLAIN = (*_ENVELOPE, "units", "joint_names", "points")
+_POINT = ("positions", "velocities", "accelerations", "time_from_start")
+#: The keys of our own form, at every level.
+KEYS = (*_PLAIN, *_POINT, *_FACTORS)
+_COMPAS = ("dtype", "data", "guid", "name", "inheritance")
+#: Of compas_fab's trajectory; the last three describe how it was made, and are not read.
+_COMPAS_DATA = (
+    "points",
+    "joint_names",
+    "fraction",
+    "start_configuration",
+    "start_state",
+    "planning_time",
+    "attributes",
+)
+_COMPAS_POINT = (
+    "joint_values", "joint_types", "joint_names", "velocities", "accelerations", "effort", "time_from_start",
+)  # fmt: skip
+#: What is said about zeros that compas_fab fills in where nothing was given.
+ZEROS = "all {} are zero, which compas_fab writes where none are given: read as not given"
+
+#: Robot, role and person of up to 32 characters each.
+_ACCOUNT = re.compile(r"[A-Za-z0-9_-]{1,100}")
+
+Values = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The robot's joints, base to tip: `names`, and which of them are prismatic."""
+
+    names: tuple[str, ...]
+    linear: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class TrajectoryPoint:
+    """A point in the robot's joint order, SI.
+
+    Attributes
+    ----------
+    positions, velocities, accelerations : tuple of float
+        [rad] or [m], and per s and s²; of the last two every point has values, or none.
+    time_ns : int
+        From the start [ns]; 0 in all points: not timed.
+    """
+
+    positions: Values
+    velocities: Values
+    accelerations: Values
+    time_ns: int
+
+
+@dataclass(frozen=True)
+class TrajectoryRequest:
+    """A motion from elsewhere.
+
+    Attributes
+    ----------
+    id : str
+        The sender's own, echoed in the answer; empty where COMPAS gave none.
+    source : str
+        What the sender says of itself; proves nothing.
+    speed_scale, acceleration_scale : float
+        Fractions of the limits, 0 for the planner's default.
+    points : tuple of TrajectoryPoint
+    notes : tuple of str
+        What was understood in a way that the sender should know.
+    """
+
+    id: str
+    source: str
+    speed_scale: float
+    acceleration_scale: float
+    points: tuple[TrajectoryPoint, ...]
+    notes: tuple[str, ...] = ()
+
+
+def last_level(topic: str) -> str:
+    """Return the last level of a topic: on `trajectory/from/<account>` the account."""
+    return topic.rpartition("/")[2]
+
+
+def checked_sender(account: str) -> str:
+    """Return the account in a topic's name, empty for none; PayloadError (``sender``) when no account is called so."""
+    if account and not _ACCOUNT.fullmatch(account):
+        raise PayloadError(
+            "sender",
+            f"trajectory from {_shown(account)}; expected an account's name: up to 100 letters, digits, - and _",
+        )
+    return account
+
+
+def read_document(payload: bytes, retained: bool, limit: int) -> dict:
+    """Return the JSON object of a message on `trajectory`.
+
+    Parameters
+    ----------
+    payload : bytes
+    retained : bool
+        The message's retain flag.
+    limit : int
+        Longest payload that is read [bytes].
+
+    Raises
+    ------
+    PayloadError
+        ``retained``, ``size`` or ``format``.
+    """
+    if retained:
+        raise PayloadError(
+            "retained", "retained trajectory: it is unknown when it was meant; publish it without the retain flag"
+        )
+    if len(payload) > limit:
+        raise PayloadError(
+            "size",
+            f"trajectory of {len(payload)} bytes; at most {limit} are read (max_trajectory_bytes); use fewer points",
+        )
+    return parse_object(payload, "format", limit)
+
+
+def request_id(document: Mapping[str, Any]) -> str:
+    """Return what the answer echoes: the document's `id`, else the guid of a COMPAS object; "" without one.
+
+    Raises
+    ------
+    PayloadError
+        ``format``
+    """
+    value = document.get("id", document.get("guid", "") if "dtype" in document else "")
+    return _text(value, "id")
+
+
+def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
+    """Return the motion in a document.
+
+    Parameters
+    ----------
+    document : Mapping
+        See `read_document`.
+    joints : Joints
+        Of the robot; the sender may name them in any order.
+
+    Raises
+    ------
+    PayloadError
+        ``format`` (keys and their kinds), ``units``, ``joints``, ``values``.
+    """
+    if "dtype" in document:
+        return _compas_request(document, document, joints)
+    if "trajectory" in document:
+        _keys(document, "trajectory message", ("id", "trajectory"), (*_ENVELOPE, "trajectory"))
+        inner = document["trajectory"]
+        if not isinstance(inner, dict) or "dtype" not in inner:
+            raise PayloadError(
+                "format",
+                f"key trajectory holds {_shown(inner)}; expected a COMPAS object of dtype {COMPAS_TYPE}; without COMPAS "
+                "joint_names, points and units stand beside id",
+            )
+        return _compas_request(document, inner, joints)
+    return _plain_request(document, joints)
+
+
+def trajectory_answer(request: str, sender: str, ok: bool, reason: str, **plan: object) -> bytes:
+    """Return the payload for `trajectory/ack`.
+
+    Parameters
+    ----------
+    request : str
+        The sender's id; empty when it could not be read.
+    sender : str
+        The account in the topic's name; empty when there is none.
+    ok : bool
+        The motion is a plan under review.
+    reason : str
+        One sentence: what was planned, or why not and what to do.
+    **plan
+        `plan_id`, `plan_hash`, `duration` [s], `notes`; empty without a plan.
+    """
+    empty = {"plan_id": "", "plan_hash": "", "duration": 0.0, "notes": []}
+    return json.dumps({"id": request, "sender": sender, "ok": ok, "reason": reason} | empty | plan).encode()
+
+
+# -- our own form
+
+
+def _plain_request(document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
+    _keys(document, "trajectory message", ("id", "units", "joint_names", "points"), _PLAIN)
+    factors = _factors(document["units"])
+    order = _order(document["joint_names"], joints)
+    scales = tuple(factors["length" if linear else "angle"] for linear in joints.linear)
+    points = []
+    for index, point in enumerate(_list(document["points"], "points")):
+        _keys(point, f"point {index}", ("positions",), _POINT)
+        values = [_values(point.get(name, []), f"point {index}: {name}", order, scales) for name in _POINT[:3]]
+        if not values[0]:
+            raise PayloadError("values", f"point {index} has no positions; expected one for each joint")
+        time_ns = _seconds(point.get("time_from_start", 0.0), index)
+        points.append(TrajectoryPoint(values[0], values[1], values[2], time_ns))
+    _all_or_none(points)
+    _check_timed(points)
+    return TrajectoryRequest(*_envelope(document), tuple(points))
+
+
+def _factors(units: object) -> dict[str, float]:
+    expected = '{"angle": "rad" or "deg", "length": "m" or "mm", "time": "s"}; units are said, never guessed'
+    if not isinstance(units, dict) or set(units) != set(_FACTORS):
+        raise PayloadError("units", f"units are {_shown(units)}; expected {expected}")
+    for kind, unit in units.items():
+        if not isinstance(unit, str) or unit not in _FACTORS[kind]:
+            raise PayloadError("units", f"the unit of {kind} is {_shown(unit)}; expected {expected}")
+    return {kind: _FACTORS[kind][unit] for kind, unit in units.items()}
+
+
+def _seconds(value: object, index: int) -> int:
+    seconds = _number(value, f"point {index}: time_from_start")
+    if seconds < 0.0:
+        raise PayloadError("values", f"point {index}: time_from_start is {seconds:g} s; expected 0 or later")
+    return round(seconds * NANOSECONDS)
+
+
+def _all_or_none(points: Sequence[TrajectoryPoint]) -> None:
+    for name in ("velocities", "accelerations"):
+        given = [bool(getattr(point, name)) for point in points]
+        if any(given) and not all(given):
+            raise PayloadError(
+                "values",
+                f"point {given.index(False)} has no {name}, others have; expected them in every point or in none",
+            )
+
+
+def _is_timed(points: Sequence[TrajectoryPoint]) -> bool:
+    return any(point.time_ns for point in points)
+
+
+def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
+    """Refuse velocities of a motion without times: it is timed here, and they would be dropped."""
+    if not _is_timed(points) and any(point.velocities or point.accelerations for point in points):
+        raise PayloadError(
+            "values",
+            "velocities or accelerations without times; expected time_from_start in the points, or neither of them",
+        )
+
+
+# -- compas_fab's form
+
+
+def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
+    _keys(document, "COMPAS object", ("dtype", "data"), _COMPAS)
+    if document["dtype"] != COMPAS_TYPE:
+        raise PayloadError("format", f"COMPAS object of dtype {_shown(document['dtype'])}; expected {COMPAS_TYPE}")
+    data = document["data"]
+    _keys(data, "compas_fab trajectory", ("points", "joint_names"), _COMPAS_DATA)
+    _check_fraction(data.get("fraction"))
+    rows = _list(data["points"], "points")
+    names = _compas_names(data["joint_names"], rows)
+    order = _order(names, joints)
+    points = tuple(_compas_point(point, index, names, order, joints) for index, point in enumerate(rows))
+    notes = []
+    for name in ("velocities", "accelerations"):
+        # compas_fab cannot say "none": it fills in zeros
+        if points and not any(any(getattr(point, name)) for point in points):
+            if _is_timed(points):
+                notes.append(ZEROS.format(name))
+            points = tuple(_without(point, name) for point in points)
+    _check_timed(points)
+    if envelope is document:
+        name = _text(document.get("name", ""), "name")
+        return TrajectoryRequest(request_id(document), name, 0.0, 0.0, points, tuple(notes))
+    return TrajectoryRequest(*_envelope(envelope), points, tuple(notes))
+
+
+def _check_fraction(fraction: object) -> None:
+    if fraction is not None and _number(fraction, "fraction") != 1.0:
+        raise PayloadError(
+            "values",
+            f"fraction is {fraction:g}: compas_fab's planner followed only a part of what was asked for; plan again, or cut "
+            "the path there and say fraction 1",
+        )
+
+
+def _compas_names(names: object, rows: Sequence[Any]) -> Sequence[object]:
+    """Return the joints of all points: the trajectory's, else those that every point names alike."""
+    names = _list(names, "joint_names")
+    for index, point in enumerate(rows):
+        _keys(point, f"point {index}", _COMPAS_POINT[:2], _COMPAS_POINT)
+        own = _list(point.get("joint_names", []), f"point {index}: joint_names")
+        names = names or own
+        if own and own != names:
+            raise PayloadError(
+                "joints", f"point {index} names its joints {_shown(own)}; expected {_shown(names)}, as before"
+            )
+    return names
+
+
+def _compas_point(
+    point: Mapping[str, Any], index: int, names: Sequence[object], order: Sequence[int], joints: Joints
+) -> TrajectoryPoint:
+    kinds = _list(point["joint_types"], f"point {index}: joint_types")
+    if len(kinds) != len(names):
+        raise PayloadError(
+            "joints", f"point {index} has {len(kinds)} joint_types for {len(names)} joints; expected as many"
+        )
+    for robots, place in enumerate(order):
+        linear = _COMPAS_LINEAR.get(kinds[place]) if type(kinds[place]) is int else None
+        if linear is not joints.linear[robots]:
+            expected = "2, prismatic [m]" if joints.linear[robots] else "0 or 1, revolute [rad]"
+            raise PayloadError(
+                "joints",
+                f"point {index}: joint_types says {_shown(kinds[place])} of {joints.names[robots]}; expected {expected}",
+            )
+    scales = (1.0,) * len(order)
+    values = [
+        _values(point.get(name, []), f"point {index}: {name}", order, scales)
+        for name in ("joint_values", "velocities", "accelerations", "effort")
+    ]
+    if not values[0]:
+        raise PayloadError("values", f"point {index} has no joint_values; expected one for each joint")
+    if any(values[3]):
+        raise PayloadError("values", f"point {index} has efforts; the arm takes positions only: leave them out, or 0")
+    return TrajectoryPoint(
+        values[0], values[1] or (0.0,) * len(order), values[2] or (0.0,) * len(order), _duration(point, index)
+    )
+
+
+def _duration(point: Mapping[str, Any], index: int) -> int:
+    place = f"point {index}: time_from_start"
+    time = point.get("time_from_start", {"secs": 0, "nsecs": 0})
+    _keys(time, place, ("secs", "nsecs"), ("secs", "nsecs"))
+    parts = []
+    for name, end in (("secs", int(LARGEST)), ("nsecs", NANOSECONDS - 1)):
+        part = time[name]
+        if type(part) is not int or not 0 <= part <= end:
+            raise PayloadError("values", f"{place}: {name} is {_shown(part)}; expected a whole number from 0 to {end}")
+        parts.append(part)
+    return parts[0] * NANOSECONDS + parts[1]
+
+
+def _without(point: TrajectoryPoint, name: str) -> TrajectoryPoint:
+    velocities = () if name == "velocities" else point.velocities
+    accelerations = () if name == "accelerations" else point.accelerations
+    return TrajectoryPoint(point.positions, velocities, accelerations, point.time_ns)
+
+
+# -- parts of both
+
+
+def _envelope(document: Mapping[str, Any]) -> tuple[str, str, float, float]:
+    """Return id, source, speed_scale and acceleration_scale."""
+    name = _text(document["id"], "id")
+    if not name:
+        raise PayloadError("format", "the id is empty; expected a text of your own, which the answer repeats")
+    scales = []
+    for key in ("speed_scale", "acceleration_scale"):
+        scale = _number(document.get(key, 0.0), key)
+        if not 0.0 <= scale <= 1.0:
+            raise PayloadError("values", f"{key} is {scale:g}; expected a fraction from 0 (the planner's default) to 1")
+        scales.append(scale)
+    return name, _text(document.get("source", ""), "source"), scales[0], scales[1]
+
+
+def _order(names: object, joints: Joints) -> list[int]:
+    """Return for each joint of the robot where it stands among `names`."""
+    given = _list(names, "joint_names")
+    if not all(isinstance(name, str) for name in given) or sorted(given) != sorted(joints.names):
+        raise PayloadError(
+            "joints", f"joint_names are {_shown(given)}; expected each of {', '.join(joints.names)} once, in any order"
+        )
+    return [given.index(name) for name in joints.names]
+
+
+def _values(row: object, place: str, order: Sequence[int], scales: Sequence[float]) -> Values:
+    """Return a row in the robot's order and in SI; empty stays empty."""
+    values = _list(row, place)
+    if not values:
+        return ()
+    if len(values) != len(order):
+        raise PayloadError("values", f"{place}: {len(values)} values; expected {len(order)}, one for each joint")
+    return tuple(_number(values[index], place) * scale for index, scale in zip(order, scales))
+
+
+def _number(value: object, place: str) -> float:
+    # true and false are numbers to Python
+    if type(value) not in (int, float) or not -LARGEST <= value <= LARGEST:  # type: ignore[operator]
+        raise PayloadError(
+            "values", f"{place} holds {_shown(value)}; expected a number between -{LARGEST:g} and {LARGEST:g}"
+        )
+    return float(value)  # type: ignore[arg-type]
+
+
+def _list(value: object, place: str) -> list:
+    if not isinstance(value, list):
+        raise PayloadError("format", f"{place} is {_shown(value)}; expected a list")
+    return value
+
+
+def _text(value: object, key: str) -> str:
+    if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
+        raise PayloadError(
+            "format", f"{key} is {_shown(value)}; expected a text of at most {MAX_TEXT} characters in one line"
+        )
+    return value
+
+
+def _keys(document: object, what: str, needed: Sequence[str], known: Sequence[str]) -> None:
+    if not isinstance(document, dict):
+        raise PayloadError("format", f"{what} is {_shown(document)}; expected an object with {', '.join(needed)}")
+    missing = [key for key in needed if key not in document]
+    unknown = [key for key in document if key not in known]
+    if missing or unknown:
+        wrong = f"without {', '.join(missing)}" if missing else f"with the unknown key {_shown(unknown[0])}"
+        raise PayloadError("format", f"{what} {wrong}; expected {', '.join(needed)}, known are {', '.join(known)}")
+
+
+def _shown(value: object) -> str:
+    """Return what was found, short enough for a sentence; of what is nested only the kind."""
+    if isinstance(value, (dict, list)) and any(isinstance(item, (dict, list)) for item in value):
+        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return f"a whole number of {value.bit_length()} bits"
+    text = repr(value[:8] if isinstance(value, list) else value)
+    return text if len(text) <= 96 else text[:93] + "..."

@@ -1,0 +1,133 @@
+"""control_msgs/FollowJointTrajectory, converted to the library's values and back; no parameters, no clock.
+
+control_msgs is in ROS Noetic, and not in Debian 12: there `setup/setup.sh` builds a package of that name from setup/control_msgs,
+whose messages have the same md5 sums. It is imported only when a node needs it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import genpy
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances, check_joint_names
+from construction_twin.execution.tracking import Motion, Sample
+from construction_twin.execution.trajectory_goals import TrajectoryGoal
+from construction_twin.robot.description import RobotModel
+
+#: md5 sums of control_msgs 1.5 of ROS Noetic: of what every client in the field speaks.
+OFFICIAL_MD5 = {
+    "FollowJointTrajectoryAction": "bc4f9b743838566551c0390c65f1a248",
+    "FollowJointTrajectoryActionGoal": "cff5c1d533bf2f82dd0138d57f4304bb",
+    "FollowJointTrajectoryActionResult": "c4fb3b000dc9da4fd99699380efcc5d9",
+    "FollowJointTrajectoryActionFeedback": "d8920dc4eae9fc107e00999cce4be641",
+    "FollowJointTrajectoryGoal": "69636787b6ecbde4d61d711979bc7ecb",
+    "FollowJointTrajectoryResult": "493383b18409bfb604b4e26c676401d2",
+    "FollowJointTrajectoryFeedback": "10817c60c2486ef6b33e97dcd87f4474",
+    "JointTolerance": "f544fe9c16cf04547e135dd6063ff5be",
+}
+
+
+@dataclass(frozen=True)
+class GoalDefaults:
+    """What holds where a goal asks for nothing: tolerances on the path and at the goal, and of the time [s]."""
+
+    path: Tolerances
+    goal: Tolerances
+    time_tolerance: float
+
+
+def control_messages() -> ModuleType:
+    """Return `control_msgs.msg`: the official one where it is installed, else the one made from setup/control_msgs.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is none, or its action is another one; with what to do.
+    """
+    to_do = (
+        "the package of ROS (apt-get install ros-noetic-control-msgs), or ours: "
+        "cp -r $(rospack find construction_twin)/setup/control_msgs into the src folder of your workspace, and catkin_make"
+    )
+    try:
+        messages = importlib.import_module("control_msgs.msg")
+    except ImportError as error:
+        raise ConfigurationError("the Python package control_msgs", f"missing ({error})", to_do) from error
+    for name, md5 in OFFICIAL_MD5.items():
+        found = getattr(messages, name)._md5sum
+        if found != md5:
+            where = f"one in {messages.__file__} whose {name} has the md5 sum {found}"
+            raise ConfigurationError("the Python package control_msgs", where, f"{md5}: {to_do}")
+    return messages
+
+
+def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults: GoalDefaults) -> TrajectoryGoal:
+    """Return a goal whose joints and tolerances were checked.
+
+    Parameters
+    ----------
+    goal : control_msgs/FollowJointTrajectoryGoal
+        The stamp of its header is not used.
+    goal_id, client : str
+    robot : RobotModel
+    defaults : GoalDefaults
+
+    Raises
+    ------
+    GoalJointsError
+        When it does not name each joint of the robot once, or a tolerance names another one.
+    GoalError
+        When a tolerance is no number.
+    """
+    check_joint_names(robot, goal.trajectory.joint_names)
+    seconds = goal.goal_time_tolerance.to_nsec() / NANOSECONDS
+    return TrajectoryGoal(
+        goal_id,
+        client,
+        defaults.path.asked(robot, _asked(goal.path_tolerance), "path_tolerance"),
+        defaults.goal.asked(robot, _asked(goal.goal_tolerance), "goal_tolerance"),
+        seconds if seconds > 0.0 else defaults.time_tolerance,
+    )
+
+
+def _asked(tolerances) -> list[AskedTolerance]:
+    return [AskedTolerance(one.name, one.position, one.velocity, one.acceleration) for one in tolerances]
+
+
+def asked_duration(trajectory: JointTrajectory) -> float:
+    """Return how long a trajectory asks its motion to take [s]; 0: it does not say. A single point's time counts from now."""
+    times = [point.time_from_start.to_nsec() / NANOSECONDS for point in trajectory.points]
+    return times[-1] - (times[0] if len(times) > 1 else 0.0)
+
+
+def fill_feedback(feedback, sample: Sample, plan_start: int, order: Sequence[int]) -> None:
+    """Fill a control_msgs/FollowJointTrajectoryFeedback, whose joint names are set, with positions and velocities.
+
+    Parameters
+    ----------
+    feedback : control_msgs/FollowJointTrajectoryFeedback
+    sample : Sample
+    plan_start : int
+        Stamp of the plan's first setpoint [ns]; 0: it has not begun.
+    order : sequence of int
+        For each joint of the goal, its index in the robot's order.
+    """
+    since = max(0, sample.stamp - plan_start) if plan_start else 0
+    time = genpy.Duration(*divmod(since, NANOSECONDS))
+    feedback.desired = _point(sample.desired, order, time)
+    feedback.actual = _point(sample.actual, order, time)
+    feedback.error = _point(sample.error, order, time)
+
+
+def _point(motion: Motion, order: Sequence[int], time: genpy.Duration) -> JointTrajectoryPoint:
+    return JointTrajectoryPoint(
+        positions=[motion.position[index] for index in order],
+        velocities=[motion.velocity[index] for index in order],
+        time_from_start=time,
+    )

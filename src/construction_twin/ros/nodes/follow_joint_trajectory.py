@@ -1,0 +1,358 @@
+"""follow_joint_trajectory: the action control_msgs/FollowJointTrajectory, for MoveIt, MATLAB and ROS-Industrial clients.
+
+A goal becomes a plan for review; the node itself commands no motion. One thread, `run`, does everything: callbacks and the threads
+that wait for a service's answer only put into its inbox what has happened.
+"""
+
+from __future__ import annotations
+
+import functools
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import pydantic
+import rospy
+from actionlib import ServerGoalHandle
+from rospy.exceptions import TransportException
+from std_srvs.srv import Trigger
+
+from construction_twin.core.errors import GoalError, GoalJointsError
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.goal_states import GoalState
+from construction_twin.execution.joint_tolerances import Tolerances
+from construction_twin.execution.tracking import Tracking
+from construction_twin.execution.trajectory_goals import (
+    Accept,
+    Ask,
+    Brake,
+    Effect,
+    End,
+    Ending,
+    GoalPlan,
+    ResultCode,
+    Status,
+    TrajectoryGoal,
+    TrajectoryGoals,
+    Withdraw,
+)
+from construction_twin.msg import Execution, Feedback, Review
+from construction_twin.ros.messages.joint_goals import (
+    GoalDefaults,
+    asked_duration,
+    control_messages,
+    fill_feedback,
+    trajectory_goal,
+)
+from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transport.goal_server import GoalServer
+from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
+from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.srv import PlanTrajectory, ReviewPlan
+
+#: Time between two looks at poses and clock while a goal has the arm, and while none has [s].
+PERIOD, IDLE_PERIOD = 0.02, 0.2
+#: Between two feedbacks while nothing moves [s].
+WAITING_FEEDBACK = 0.5
+#: How long the streams are not read while no goal has the arm [s]; then only the newest pose is.
+PAUSE = 0.1
+#: A plan of the goal is, or may be, played.
+IN_MOTION = (GoalState.MOVING, GoalState.BRAKING, GoalState.STOPPED, GoalState.SETTLING)
+#: The errors of a call whose node is not there, or goes away.
+NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
+
+Tolerance = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters; see config/follow_joint_trajectory.yaml, `arm` is given in launch/twin.launch."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    arm: Literal["mock", "real", "none"]
+    action_names: Annotated[
+        list[Annotated[str, pydantic.Field(pattern=r"^/?[A-Za-z]\w*(/\w+)*$")]], pydantic.Field(min_length=1)
+    ]
+    path_tolerance: Tolerance
+    path_tolerance_linear: Tolerance
+    goal_tolerance: Tolerance
+    goal_tolerance_linear: Tolerance
+    goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+    retime: bool
+    planner_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+
+
+@dataclass(frozen=True)
+class Client:
+    """A goal as its client knows it: its handle, and the joints in its own order as indices of the robot's."""
+
+    server: GoalServer
+    handle: ServerGoalHandle
+    order: tuple[int, ...]
+
+
+class FollowJointTrajectoryNode:
+    """ROS around TrajectoryGoals."""
+
+    def __init__(self):
+        settings = read_parameters(Settings)
+        self._messages = control_messages()
+        self._robot = robot = robot_from_parameters()
+        self._planner_timeout, self._retime = settings.planner_timeout, settings.retime
+        self._defaults = GoalDefaults(
+            Tolerances.default(robot, settings.path_tolerance, settings.path_tolerance_linear),
+            Tolerances.default(robot, settings.goal_tolerance, settings.goal_tolerance_linear),
+            settings.goal_time_tolerance,
+        )
+        self._goals = TrajectoryGoals(robot, rospy.resolve_name("review_plan"))
+        self._clients: dict[str, Client] = {}
+        # not SimpleQueue: in Python 3.11 its `get` waits for ever after a signal handler that took longer than the timeout, and
+        # rospy shuts down in one
+        self._inbox: queue.Queue[Callable[[], None]] = queue.Queue()
+        self._poses = threading.Lock()
+        self._tracking = Tracking(settings.arm != "none")
+        self._needs_poses = threading.Event()
+        self._plan_start = 0
+        self._fed_back = 0.0
+        self._taken = 0
+        self._last = self._described = "no goal yet"
+        self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        refuse = self._diagnostics.refuse
+        names = robot.joint_names
+        JointSubscriber("twin/joint_states", names, self._on_twin, refuse, queue_size=1)
+        if settings.arm != "none":
+            JointSubscriber("physical/feedback", names, self._on_feedback, refuse, queue_size=1, kind=Feedback)
+        Subscriber("review", Review, self._on_review, refuse, queue_size=20)
+        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=50, tcp_nodelay=True)
+        self._servers = [self._serve(name) for name in settings.action_names]
+
+    def _serve(self, name: str) -> GoalServer:
+        server: GoalServer = GoalServer(
+            name,
+            self._messages.FollowJointTrajectoryAction,
+            lambda handle: self._inbox.put(functools.partial(self._take_goal, server, handle)),
+            lambda handle: self._inbox.put(functools.partial(self._take_cancel, server, handle)),
+            self._diagnostics.refuse,
+        )
+        server.start()
+        return server
+
+    def run(self) -> None:
+        """Do what has happened, and look at poses and clock, until shutdown."""
+        looks = time.monotonic()
+        while not rospy.is_shutdown():
+            now = time.monotonic()
+            if now >= looks:
+                looks = max(looks + PERIOD, now) if self._is_busy() else now + IDLE_PERIOD
+                self._look()
+            else:
+                try:
+                    self._inbox.get(timeout=looks - now)()
+                except queue.Empty:
+                    continue
+            self._carry_out()
+            self._described = self._goals.describe()
+            if self._is_busy():
+                self._needs_poses.set()
+                looks = min(looks, time.monotonic() + PERIOD)
+            else:
+                self._needs_poses.clear()
+
+    def _is_busy(self) -> bool:
+        return self._goals.state is not GoalState.FREE or bool(self._clients)
+
+    def _look(self) -> None:
+        with self._poses:
+            sample, at_rest = self._tracking.sample(), self._tracking.at_rest
+        now = time.monotonic()
+        self._goals.tick(time.monotonic_ns(), sample, at_rest)
+        goal = self._goals.goal
+        if goal is None or sample is None or goal.id not in self._clients:
+            return
+        if self._goals.state in IN_MOTION or now - self._fed_back >= WAITING_FEEDBACK:
+            self._fed_back = now
+            client = self._clients[goal.id]
+            feedback = self._messages.FollowJointTrajectoryFeedback()
+            feedback.header.stamp = rospy.Time.now()
+            feedback.joint_names = [self._robot.joint_names[index] for index in client.order]
+            fill_feedback(feedback, sample, self._plan_start, client.order)
+            client.handle.publish_feedback(feedback)
+
+    # -- subscriptions and actions: other threads
+
+    def _on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        with self._poses:
+            self._tracking.on_twin(stamp, q)
+        self._read_on()
+
+    def _on_feedback(self, _stamp: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
+        with self._poses:
+            self._tracking.on_arm(q, command_stamp)
+        self._read_on()
+
+    def _read_on(self) -> None:
+        """Return when the next pose is of interest; rospy reads on then."""
+        self._needs_poses.wait(PAUSE)
+
+    def _on_review(self, message: Review) -> None:
+        self._inbox.put(functools.partial(self._take_review, message))
+
+    def _on_execution(self, message: Execution) -> None:
+        self._inbox.put(functools.partial(self._take_execution, message))
+
+    # -- what was in the inbox
+
+    def _take_goal(self, server: GoalServer, handle: ServerGoalHandle) -> None:
+        goal, client, goal_id = handle.get_goal(), caller_of(handle.goal), _key(server, handle)
+        self._taken += 1
+        names = goal.trajectory.joint_names
+        try:
+            empty = not names and not goal.trajectory.points
+            if empty:
+                goal.trajectory.joint_names = names = list(self._robot.joint_names)
+            taken = trajectory_goal(goal, goal_id, client, self._robot, self._defaults)
+        except GoalError as error:
+            code = ResultCode.INVALID_JOINTS if isinstance(error, GoalJointsError) else ResultCode.INVALID_GOAL
+            self._last = f"goal of {client} rejected: {error}"
+            self._diagnostics.refuse("goal", self._last)
+            handle.set_rejected(self._result(code, str(error)), str(error))
+            return
+        self._clients[goal_id] = Client(server, handle, tuple(self._robot.joint_names.index(name) for name in names))
+        now = time.monotonic_ns()
+        if goal.trajectory.points:
+            self._goals.on_goal(taken, now)
+        else:
+            self._goals.on_stand_still(taken, now)
+
+    def _take_cancel(self, server: GoalServer, handle: ServerGoalHandle) -> None:
+        self._goals.on_cancel(_key(server, handle), time.monotonic_ns())
+
+    def _take_review(self, message: Review) -> None:
+        now = time.monotonic_ns()
+        self._goals.on_verdict(message.plan_id, message.approved, message.reviewer, message.reason, now)
+
+    def _take_execution(self, message: Execution) -> None:
+        if message.state not in ExecutorState._value2member_map_:
+            sentence = f"execution state {message.state} is unknown; expected one of Execution.msg"
+            self._diagnostics.refuse("execution", sentence)
+            return
+        plan = self._goals.plan
+        self._plan_start = from_time(message.plan_start) if plan is not None and plan.id == message.plan_id else 0
+        state, now = ExecutorState(message.state), time.monotonic_ns()
+        self._goals.on_execution(message.plan_id, state, message.outcome, message.reason, now)
+
+    # -- effects
+
+    def _carry_out(self) -> None:
+        for effect in self._goals.take_effects():
+            self._do(effect)
+
+    def _do(self, effect: Effect) -> None:
+        if isinstance(effect, Ask):
+            self._in_background(self._plan, effect.goal, self._clients[effect.goal.id].handle.get_goal().trajectory)
+        elif isinstance(effect, Withdraw):
+            self._in_background(self._withdraw, effect)
+        elif isinstance(effect, Brake):
+            self._in_background(self._brake, effect)
+        elif isinstance(effect, Accept):
+            rospy.loginfo("goal of %s: %s", caller_of(self._clients[effect.goal_id].handle.goal), effect.text)
+            self._clients[effect.goal_id].handle.set_accepted(effect.text)
+        elif isinstance(effect, Status):
+            self._tell(self._clients[effect.goal_id], effect.text)
+        else:
+            self._end(effect)
+
+    @staticmethod
+    def _in_background(call: Callable[..., None], *arguments: object) -> None:
+        threading.Thread(target=call, args=arguments, daemon=True, name=call.__name__).start()
+
+    @staticmethod
+    def _tell(client: Client, text: str) -> None:
+        with client.server.lock:
+            client.handle.get_goal_status().text = text
+            client.server.publish_status()
+
+    def _end(self, effect: End) -> None:
+        handle = self._clients.pop(effect.goal_id).handle
+        self._last = f"goal of {caller_of(handle.goal)} {effect.ending.value}: {effect.sentence}"
+        wanted = effect.ending in (Ending.SUCCEEDED, Ending.CANCELED)
+        (rospy.loginfo if wanted else rospy.logwarn)("%s", self._last)
+        if not wanted:
+            self._diagnostics.count(effect.code.name, self._last)
+        finish = {
+            Ending.REJECTED: handle.set_rejected,
+            Ending.CANCELED: handle.set_canceled,
+            Ending.ABORTED: handle.set_aborted,
+            Ending.SUCCEEDED: handle.set_succeeded,
+        }
+        finish[effect.ending](self._result(effect.code, effect.sentence), effect.sentence)
+
+    def _result(self, code: ResultCode, sentence: str):
+        return self._messages.FollowJointTrajectoryResult(int(code), sentence)
+
+    # -- services of other nodes, each call in a thread of its own
+
+    def _plan(self, goal: TrajectoryGoal, trajectory) -> None:
+        try:
+            rospy.wait_for_service("plan_trajectory", self._planner_timeout)
+            planner = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
+            source = f"follow_joint_trajectory from {goal.client}"
+            answer = planner(trajectory=trajectory, retime=self._retime, source=source)
+        except rospy.ROSInterruptException:
+            return
+        except (rospy.ROSException, *NO_ANSWER) as error:
+            sentence = (
+                f"the planner gave no answer ({error}); see whether the node planner runs, and send the goal again"
+            )
+            self._put(self._goals.on_not_planned, sentence)
+            return
+        if answer.success:
+            self._put(
+                self._goals.on_planned,
+                GoalPlan(answer.plan_id, answer.plan_hash, answer.duration, asked_duration(trajectory)),
+            )
+        else:
+            self._put(self._goals.on_not_planned, answer.message)
+
+    def _withdraw(self, effect: Withdraw) -> None:
+        try:
+            review = rospy.ServiceProxy("review_plan", ReviewPlan)
+            answer = review(effect.plan_id, effect.plan_hash, False, f"client {effect.client}", effect.reason)
+        except NO_ANSWER as error:
+            self._failed("review_plan", error)
+            return
+        if not answer.success:
+            # the plan has not reached the executor yet, or a verdict has just been taken, which will be heard of
+            self._put(self._goals.on_call_failed)
+
+    def _brake(self, _effect: Brake) -> None:
+        try:
+            rospy.ServiceProxy("stop", Trigger)()
+        except NO_ANSWER as error:
+            self._failed("stop", error)
+
+    def _failed(self, service: str, error: Exception) -> None:
+        if not rospy.core.is_shutdown_requested():
+            rospy.logwarn("%s gave no answer (%s); trying again", rospy.resolve_name(service), error)
+            self._put(self._goals.on_call_failed)
+
+    def _put(self, take: Callable[..., None], *arguments: object) -> None:
+        self._inbox.put(lambda: take(*arguments, time.monotonic_ns()))
+
+    def _report(self) -> Report:
+        values = {"goals": self._taken, "last goal": self._last}
+        return Report(OK, self._described, values)
+
+
+def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
+    return f"{server.ns} {handle.get_goal_id().id}"
+
+
+def main() -> None:
+    """Run the node until shutdown."""
+    run_node("follow_joint_trajectory", FollowJointTrajectoryNode)

@@ -1,0 +1,324 @@
+#!/usr/bin/env python3
+"""The action FollowJointTrajectory: planned, reviewed, executed, cancelled, rejected, stalled, replaced; clients that vanish."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import actionlib
+import numpy as np
+import rospy
+import rostest
+from actionlib_msgs.msg import GoalStatus
+from construction_twin.msg import Execution, Review
+from control_msgs.msg import (
+    FollowJointTrajectoryAction,
+    FollowJointTrajectoryActionFeedback,
+    FollowJointTrajectoryActionResult,
+    FollowJointTrajectoryResult,
+    JointTolerance,
+)
+from goal_client import goal_message
+from twin_client import RobotTest, Stream, TwinClient, wait
+
+ACTION = "follow_joint_trajectory"
+#: A motion of this much on these joints [rad], in this time [s].
+WAY = (0.17, 0.05, -0.1, 0.2, -0.1, 0.2)
+DURATION = 1.5
+Result = FollowJointTrajectoryResult
+
+
+class MoveItHandle:
+    """What moveit_simple_controller_manager does with a controller of type FollowJointTrajectory, call by call."""
+
+    def __init__(self, name: str, action_ns: str):
+        self.states, self.actives, self.feedbacks = [], 0, []
+        self.last_execution, self.done = "SUCCEEDED", True
+        self.client = actionlib.SimpleActionClient(
+            f"{name}/{action_ns}" if action_ns else name, FollowJointTrajectoryAction
+        )
+        assert any(self.client.wait_for_server(rospy.Duration(15.0 / 3)) for _ in range(3))
+
+    def send_trajectory(self, goal) -> None:
+        """Send a trajectory as the controller handle does."""
+        self.done, self.last_execution = False, "RUNNING"
+        self.client.send_goal(goal, done_cb=self._done, active_cb=self._active, feedback_cb=self.feedbacks.append)
+
+    def wait_for_execution(self, timeout: float = 0.0) -> bool:
+        """Wait for the result, for ever with a time of 0."""
+        return self.done or self.client.wait_for_result(rospy.Duration(timeout))
+
+    def cancel_execution(self) -> None:
+        """Cancel what was sent last."""
+        if not self.done:
+            self.client.cancel_goal()
+            self.last_execution, self.done = "PREEMPTED", True
+
+    def _active(self) -> None:
+        self.actives += 1
+
+    def _done(self, state, result) -> None:
+        self.states.append((state, result))
+        names = {GoalStatus.SUCCEEDED: "SUCCEEDED", GoalStatus.ABORTED: "ABORTED", GoalStatus.PREEMPTED: "PREEMPTED"}
+        self.last_execution, self.done = names.get(state, "FAILED"), True
+
+
+class FollowJointTrajectoryTest(RobotTest):
+    """One bringup, one goal after the other."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_follow_joint_trajectory")
+        cls.client = TwinClient()
+        cls.joints = list(cls.client.robot.joint_names)
+        cls.action = actionlib.SimpleActionClient(ACTION, FollowJointTrajectoryAction)
+        assert cls.action.wait_for_server(rospy.Duration(40.0))
+        cls.reviews: list[Review] = []
+        cls.feedbacks: list[FollowJointTrajectoryActionFeedback] = []
+        cls.results: list[FollowJointTrajectoryActionResult] = []
+        rospy.Subscriber(f"{ACTION}/result", FollowJointTrajectoryActionResult, cls.results.append)
+        rospy.Subscriber("review", Review, cls.reviews.append)
+        rospy.Subscriber(f"{ACTION}/feedback", FollowJointTrajectoryActionFeedback, cls.feedbacks.append)
+
+    def setUp(self):
+        self.begin()
+        self.feedbacks.clear()
+        with Stream("twin/joint_states") as twin:
+            self.client.wait(lambda: twin.at_rest(5), "the twin to rest")
+            self.pose = twin.positions(-1)[0]
+
+    # -- goals
+
+    def goal(self, way=WAY, duration: float = DURATION, start=None):
+        """Return a goal from the present pose to somewhere [rad], in the robot's order of joints."""
+        start = self.pose if start is None else start
+        self.target = np.add(start, way)
+        return goal_message(self.joints, [(0.0, start), (duration, self.target)])
+
+    def back(self):
+        """Return a goal that leads near where the last one began."""
+        return self.goal(np.negative(WAY))
+
+    def waiting(self, status, count: int):
+        """Wait until a new plan waits for a person, and the client has been told; return the plan."""
+        self.client.wait(lambda: len(self.client.plans) > count, "a plan")
+        plan = self.client.plans[-1]
+        wait(lambda: f"plan {plan.id} of" in status(), f"the status to name plan {plan.id}, it is {status()!r}")
+        return plan
+
+    def send(self, goal, action=None):
+        """Send a goal; return its plan, which waits for a person."""
+        count = len(self.client.plans)
+        (action or self.action).send_goal(goal)
+        return self.waiting(self.action.get_goal_status_text, count)
+
+    def approve(self, plan):
+        """Approve a plan and wait until it moves."""
+        answer = self.client.review(plan.id, plan.hash)
+        self.assertTrue(answer.success, answer.message)
+        self.client.wait(lambda: self.client.execution.plan_id == plan.id, "the plan to be played")
+
+    def assert_result(self, state: int, code: int, *words: str, action=None):
+        """Wait for the result."""
+        action = action or self.action
+        self.assertTrue(action.wait_for_result(rospy.Duration(20.0)), action.get_goal_status_text())
+        result = action.get_result()
+        self.assertEqual((action.get_state(), result.error_code), (state, code), result.error_string)
+        for each in words:
+            self.assertIn(each, result.error_string)
+        self.assertEqual(action.get_goal_status_text(), result.error_string)
+
+    # -- tests
+
+    def test_1_the_calls_of_moveit_lead_to_the_goal(self):
+        handle = MoveItHandle("/kr120", ACTION)
+        goal = self.goal()
+        # MoveIt stamps its trajectories, by a clock that need not be ours, and has an order of its own
+        goal.trajectory.header.stamp = rospy.Time.now() - rospy.Duration(10.0)
+        goal.trajectory.joint_names.reverse()
+        for point in goal.trajectory.points:
+            point.positions = list(point.positions)[::-1]
+        count = len(self.client.plans)
+        handle.send_trajectory(goal)
+        plan = self.waiting(handle.client.get_goal_status_text, count)
+        self.assertEqual(plan.source, f"{ACTION} from {rospy.get_name()}")
+        text = handle.client.get_goal_status_text()
+        self.assertIn("waits for a person, who approves or rejects it by /kr120/review_plan", text)
+        self.client.wait(lambda: handle.feedbacks, "a feedback while it waits")
+        self.assertEqual((handle.done, handle.last_execution, handle.actives), (False, "RUNNING", 1))
+        self.approve(plan)
+        self.assertTrue(handle.wait_for_execution())
+        wait(lambda: handle.done, "the handle's callback")
+        (state, result), *more = handle.states
+        self.assertEqual((handle.last_execution, result.error_code, more), ("SUCCEEDED", Result.SUCCESSFUL, []))
+        self.assertEqual(state, GoalStatus.SUCCEEDED)
+        with Stream("physical/joint_states") as arm:
+            self.client.wait(lambda: arm.at_rest(25), "the arm to rest")
+            np.testing.assert_allclose(arm.positions(-1)[0], self.target, atol=1e-4)
+        self.assert_feedback(handle.feedbacks, plan)
+
+    def assert_feedback(self, feedbacks, plan):
+        """The feedback has the goal's order of joints, and follows the plan at 50 Hz."""
+        self.assertTrue(all(each.joint_names == self.joints[::-1] for each in feedbacks))
+        moving = [each for each in feedbacks if each.desired.time_from_start > rospy.Duration(0.1)]
+        self.assertGreater(len(moving), 0.5 * 50 * plan.duration)
+        for each in moving:
+            error = np.subtract(each.actual.positions, each.desired.positions)
+            np.testing.assert_allclose(each.error.positions, error, atol=1e-12)
+            self.assertLess(np.abs(error).max(), 0.05)
+        speeds = np.abs([each.desired.velocities for each in moving]).max(axis=0)
+        np.testing.assert_allclose(speeds, 1.875 * np.abs(WAY[::-1]) / DURATION, rtol=0.1)
+        np.testing.assert_allclose(moving[-1].actual.positions, self.target[::-1], atol=0.01)
+
+    def test_2_what_cannot_be_is_rejected_with_the_code_and_a_sentence(self):
+        foreign = goal_message(["elbow", *self.joints[1:]], [(0.0, self.pose), (1.0, self.pose)])
+        far = self.goal(start=self.pose + 0.2)
+        backwards = goal_message(self.joints, [(1.0, self.pose), (0.5, self.pose)])
+        nobody = goal_message([], [])
+        for goal, code, words in (
+            (foreign, Result.INVALID_JOINTS, "the goal names the joint 'elbow'; expected each of joint_a1, "),
+            (far, Result.INVALID_GOAL, "the first waypoint must be where the arm is"),
+            (backwards, Result.INVALID_GOAL, "times must increase"),
+            (nobody, Result.INVALID_GOAL, "the trajectory has no points"),
+        ):
+            self.action.send_goal(goal)
+            self.assert_result(GoalStatus.REJECTED, code, words)
+
+    def test_3_a_person_s_no_is_the_result(self):
+        # one point, as MATLAB's users send it
+        goal = goal_message(self.joints, [(2.0, self.pose + 0.1)])
+        plan = self.send(goal)
+        self.assertAlmostEqual(plan.duration, 2.0)
+        self.assertTrue(self.client.review(plan.id, plan.hash, approve=False, reviewer="Anna").success)
+        self.assert_result(
+            GoalStatus.ABORTED, Result.INVALID_GOAL, f"plan {plan.id} was rejected by Anna: integration test"
+        )
+
+    def test_4_a_cancel_under_review_withdraws_the_plan(self):
+        # MoveIt's accelerations jump: the same points in times of our own
+        goal = self.goal()
+        for point, acceleration in zip(goal.trajectory.points, (0.2, -0.2)):
+            point.velocities, point.accelerations = [0.0] * len(WAY), [acceleration] * len(WAY)
+        goal.trajectory.points[-1].time_from_start = rospy.Duration(0.2)
+        plan = self.send(goal)
+        self.assertIn(
+            "s instead of 0.200 s, which would break a limit of the arm, waits", self.action.get_goal_status_text()
+        )
+        self.action.cancel_goal()
+        self.assert_result(GoalStatus.PREEMPTED, Result.GOAL_TOLERANCE_VIOLATED, "cancelled by its client")
+        answer = self.client.review(plan.id, plan.hash)
+        self.assertFalse(answer.success)
+        self.assertIn("was decided already or withdrawn", answer.message)
+        self.assertEqual(self.reviews[-1].reviewer, f"client {rospy.get_name()}")
+
+    def test_5_a_cancel_while_moving_brakes_on_the_path(self):
+        handle = MoveItHandle("joint_trajectory_action", "")
+        with Stream("twin/joint_states") as twin:
+            count = len(self.client.plans)
+            handle.send_trajectory(self.back())
+            plan = self.waiting(handle.client.get_goal_status_text, count)
+            self.approve(plan)
+            self.client.wait(lambda: twin.moved(2.0), "the twin to move")
+            handle.cancel_execution()
+            self.assertEqual(handle.last_execution, "PREEMPTED")
+            wait(lambda: handle.states, "the result")
+            self.assertEqual((self.client.execution.plan_id, self.client.execution.outcome), (plan.id, "stopped"))
+            reached = twin.positions(-1)[0]
+            # it has stood still when the client hears of it, on the line from start to goal
+            self.client.wait(lambda: twin.at_rest(25), "the twin to rest")
+            np.testing.assert_array_equal(twin.positions(-1)[0], reached)
+        way = self.target - self.pose
+        fraction = (reached - self.pose) / way
+        self.assertTrue(0.05 < fraction[0] < 0.98, fraction)
+        np.testing.assert_allclose(fraction, fraction[0], atol=1e-3)
+        ((state, result),) = handle.states
+        self.assertEqual((state, result.error_code), (GoalStatus.PREEMPTED, Result.GOAL_TOLERANCE_VIOLATED))
+        self.assertTrue(result.error_string.startswith("cancelled by its client; the arm is at rest on its path"))
+
+    def test_6_others_are_turned_away_and_the_same_client_replaces_its_goal(self):
+        first = self.send(self.goal())
+        other = self.other_client("stranger", self.goal())
+        answer = json.loads(other.communicate(timeout=20.0)[0])
+        self.assertEqual((answer["state"], answer["code"]), (GoalStatus.REJECTED, Result.INVALID_GOAL))
+        self.assertIn(f"{rospy.get_name()} has the arm", answer["sentence"])
+        with Stream("twin/joint_states") as twin:
+            self.approve(first)
+            self.client.wait(lambda: twin.moved(2.0), "the twin to move")
+            replacing = actionlib.SimpleActionClient("joint_trajectory_action", FollowJointTrajectoryAction)
+            replacing.wait_for_server()
+            count = len(self.client.plans)
+            replacing.send_goal(goal_message(self.joints, [(2.0, self.pose)]))
+            words = "replaced by a newer goal; the arm is at rest on its path"
+            self.assert_result(GoalStatus.PREEMPTED, Result.GOAL_TOLERANCE_VIOLATED, words)
+            self.assertEqual((self.client.execution.plan_id, self.client.execution.outcome), (first.id, "stopped"))
+            # it leads from where the arm came to rest, and is reviewed like any other
+            plan = self.waiting(replacing.get_goal_status_text, count)
+            self.assertTrue(twin.at_rest(5))
+            np.testing.assert_array_equal(plan.trajectory.points[0].positions, twin.positions(-1)[0])
+            self.approve(plan)
+            self.assert_result(GoalStatus.SUCCEEDED, Result.SUCCESSFUL, action=replacing)
+
+    def other_client(self, name: str, goal) -> subprocess.Popen:
+        """Start a client of another name with a goal."""
+        points = [
+            [point.time_from_start.to_sec(), list(map(float, point.positions))] for point in goal.trajectory.points
+        ]
+        text = json.dumps({"joints": goal.trajectory.joint_names, "points": points})
+        program = Path(__file__).parent / "goal_client.py"
+        process = subprocess.Popen(
+            [sys.executable, str(program), name, rospy.resolve_name(ACTION), text], stdout=subprocess.PIPE, text=True
+        )
+        self.addCleanup(process.stdout.close)
+        self.addCleanup(process.wait)
+        self.addCleanup(process.kill)
+        return process
+
+    def test_7_a_client_that_vanishes_changes_nothing(self):
+        count = len(self.client.plans)
+        process = self.other_client("vanishing", self.goal())
+        self.client.wait(lambda: len(self.client.plans) > count, "its plan")
+        process.kill()
+        process.wait()
+        plan = self.client.plans[-1]
+        self.results.clear()
+        self.approve(plan)
+        self.client.wait_for_outcome(plan.id, "finished")
+        self.client.wait(lambda: self.results, "the result that nobody hears")
+        self.assertEqual(self.results[0].status.status, GoalStatus.SUCCEEDED)
+        # and the arm is free for the next one
+        self.client.wait_until_ready()
+        self.pose = np.array(self.target)
+        self.send(self.back())
+        self.action.cancel_goal()
+        self.assert_result(GoalStatus.PREEMPTED, Result.GOAL_TOLERANCE_VIOLATED)
+
+    def test_8_a_client_that_the_launch_file_trusts_needs_no_person(self):
+        process = self.other_client("trusted", self.goal())
+        answer = json.loads(process.communicate(timeout=30.0)[0])
+        self.assertEqual(
+            (answer["state"], answer["code"]), (GoalStatus.SUCCEEDED, Result.SUCCESSFUL), answer["sentence"]
+        )
+        verdict = next(review for review in reversed(self.reviews) if review.approved)
+        self.assertEqual(verdict.reviewer, "auto_approve")
+        self.assertIn("auto_approve_sources names /kr120/trusted", verdict.reason)
+
+    def test_9_off_its_path_it_brakes_and_says_which_joint(self):
+        goal = self.goal()
+        goal.path_tolerance = [
+            JointTolerance(name=name, position=0.02 if name == "joint_a1" else -1.0) for name in self.joints
+        ]
+        self.approve(self.send(goal))
+        self.client.wait(lambda: self.client.execution.state == Execution.PLAYING, "the plan to begin")
+        self.client.stall("joint_a1", True)
+        try:
+            self.assert_result(
+                GoalStatus.ABORTED, Result.PATH_TOLERANCE_VIOLATED, "on the path the position of joint_a1 is off by "
+            )
+        finally:
+            self.client.stall("joint_a1", False)
+        self.assertEqual(self.client.execution.outcome, "stopped")
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "follow_joint_trajectory", FollowJointTrajectoryTest, sys.argv)

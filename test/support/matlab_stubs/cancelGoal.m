@@ -1,0 +1,3 @@
+function cancelGoal(client)
+  printf('cancels %s\n', client.ActionName);
+end

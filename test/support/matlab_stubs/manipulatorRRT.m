@@ -1,0 +1,3 @@
+function planner = manipulatorRRT(robot, obstacles)
+  planner = struct('Robot', robot, 'Obstacles', {obstacles}, 'SkippedSelfCollisions', 'adjacent');
+end

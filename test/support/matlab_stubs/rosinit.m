@@ -1,0 +1,5 @@
+function rosinit(master, varargin)
+  printf('rosinit %s', master);
+  printf(' %s', varargin{:});
+  printf('\n');
+end

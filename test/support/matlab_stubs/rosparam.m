@@ -1,0 +1,3 @@
+function value = rosparam(word, name)
+  value = [word ' ' name];
+end

@@ -1,0 +1,2 @@
+function path = shorten(planner, path, iterations)
+end

@@ -1,0 +1,3 @@
+function waitForServer(client)
+  printf('waits for %s\n', client.ActionName);
+end

@@ -1,0 +1,157 @@
+"""`view` on MQTT: what stands in a message, and how far a plan has come."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.remote_trajectory import Joints
+from construction_twin.link.remote_view import (
+    VERSION,
+    ExecutionView,
+    LinkView,
+    PlanProgress,
+    PoseView,
+    Report,
+    Seen,
+    SyncView,
+    ViewWriter,
+)
+
+SCHEMA = json.loads((Path(__file__).parents[3] / "docs/reference/view.schema.json").read_text())
+JOINTS = Joints(("track", "joint_a1"), (True, False))
+NOW = 1_795_369_597_396_012_345
+SEEN = Seen(
+    PoseView(1_795_369_597.39, 0.004, (1.5, math.pi / 3)),
+    PoseView(1_795_369_597.388, 0.0061234567, (1.5, 1.0471)),
+    SyncView("IN_SYNC", "agree", 0.01, "resume", True, (0.0, 0.0001), (0.001, 0.01), math.nan, 3),
+    LinkView("ARMED", "well", 0.7, "following", "rsi", ""),
+    ExecutionView("PLAYING", "plays p1", 2.0, "p1", "", 8.0, 0.25, 1.0, 1.0),
+)
+
+
+def writer() -> ViewWriter:
+    return ViewWriter("kr120", "cafe", JOINTS)
+
+
+def read(payload: bytes) -> dict:
+    def refuse(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads(payload, parse_constant=refuse)
+
+
+def properties(node: dict) -> dict:
+    """Return what may stand at a place of the schema, and check that all of it must, and nothing else may."""
+    if "$ref" in node:
+        node = SCHEMA["$defs"][node["$ref"].rpartition("/")[2]]
+    if "properties" in node:
+        assert sorted(node["required"]) == sorted(node["properties"]) and node["additionalProperties"] is False
+    return node.get("properties", {})
+
+
+def test_the_message_has_the_keys_of_the_schema_at_every_level():
+    message = read(writer().write(NOW, SEEN))
+    assert set(message) == set(properties(SCHEMA))
+    for key, node in properties(SCHEMA).items():
+        inner = properties(node)
+        if inner:
+            assert set(message[key]) == set(inner), key
+    assert SCHEMA["properties"]["version"]["const"] == message["version"] == VERSION
+    assert SCHEMA["properties"]["units"]["const"] == message["units"]
+
+
+def test_what_was_seen_is_in_it():
+    message = read(writer().write(NOW, SEEN))
+    assert (message["robot"], message["online"], message["stamp"]) == ("kr120", True, 1_795_369_597.396012)
+    assert message["joints"] == {"names": ["track", "joint_a1"], "types": ["prismatic", "revolute"]}
+    assert message["twin"] == {"stamp": 1_795_369_597.39, "age": 0.004, "positions": [1.5, pytest.approx(math.pi / 3)]}
+    assert message["arm"]["positions"] == [1.5, 1.0471]
+    assert (message["sync"]["state"], message["sync"]["error"], message["sync"]["servo_lag"]) == (
+        "IN_SYNC",
+        [0.0, 1e-4],
+        None,
+    )
+    assert (message["link"]["state"], message["link"]["gateway_state"]) == ("ARMED", "following")
+    assert (message["execution"]["plan_id"], message["execution"]["progress"]) == ("p1", 0.25)
+
+
+def test_what_is_not_known_is_null_and_never_a_number():
+    message = read(writer().write(NOW, Seen()))
+    assert {key: message[key] for key in ("twin", "arm", "sync", "link", "execution")} == dict.fromkeys(
+        ("twin", "arm", "sync", "link", "execution")
+    )
+    assert message["online"]
+
+
+def test_messages_of_a_run_are_numbered_so_that_a_lost_or_old_one_is_noticed():
+    first = writer()
+    assert [read(first.write(NOW, Seen()))["seq"] for _ in range(3)] == [1, 2, 3]
+    farewell = read(first.offline())
+    assert (farewell["online"], farewell["seq"], farewell["stamp"], farewell["run"]) == (False, 0, 0.0, "cafe")
+    assert set(farewell) == set(SCHEMA["properties"]) and farewell["twin"] is farewell["link"] is None
+
+
+def test_a_message_stays_small():
+    names = tuple(f"joint_a{k}" for k in range(1, 8))
+    seven = ViewWriter("kr120", "0123456789abcdef", Joints(names, (False,) * 7))
+    pose = PoseView(NOW / NANOSECONDS, 0.0123456789, (-math.pi,) * 7)
+    sync = SyncView("HOLDING", "x" * 300, 0.01, "resume", False, (0.123456789,) * 7, (0.123456789,) * 7, 0.02, 10**6)
+    seen = Seen(pose, pose, sync, SEEN.link, SEEN.execution)
+    assert len(seven.write(NOW, seen)) < 2500
+
+
+# -- progress
+
+
+def report(
+    stamp: float, state: str = "PLAYING", rate: float = 1.0, outcome: str = "", plan: str = "p1", start: float = 100.0
+) -> Report:
+    return Report(stamp, start, state, plan, outcome, 10.0, rate)
+
+
+def progress(*reports: Report) -> PlanProgress:
+    made = PlanProgress()
+    for each in reports:
+        made.on_report(each)
+    return made
+
+
+def test_before_a_plan_there_is_no_progress():
+    assert PlanProgress().at(5.0) == 0.0
+    assert progress(Report(99.0, 0.0, "IDLE", "", "", 0.0, 0.0)).at(200.0) == 0.0
+
+
+def test_a_plan_played_as_planned_progresses_with_time():
+    made = progress(report(100.0))
+    assert [made.at(now) for now in (99.0, 100.0, 102.5, 109.0)] == pytest.approx([0.0, 0.0, 0.25, 0.9])
+    assert made.at(500.0) < 1.0, "it has not said that it arrived"
+
+
+def test_a_plan_that_arrived_is_over_and_one_that_was_stopped_is_not():
+    assert progress(report(100.0), report(110.1, "IDLE", 1.0, "finished")).at(110.2) == 1.0
+    stopped = progress(report(100.0), report(104.0, "STOPPING"), report(106.0, "IDLE", 0.0, "stopped"))
+    assert stopped.at(300.0) == pytest.approx(0.5)
+
+
+def test_a_slower_plan_progresses_more_slowly_and_a_paused_one_not_at_all():
+    slow = progress(report(100.0, rate=1.0), report(102.0, rate=1.0), report(104.0, rate=0.5))
+    # 2 s at full speed, a ramp of 2 s at 0.75 in the mean, then half
+    assert slow.at(106.0) == pytest.approx(0.45)
+    paused = progress(
+        report(100.0), report(102.0, "PAUSING"), report(103.0, "PAUSED", 0.0), report(110.0, "PLAYING", 0.0)
+    )
+    assert paused.at(110.0) == pytest.approx(0.25)
+
+
+def test_another_plan_and_the_same_one_approved_again_begin_at_the_beginning():
+    for again in (report(120.0, plan="p2", start=120.0), report(120.0, start=120.0)):
+        assert progress(report(100.0), report(105.0), again).at(121.0) == pytest.approx(0.1)
+
+
+def test_a_program_that_starts_while_a_plan_is_played_knows_where_it_is():
+    assert progress(report(104.0)).at(105.0) == pytest.approx(0.5)

@@ -1,0 +1,255 @@
+"""examples/grasshopper with compas_eve and compas_fab from PyPI, against the real mosquitto, our node, and the planner's checks.
+
+The packages are in a venv of their own, .ws/grasshopper, which is made once: by the first run of this file.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+import shutil
+import subprocess
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rospy
+from bridge_bench import Refusals
+from construction_twin.msg import Execution, Link, Sync
+from processes import ROOT, wait_until
+from site_broker import SiteBroker
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.link.remote_trajectory import Joints, parse_trajectory, read_document
+from construction_twin.link.remote_view import ViewWriter
+from construction_twin.mqtt.client import make_client, unique_id
+from construction_twin.planning.waypoints import plan_waypoints
+from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.urdf import expand_xacro
+from construction_twin.ros.messages.plan_requests import trajectory_waypoints
+from construction_twin.ros.nodes.mqtt_planner import MqttPlanner, Poses, Settings
+from construction_twin.ros.transport.latest_pose import StampedPose
+
+XACRO = ROOT / "urdf/kr120r2500.urdf.xacro"
+ROBOT = read_robot_files(XACRO, ROOT / "config/kr120.yaml")
+REQUIREMENTS = ROOT / "setup/requirements-grasshopper.txt"
+VENV = ROOT / ".ws/grasshopper"
+COMPONENTS = sorted((ROOT / "examples/grasshopper").glob("*.py"))
+SESSION = ROOT / "test/support/grasshopper_session.py"
+SCHEMA = ROOT / "docs/reference/view.schema.json"
+
+
+@pytest.fixture(scope="module")
+def python():
+    """The Python of a designer's Grasshopper; made here once, 20 s."""
+    stamp, wanted = VENV / ".requirements", REQUIREMENTS.read_text()
+    if not stamp.exists() or stamp.read_text() != wanted:
+        shutil.rmtree(VENV, ignore_errors=True)
+        subprocess.run(["/usr/bin/python3", "-m", "venv", VENV], check=True)
+        pip = [VENV / "bin/pip", "install", "--quiet", "--disable-pip-version-check", "-r", REQUIREMENTS]
+        done = subprocess.run(pip, capture_output=True, text=True)
+        assert done.returncode == 0, f"pip could not install {REQUIREMENTS.name}: {done.stderr[-1000:]}"
+        stamp.write_text(wanted)
+    return VENV / "bin/python"
+
+
+class Planner:
+    """In place of the service: checks and times motions as the planner does, without scene and review."""
+
+    resolved_name = "/kr120/plan_trajectory"
+
+    def __init__(self):
+        self.made, self.sources = [], []
+
+    def __call__(self, message, speed_scale, acceleration_scale, source):
+        self.sources.append(source)
+        try:
+            waypoints = trajectory_waypoints(message, ROBOT)
+            trajectory = plan_waypoints(waypoints, ROBOT.home, ROBOT, speed_scale or 0.3, acceleration_scale or None)
+        except ConstructionTwinError as error:
+            return SimpleNamespace(success=False, message=str(error), plan_id="", plan_hash="", duration=0.0)
+        self.made.append(trajectory)
+        name = f"plan {len(self.made)}"
+        return SimpleNamespace(
+            success=True, message="waiting for review", plan_id=name, plan_hash="cafe", duration=trajectory.duration
+        )
+
+
+class Stream:
+    """In place of a LatestPose: the arm at home."""
+
+    def newest(self, oldest: float) -> StampedPose:
+        return StampedPose(tuple(ROBOT.home), time.time_ns(), time.monotonic())
+
+
+class Cell:
+    """A site's broker, our node with its real client, and what it hears from ROS."""
+
+    def __init__(self, folder):
+        self.site = SiteBroker(folder, robots=("kr120",), planners=("ada",))
+        self.site.start()
+        self.planner = Planner()
+        joints = Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear))
+        broker = self.site.broker(self.site.account("kr120-bridge"))
+        writer = ViewWriter("kr120", "cafe", joints)
+        self._client = make_client(
+            broker, unique_id("kr120", "planner"), "twin/kr120/view", writer.offline().decode(), will_retained=False
+        )
+        settings = Settings(host="localhost", port=1, max_trajectory_bytes=2_000_000, view_rate=25.0, max_pose_age=0.25)
+        self.node = MqttPlanner(
+            settings, "kr120", joints, broker, self._client, writer, self.planner, self._diagnostics
+        )
+        self.node.listen(Poses(Stream(), Stream()), lambda: True)
+        self.node.on_execution(Execution(text="IDLE", reason="at rest"))
+        self.node.connect()
+        wait_until(self._client.is_connected, what="the node's connection")
+        self._ended = threading.Event()
+        self._threads = [threading.Thread(target=run) for run in (self._show, self._check)]
+        for thread in self._threads:
+            thread.start()
+
+    def _diagnostics(self, report):
+        self.refusals = Refusals(report)
+        return self.refusals
+
+    def _show(self) -> None:
+        while not self._ended.wait(0.04):
+            self.node.on_sync(Sync(text="IN_SYNC", reason="agree", agreed=True, error=[0.0] * 6, threshold=[0.01] * 6))
+            self.node.on_link(Link(text="ARMED", reason="well", gateway_state="armed"))
+            self.node.show()
+
+    def _check(self) -> None:
+        while not self._ended.is_set():
+            self.node.run_waiting(0.05)
+
+    def close(self) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+        self._client.disconnect()
+        self._client.loop_stop()
+        self.site.stop()
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rospy, "wait_for_service", lambda *_: None)
+        patch.setattr(rospy, "loginfo", lambda *_: None)
+        cell = Cell(tmp_path_factory.mktemp("cell"))
+        yield cell
+        cell.close()
+
+
+def distance(point: np.ndarray, path: np.ndarray) -> float:
+    """Return how far a point is from a path of lines."""
+    begin, along = path[:-1], np.diff(path, axis=0)
+    fraction = np.clip(np.sum((point - begin) * along, axis=1) / np.sum(along**2, axis=1), 0.0, 1.0)
+    return float(np.linalg.norm(begin + fraction[:, None] * along - point, axis=1).min())
+
+
+def run(python, *arguments) -> dict:
+    done = subprocess.run([python, SESSION, *map(str, arguments)], capture_output=True, text=True, timeout=120.0)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module", params=["account", "certificate"])
+def session(request, cell, python, tmp_path_factory):
+    """What a designer saw with a password, and with a client certificate."""
+    urdf = tmp_path_factory.mktemp("urdf") / "kr120.urdf"
+    urdf.write_text(expand_xacro(str(XACRO), {}))
+    cell.planner.made.clear()
+    cell.planner.sources.clear()
+    account = cell.site.folder / f"accounts/kr120-planner-ada/{request.param}.json"
+    port = cell.site.site.port + (request.param == "certificate")
+    return run(python, port, account, urdf, SCHEMA)
+
+
+def test_the_designer_sees_twin_and_arm(session):
+    assert session["connect"] == "connected" and session["schema"] == []
+    assert session["names"] == list(ROBOT.joint_names)
+    assert session["twin"] == session["arm"] == pytest.approx(ROBOT.home, abs=1e-9)
+    assert session["view"].splitlines() == ["link: ARMED, well", "sync: IN_SYNC, agree", "execution: IDLE, at rest"]
+
+
+def test_frames_are_in_the_unit_that_was_said(session):
+    pose = Chain(ROBOT).forward(ROBOT.home)
+    axes = [*pose.rotation[:, 0], *pose.rotation[:, 1]]
+    assert session["twin_frame_m"] == pytest.approx([*pose.position, *axes], abs=1e-6)
+    assert session["twin_frame_mm"] == pytest.approx([*(pose.position * 1000.0), *axes], abs=1e-3)
+    for key in ("units_not_said", "plan_units_not_said"):
+        assert "say that of the Rhino document, mm or m: it is never guessed" in session[key]
+    assert "frame 0 cannot be reached" in session["plan_wrong_units"]
+
+
+def test_the_motion_that_is_reviewed_passes_the_designer_s_frames(session, cell):
+    assert session["planned"] == "3 points"
+    assert session["answer"]["ok"] is True and session["answer"]["plan_id"] == "plan 1", session["answer"]
+    trajectory, chain = cell.planner.made[0], Chain(ROBOT)
+    passed = np.array([chain.forward(q).position * 1000.0 for q in trajectory.positions])
+    for frame in session["frames_mm"]:
+        assert distance(np.array(frame[:3]), passed) < 0.1
+    end = chain.forward(trajectory.positions[-1])
+    assert [*end.rotation[:, 0], *end.rotation[:, 1]] == pytest.approx(session["frames_mm"][-1][3:], abs=1e-5)
+
+
+def test_the_reviewer_reads_which_account_sent_it(session, cell):
+    assert cell.planner.sources[0] == "MQTT account kr120-planner-ada, which says it is 'Ada'"
+
+
+def test_a_component_that_runs_again_sends_nothing_again(session, cell):
+    assert session["sent"] == session["sent_again"] and len(cell.planner.sources) == 3
+
+
+def test_times_are_kept_and_what_is_too_fast_is_refused_with_the_planner_s_sentence(session, cell):
+    assert session["timed"]["ok"] is True and cell.planner.made[1].duration == pytest.approx(4.5)
+    assert "all velocities are zero, which compas_fab writes where none are given" in session["timed"]["text"]
+    assert session["fast"]["ok"] is False and "joint_a1" in session["fast"]["text"]
+    assert session["no trajectory"] == "a str is no JointTrajectory of compas_fab"
+    assert session["off"] == "off"
+
+
+def test_the_same_trajectory_is_read_without_an_envelope(session):
+    document = read_document(session["compas_json"].encode(), False, 100_000)
+    request = parse_trajectory(document, Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear)))
+    assert len(request.points) == 3 and request.points[0].positions == pytest.approx(tuple(ROBOT.home), abs=1e-9)
+    assert all(math.isfinite(value) for point in request.points for value in point.positions)
+
+
+def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_path):
+    """compas_eve subscribes once, and a broker that was started again has forgotten it."""
+    urdf = tmp_path / "kr120.urdf"
+    urdf.write_text(expand_xacro(str(XACRO), {}))
+    account = cell.site.folder / "accounts/kr120-planner-ada/account.json"
+    command = [python, SESSION, str(cell.site.site.port), str(account), str(urdf)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as session:
+        try:
+            assert json.loads(session.stdout.readline())["fresh"] is True
+            cell.site.stop()
+            lost = json.loads(session.stdout.readline())
+            assert lost["fresh"] is False and "the last view came" in lost["text"]
+            cell.site.start()
+            assert json.loads(session.stdout.readline())["fresh"] is True
+        finally:
+            session.kill()
+
+
+def test_a_stranger_is_not_let_in_and_is_told(cell, python, tmp_path):
+    for name in ("ca.crt", "account.json"):
+        shutil.copy(cell.site.folder / "accounts/kr120-planner-ada" / name, tmp_path / name)
+    (tmp_path / "password").write_text("guessed\n")
+    said = run(python, cell.site.site.port, tmp_path / "account.json")
+    assert said["connect"].startswith("not let in yet") and said["send"].startswith("not connected")
+
+
+@pytest.mark.parametrize("path", COMPONENTS, ids=lambda path: path.name)
+def test_the_components_are_for_the_python_of_rhino_8(path):
+    ast.parse(path.read_text(), feature_version=(3, 9))
+    if path.name != "twin_grasshopper.py":
+        wanted = path.read_text().splitlines()[0].removeprefix("# r: ").split(", ")
+        assert set(wanted) <= set(REQUIREMENTS.read_text().split())

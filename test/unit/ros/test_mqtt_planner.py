@@ -1,0 +1,267 @@
+"""The node that takes motions from MQTT and shows everything there, without ROS master and broker."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from types import SimpleNamespace
+
+import pytest
+import rospy
+from bridge_bench import Client, Refusals
+from construction_twin.msg import Execution, Link, Sync
+
+from construction_twin.core.errors import PoseUnknownError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.remote_trajectory import Joints
+from construction_twin.link.remote_view import ViewWriter
+from construction_twin.mqtt.client import Broker
+from construction_twin.ros.nodes import mqtt_planner
+from construction_twin.ros.nodes.mqtt_planner import REPEAT_WINDOW, WAITING, MqttPlanner, Poses, Settings, source_of
+from construction_twin.ros.transport.joint_stream import to_time
+from construction_twin.ros.transport.latest_pose import StampedPose
+
+JOINTS = Joints(("joint_a1", "track"), (False, True))
+TRAJECTORY = {
+    "id": "7",
+    "source": "Ada",
+    "units": {"angle": "deg", "length": "mm", "time": "s"},
+    "speed_scale": 0.5,
+    "joint_names": ["track", "joint_a1"],
+    "points": [
+        {"positions": [0.0, 0.0], "time_from_start": 0.0},
+        {"positions": [500.0, 90.0], "time_from_start": 2.75},
+    ],
+}  # fmt: skip
+
+
+class Stream:
+    """In place of a LatestPose."""
+
+    def __init__(self, pose: StampedPose | None):
+        self.pose = pose
+
+    def newest(self, oldest: float) -> StampedPose:
+        if self.pose is None:
+            raise PoseUnknownError("twin/joint_states", math.inf, oldest)
+        return self.pose
+
+
+class Bench:
+    """The node, a client that remembers, a planner that plans, and clocks that the test sets."""
+
+    resolved_name = "/kr120/plan_trajectory"
+
+    def __init__(self, **settings):
+        self.client, self.asked, self.success, self.error = Client(), [], True, None
+        self.steady, self.wall = 1000.0, 1_764_000_000.0
+        self.made = None
+        given = {"host": "127.0.0.1", "port": 1, "max_trajectory_bytes": 4096, "view_rate": 25.0, "max_pose_age": 0.25}
+        self.node = MqttPlanner(
+            Settings(**given | settings), "kr120", JOINTS, Broker("127.0.0.1", 1), self.client,
+            ViewWriter("kr120", "cafe", JOINTS), self, self._make_diagnostics,
+        )  # fmt: skip
+
+    def _make_diagnostics(self, report):
+        self.made = Refusals(report)
+        return self.made
+
+    def __call__(self, *request):
+        self.asked.append(request)
+        if self.error is not None:
+            raise self.error
+        plan = ("p1", "cafe", 2.75) if self.success else ("", "", 0.0)
+        return SimpleNamespace(
+            success=self.success, message="waiting for review", plan_id=plan[0], plan_hash=plan[1], duration=plan[2]
+        )
+
+    def send(self, sender: str = "", retained: bool = False, **changes) -> None:
+        document = copy.deepcopy(TRAJECTORY) | changes
+        self.node.on_trajectory(sender, json.dumps(document).encode(), retained)
+
+    def check(self) -> None:
+        """Check everything that waits."""
+        self.node.run_waiting()
+
+    @property
+    def answers(self) -> list[dict]:
+        return [json.loads(payload) for topic, payload in self.client.published if topic == "twin/kr120/trajectory/ack"]
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    made = Bench()
+    monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
+    monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
+    monkeypatch.setattr(mqtt_planner, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    monkeypatch.setattr(mqtt_planner, "now_ns", lambda: round(made.wall * NANOSECONDS))
+    return made
+
+
+def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
+    bench.send("kr120-planner-ada")
+    assert bench.answers == [] and bench.asked == [], "it is checked in another thread"
+    bench.check()
+    message, speed, acceleration, source = bench.asked[0]
+    assert message.joint_names == ["joint_a1", "track"]
+    assert list(message.points[1].positions) == pytest.approx([math.pi / 2, 0.5])
+    assert message.points[1].time_from_start.to_sec() == 2.75 and message.header.stamp.to_sec() == 0.0
+    assert (speed, acceleration) == (0.5, 0.0)
+    assert source == "MQTT, on the topic of kr120-planner-ada, which says it is 'Ada'"
+    assert bench.answers == [
+        {"id": "7", "sender": "kr120-planner-ada", "ok": True, "reason": "waiting for review", "plan_id": "p1",
+         "plan_hash": "cafe", "duration": 2.75, "notes": []}
+    ]  # fmt: skip
+    assert bench.node.report().values == {"trajectories under review": 1, "trajectories waiting": 0}
+
+
+@pytest.mark.parametrize(
+    "sender, says, proven, shown",
+    [
+        ("", "", True, "MQTT, sender not known"),
+        ("", "Ada", False, "MQTT, sender not known, which says it is 'Ada'"),
+        ("kr120-planner-ada", "", True, "MQTT account kr120-planner-ada"),
+        ("kr120-planner-ada", "", False, "MQTT, on the topic of kr120-planner-ada"),
+    ],
+)
+def test_a_reviewer_reads_what_is_known_of_the_sender_and_no_more(sender, says, proven, shown):
+    assert source_of(SimpleNamespace(source=says), sender, proven) == shown
+
+
+def test_what_the_planner_refuses_is_told_with_its_sentence(bench):
+    bench.success = False
+    bench.send()
+    bench.check()
+    assert [(answer["ok"], answer["plan_id"]) for answer in bench.answers] == [(False, "")]
+    assert bench.node.report().values["trajectories no plan"] == 1
+
+
+def test_a_planner_that_is_gone_is_told_and_the_node_goes_on(bench):
+    bench.error = rospy.ServiceException("connection refused")
+    bench.send()
+    bench.check()
+    assert "/kr120/plan_trajectory does not answer: connection refused" in bench.answers[0]["reason"]
+    bench.error = None
+    bench.send(id="8")
+    bench.check()
+    assert bench.answers[1]["ok"]
+
+
+@pytest.mark.parametrize(
+    "sender, payload, retained, reason, request_id",
+    [
+        ("", json.dumps(TRAJECTORY).encode(), True, "retained", ""),
+        ("", b" " * 5000, False, "size", ""),
+        ("", b"{", False, "format", ""),
+        ("", json.dumps(TRAJECTORY | {"units": {}}).encode(), False, "units", "7"),
+        ("", json.dumps(TRAJECTORY | {"joint_names": []}).encode(), False, "joints", "7"),
+        ("", json.dumps(TRAJECTORY | {"speed_scale": 2}).encode(), False, "values", "7"),
+        ("no such account", json.dumps(TRAJECTORY).encode(), False, "sender", ""),
+    ],
+)
+def test_what_is_refused_is_counted_and_answered_with_the_id_where_there_is_one(
+    bench, sender, payload, retained, reason, request_id
+):
+    bench.node.on_trajectory(sender, payload, retained)
+    bench.check()
+    assert bench.made.refused == {reason: 1} and bench.asked == []
+    assert [(answer["ok"], answer["id"]) for answer in bench.answers] == [(False, request_id)]
+
+
+def test_more_than_may_wait_is_refused_and_can_be_sent_again(bench):
+    for number in range(WAITING + 1):
+        bench.send(id=f"n{number}")
+    assert bench.made.refused == {"busy": 1} and [answer["id"] for answer in bench.answers] == [f"n{WAITING}"]
+    bench.check()
+    bench.send(id=f"n{WAITING}")
+    bench.check()
+    assert len(bench.asked) == WAITING + 1 and bench.answers[-1]["ok"]
+
+
+def test_the_same_message_twice_makes_one_plan_and_gets_one_answer_twice(bench):
+    """QoS 1 may deliver twice; a second plan would take the first one from under the reviewer."""
+    bench.send()
+    bench.send()
+    bench.check()
+    bench.send()
+    assert len(bench.asked) == 1 and bench.made.refused == {"repeated": 2}
+    assert [answer["plan_id"] for answer in bench.answers] == ["p1", "p1"]
+    bench.steady += REPEAT_WINDOW + 0.1
+    bench.send()
+    bench.check()
+    assert len(bench.asked) == 2, "later it is meant"
+
+
+def test_the_same_motion_from_another_account_is_another_message(bench):
+    bench.send("kr120-planner-ada")
+    bench.send("kr120-planner-ben")
+    bench.check()
+    assert [answer["sender"] for answer in bench.answers] == ["kr120-planner-ada", "kr120-planner-ben"]
+
+
+# -- view
+
+
+def view(bench) -> dict:
+    return json.loads(bench.node.show())
+
+
+def reports(bench) -> None:
+    bench.node.on_sync(
+        Sync(text="IN_SYNC", reason="agree", agreed=True, error=[0.1, 0.2], threshold=[1.0, 1.0], servo_lag=0.01)
+    )
+    bench.node.on_link(Link(text="ARMED", gateway_state="following", gateway_kind="rsi"))
+    execution = Execution(text="PLAYING", plan_id="p1", duration=10.0, rate=1.0, speed_limit=1.0)
+    execution.header.stamp = execution.plan_start = to_time(round(bench.wall * NANOSECONDS))
+    bench.node.on_execution(execution)
+
+
+def test_the_view_shows_what_is_known(bench):
+    stamp = round((bench.wall - 0.01) * NANOSECONDS)
+    bench.node.listen(
+        Poses(Stream(StampedPose((0.5, 1.5), stamp, 999.99)), Stream(StampedPose((0.4, 1.4), stamp, 999.98))),
+        lambda: True,
+    )
+    reports(bench)
+    bench.steady += 0.04
+    bench.wall += 2.5
+    message = view(bench)
+    assert message["twin"] == {"stamp": 1_763_999_999.99, "age": 0.05, "positions": [0.5, 1.5]}
+    assert message["arm"] == {"stamp": 1_763_999_999.99, "age": 0.06, "positions": [0.4, 1.4]}
+    assert (message["sync"]["state"], message["sync"]["age"], message["link"]["state"]) == ("IN_SYNC", 0.04, "ARMED")
+    assert (message["execution"]["state"], message["execution"]["progress"]) == ("PLAYING", 0.25)
+    assert [topic for topic, _ in bench.client.published] == ["twin/kr120/view"]
+
+
+def test_what_is_old_is_shown_as_not_known(bench):
+    bench.node.listen(Poses(Stream(None), Stream(None)), lambda: True)
+    reports(bench)
+    bench.steady += 1.0
+    message = view(bench)
+    assert message["twin"] is message["arm"] is message["sync"] is None and message["link"]["age"] == 1.0
+    bench.steady += 3.0
+    assert view(bench)["link"] is None and view(bench)["execution"]["state"] == "PLAYING"
+    bench.node.listen(Poses(Stream(None), Stream(None)), lambda: False)
+    assert view(bench)["execution"] is None, "its node is gone"
+
+
+def test_without_a_connection_nothing_is_kept_for_later(bench):
+    bench.client.connected = False
+    view(bench)
+    assert bench.client.published == []
+    bench.client.connected = True
+    assert view(bench)["seq"] == 2 and len(bench.client.published) == 1
+
+
+def test_trajectories_can_be_switched_off(bench, monkeypatch):
+    heard = []
+    monkeypatch.setattr(Client, "subscribe", lambda self, topics: heard.extend(topics))
+    welcome = SimpleNamespace(is_failure=False)
+    for trajectories in (True, False):
+        made = Bench(trajectories=trajectories)
+        monkeypatch.setattr(mqtt_planner, "now_ns", lambda: 0)
+        made.node.on_connect(made.client, None, None, welcome, None)
+        said = made.node.report().sentence
+        assert said == ("trajectories are taken" if trajectories else "no trajectories are taken (trajectories: false)")
+    assert [topic for topic, _ in heard] == ["twin/kr120/trajectory", "twin/kr120/trajectory/from/+"]
