@@ -187,13 +187,15 @@ class RedundantInverse(InverseKinematics):
         """See `InverseKinematics.nearest`: the nearest along all self-motions that samples were found of; not proven."""
         start = self._checked(pose, seed, configuration)
         target = _matrix(pose)
-        if max(residual(self.chain, start, pose)) < _BESIDE:
-            found = self._along(*self._samples(_VALUES, target, float(start[self.held])), target, pose, start)
+        beside = max(residual(self.chain, start, pose)) < _BESIDE
+        if beside:
+            window = self._samples(_VALUES, target, float(start[self.held]))
+            found = self._along(*window, target, pose, start, beside)
             # what is nearer than this has the held joint within the window
             if found and found[0].distance < _WINDOW:
                 return found[0]
         for count in (_VALUES, _FINER):
-            found = self._along(*self._samples(count, target), target, pose, start)
+            found = self._along(*self._samples(count, target), target, pose, start, beside)
             if found:
                 return found[0]
         for q in self._almost(target, start)[:_SLID]:
@@ -275,7 +277,13 @@ class RedundantInverse(InverseKinematics):
         return samples, counts
 
     def _along(
-        self, samples: np.ndarray, counts: np.ndarray, target: np.ndarray, pose: Pose, seed: np.ndarray
+        self,
+        samples: np.ndarray,
+        counts: np.ndarray,
+        target: np.ndarray,
+        pose: Pose,
+        seed: np.ndarray,
+        beside: bool,
     ) -> list[IkSolution]:
         """Return the nearest solution along the self-motions, as a list."""
 
@@ -286,7 +294,7 @@ class RedundantInverse(InverseKinematics):
             ways = self._motion.wrapped(found.Q - q)
             return found.Q[np.einsum("mn,mn->m", ways, ways).argmin()]
 
-        best = self._motion.nearest(samples, counts, pose, seed, point)
+        best = self._motion.nearest(samples, counts, pose, seed, point, beside)
         return [] if best is None else self._confirmed(best, pose, seed)
 
     def _almost(self, target: np.ndarray, seed: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ import numpy as np
 from construction_twin.kinematics.axes import Axis, joint_axes
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.many import ManyPostures, tangents
-from construction_twin.kinematics.solution import TURN, residual
+from construction_twin.kinematics.solution import TURN
 from construction_twin.robot.description import RobotModel
 
 #: A curve is longer than the straight way along a link by no more than this factor, as far as pruning is concerned.
@@ -120,7 +120,7 @@ class SelfMotion:
 
     def __init__(self, chain: Chain, held: int):
         robot = chain.robot
-        self.chain, self.held = chain, held
+        self.held = held
         self.many = ManyPostures(chain)
         # where the held joint itself sweeps, the samples are dense
         self.hinges = [
@@ -153,6 +153,7 @@ class SelfMotion:
         pose: Pose,
         seed: np.ndarray,
         point: Callable[[np.ndarray], np.ndarray | None],
+        beside: bool,
     ) -> np.ndarray | None:
         """Return the nearest point within the ranges.
 
@@ -170,6 +171,9 @@ class SelfMotion:
             Returns the point of the curves that has the held joint's value and is nearest to joint values almost on the curve;
             None: there is none.
 
+        beside : bool
+            Whether the seed is so near to the pose that a solution may be right beside it.
+
         Returns
         -------
         q : array, shape (n,), or None
@@ -177,7 +181,7 @@ class SelfMotion:
         """
         if not len(samples):
             return None
-        return _Search(self, _Samples(self, samples, counts, seed), pose, point).run()
+        return _Search(self, _Samples(self, samples, counts, seed), pose, point, beside).run()
 
 
 class _Samples:
@@ -263,9 +267,15 @@ class _Search:
     """The search along the curves of one pose. A link is an array of shape (4, n): start, its way on, end, its way on."""
 
     def __init__(
-        self, motion: SelfMotion, samples: _Samples, pose: Pose, point: Callable[[np.ndarray], np.ndarray | None]
+        self,
+        motion: SelfMotion,
+        samples: _Samples,
+        pose: Pose,
+        point: Callable[[np.ndarray], np.ndarray | None],
+        beside: bool,
     ):
         self._motion, self._samples, self._pose, self._point = motion, samples, pose, point
+        self._kept = beside
         self._seed = samples.seed
         self._best: np.ndarray | None = None
         self._distance = _NEVER
@@ -277,7 +287,7 @@ class _Search:
         if len(inside):
             row = inside[samples.distance[inside].argmin()]
             self._best, self._distance = samples.q[row], float(samples.distance[row])
-        if max(residual(motion.chain, self._seed, self._pose)) < _BESIDE:
+        if self._kept:
             self._beside_seed()
         near = samples.near(self._distance)
         neighbours = samples.neighbours(near)
