@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -98,7 +99,7 @@ def closing(launch: Path, lines: Sequence[str]) -> list[str]:
     """Return the last lines: how to start it, and what is missing for a real arm."""
     return [
         "start it with the mock:",
-        f"  roslaunch {launch}",
+        f"  roslaunch {shlex.quote(str(launch))}",
         "a person must still fill in, before arm:=real (which is refused while `estimates` holds a word):",
         *(f"  - {line}" for line in lines),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
@@ -214,3 +215,20 @@ def test_what_is_wrong_is_one_sentence_and_nothing_is_written(tmp_path, capsys, 
 def test_a_file_that_is_not_there(capsys):
     assert main(["/nowhere.urdf"]) == 1
     assert capsys.readouterr().err.startswith("new_arm: /nowhere.urdf: ")
+
+
+def test_the_command_that_it_prints_works_in_a_folder_with_a_space(tmp_path, capsys):
+    urdf = write_arm(tmp_path, ARMS[0])
+    folder = tmp_path / "my arms"
+    made(folder, urdf, "--tip", ARMS[0].tip)
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  roslaunch ")]
+    assert shlex.split(line) == ["roslaunch", str(folder / f"{ARMS[0].name}.launch")]
+
+
+def test_a_folder_that_takes_no_files_is_found_before_anything_is_computed(tmp_path, capsys):
+    urdf = write_arm(tmp_path, ARMS[0])
+    (tmp_path / "file").write_text("")
+    assert main([str(urdf), "--tip", ARMS[0].tip, "--output", str(tmp_path / "file" / "made")]) == 1
+    said = capsys.readouterr()
+    assert said.out == "" and "expected a folder that files can be written into" in said.err
+    assert said.err.count("\n") == 1

@@ -17,6 +17,7 @@ import rospy
 import yaml
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import check_writable
 from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
@@ -148,6 +149,7 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
 
 
 def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
+    check_writable(folder)
     folder.mkdir(parents=True, exist_ok=True)
     there = [file for file in files.values() if file.exists()]
     if there and not force:
