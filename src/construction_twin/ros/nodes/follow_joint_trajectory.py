@@ -111,7 +111,8 @@ class FollowJointTrajectoryNode:
         )
         self._goals = TrajectoryGoals(robot, rospy.resolve_name("review_plan"))
         self._clients: dict[str, Client] = {}
-        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        # not a SimpleQueue: when a signal's handler takes longer than the rest of a time-out, its `get` waits for ever
+        self._inbox: queue.Queue[Callable[[], None]] = queue.Queue()
         self._poses = threading.Lock()
         self._tracking = Tracking(settings.arm != "none")
         self._needs_poses = threading.Event()
