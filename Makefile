@@ -22,7 +22,8 @@ setup:
 demo: setup
 	@bash -c 'source .ws/env.bash && exec python scripts/demo.py "$$@"' demo $(ARGS)
 
-test: setup
+test:
+	@bash setup/setup.sh tests
 	@bash -c 'source .ws/env.bash && python scripts/run_tests.py $(ARGS)'
 
 lint: setup

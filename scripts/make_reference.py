@@ -37,6 +37,7 @@ NODES = {
     "neighbour": ("construction_twin.ros.shared.arm_listener", "neighbour"),
     "follow_joint_trajectory": ("construction_twin.ros.nodes.follow_joint_trajectory", "follow_joint_trajectory"),
     "preview": ("construction_twin.ros.nodes.preview", ""),
+    "joint_velocities": ("construction_twin.ros.nodes.joint_velocities", "joint_velocities"),
     "executor": ("construction_twin.ros.nodes.executor", "executor"),
     "pca_monitor": ("construction_twin.ros.nodes.pca_monitor", "pca_monitor"),
     "virtual_robot": ("construction_twin.ros.nodes.virtual_robot", ""),

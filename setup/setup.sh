@@ -2,6 +2,7 @@
 # Brings a Debian 12 machine to where construction_twin builds and runs. Safe to repeat; quick when nothing changed.
 #
 #   setup/setup.sh           Debian packages, Python venv, catkin workspace
+#   setup/setup.sh tests     the same, and the Debian packages that only the tests need
 #
 # Everything it makes lies under .ws/ in the repository, except the Debian packages.
 set -euo pipefail
@@ -11,6 +12,13 @@ work="$root/.ws"
 venv="$work/venv"
 workspace="$work/catkin"
 python=/usr/bin/python3 # Debian's own: the only Python that sees Debian's rospy, tf2 and PyKDL
+
+lists=("$root/setup/debian-packages.txt")
+case "${1:-}" in
+  "") ;;
+  tests) lists+=("$root/setup/debian-test-packages.txt") ;;
+  *) printf '[setup] unknown word %q; expected nothing, or tests\n' "$1" >&2 && exit 2 ;;
+esac
 
 say() { printf '[setup] %s\n' "$*"; }
 fail() {
@@ -36,7 +44,7 @@ check_system() {
 
 missing_packages() {
   local wanted
-  wanted=$(grep -vE '^[[:space:]]*(#|$)' "$root/setup/debian-packages.txt" | sort)
+  wanted=$(grep -hvE '^[[:space:]]*(#|$)' "${lists[@]}" | sort)
   comm -23 <(printf '%s\n' "$wanted") \
     <(dpkg-query -W -f '${db:Status-Status} ${Package}\n' 2>/dev/null | sed -n 's/^installed //p' | sort -u)
 }

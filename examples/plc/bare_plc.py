@@ -6,14 +6,16 @@ is ideal: it is where the PLC tells it to be. Angles in deg, times in s, speeds 
 Under ``<prefix>/<robot>/`` it reads `command` and writes `state` (one joint string per cycle) and `status` (retained, and its last
 will): `ready` while it takes strings, `offline` while it does not.
 
-- The first string must lie within the start tolerance of the pose that it holds.
-- Every string must have the format, lie in the range, be no more than one cycle's way from the last one, and leave room to brake.
+- The first string must lie within the start tolerance of the pose that it holds; the arm creeps there before it follows.
+- Every string must have the format, lie in the range, be no more than one cycle's way from the last one, change the speed by no
+  more than one cycle's acceleration, and leave room to brake.
 - In motion a string that is missing when due, silence, or a program that stood still: every axis brakes with its own limit.
 - Cycles that were missed are left out: run back to back, their setpoints would be one jump.
 - After a stop it takes nothing until strings have stopped and the arm rests: strings of a stream that broke must not start another.
 - A string with the retain flag is of unknown age: it is refused, and nothing else happens.
 
-It cannot tell two senders apart, nor notice a string that was delayed as a whole, lost at low speed, or sent twice.
+It cannot tell two senders apart, nor notice strings that were all delayed, or one that was lost or sent twice at so low a speed
+that it looks like acceleration. At any higher speed that is a jump of the speed, and refused.
 """
 
 from __future__ import annotations
@@ -113,8 +115,12 @@ class BarePlc:
         self._width = 5 + decimals
         self._step = tuple(axis.speed * CYCLE + 1.5 * 10.0**-decimals for axis in axes)
         self._braking = tuple(axis.acceleration * CYCLE**2 for axis in axes)
+        # three rounded values make up a change of the speed
+        self._change = tuple(braking + 2.0001 * 10.0**-decimals for braking in self._braking)
         self._velocity = (0.0,) * len(self._axes)
-        self._last = self.position
+        # the last string, its step, and where the stream begins
+        self._last = self._first = self.position
+        self._last_steps = self._velocity
         self._queue: deque[tuple[float, ...]] = deque()
         self._playing = False
         self._heard = self._rested = 0.0
@@ -158,16 +164,19 @@ class BarePlc:
         if self.state is State.HOLDING:
             if any(abs(value - held) > START_TOLERANCE for value, held in zip(pose, self.position)):
                 return "start"
-            self.state, self._playing, self._last = State.FOLLOWING, False, pose
+            self.state, self._playing, self._last, self._first = State.FOLLOWING, False, pose, pose
+            self._last_steps = (0.0,) * len(pose)
         steps = tuple(value - before for value, before in zip(pose, self._last))
         if any(abs(step) > most for step, most in zip(steps, self._step)):
             return "step"
+        if any(abs(step - last) > most for step, last, most in zip(steps, self._last_steps, self._change)):
+            return "acceleration"
         if not all(map(self._can_brake, self._axes, self._braking, pose, steps)):
             return "braking_room"
         if len(self._queue) >= MOST:
             return "ahead"
         self._queue.append(pose)
-        self._last = pose
+        self._last, self._last_steps = pose, steps
         return ""
 
     def _can_brake(self, axis: Axis, braking: float, value: float, step: float) -> bool:
@@ -189,12 +198,14 @@ class BarePlc:
         if now - self._heard > SILENCE:
             self.stop("silence")
             return
-        self._playing = self._playing or len(self._queue) >= self._delay
         if not self._playing:
-            return
+            there = self._creep()
+            self._playing = there and len(self._queue) >= self._delay
+            if not self._playing:
+                return
         if not self._queue:
             # at rest the next strings fill the queue again
-            self._playing = False
+            self._playing, self._first = False, self.position
             if any(self._velocity):
                 self.stop("a string was late")
             return
@@ -204,6 +215,16 @@ class BarePlc:
         if not any(self._velocity) and len(self._queue) > self._delay and self._queue[0] == target:
             # the sender's clock is faster than ours: made good where nothing moves
             self._queue.popleft()
+
+    def _creep(self) -> bool:
+        """Go to where the stream begins, so slowly that each axis could stop within a cycle; return whether the arm was there."""
+        ways = tuple(goal - here for goal, here in zip(self._first, self.position))
+        self._velocity = tuple(max(-most, min(most, way)) for way, most in zip(ways, self._braking))
+        self.position = tuple(
+            goal if step == way else here + step
+            for goal, here, way, step in zip(self._first, self.position, ways, self._velocity)
+        )
+        return not any(ways)
 
     def stop(self, reason: str) -> None:
         """Brake and take no more strings."""
@@ -266,13 +287,16 @@ class Network:
                 client.username_pw_set(options.user, file.readline().rstrip("\n"))
         if options.ca_file:
             client.tls_set(options.ca_file)
-        client.on_socket_open = lambda _client, _data, sock: sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.on_socket_open = self._on_socket_open
         client.on_connect = self._on_connect
         client.on_message = self._on_message
         host, _, port = options.broker.rpartition(":")
         client.reconnect_delay_set(1, 2)
         client.connect_async(host, int(port), keepalive=5)
         self._said = ""
+
+    def _on_socket_open(self, _client, _data, sock) -> None:
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def _on_connect(self, client, _data, _flags, reason_code, _properties) -> None:
         if reason_code.is_failure:

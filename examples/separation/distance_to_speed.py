@@ -33,7 +33,7 @@ class SpeedTable:
             raise ConfigurationError(
                 "table", list(rows), "at least one row [distance in m, fraction of the planned speed]"
             )
-        before = (-math.inf, 0.0)
+        before: Sequence[float] = (-math.inf, 0.0)
         for number, row in enumerate(rows, 1):
             if len(row) != 2 or not all(map(math.isfinite, row)):
                 raise ConfigurationError(

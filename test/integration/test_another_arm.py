@@ -20,7 +20,7 @@ from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from goal_client import goal_message, reach
 from sensor_msgs.msg import JointState
-from twin_client import RobotTest, Stream, TwinClient
+from twin_client import RobotTest, Stream, TwinClient, wait
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.frames import rotation_to_quaternion
@@ -135,10 +135,30 @@ class AnotherArmTest(RobotTest):
 
     def test_to_joints(self):
         missed = self.client.mock_counter("missed")
-        with Stream("mock_rsi/joint_states") as arm, Stream("physical/joint_states") as physical:
+        with (
+            Stream("mock_rsi/joint_states") as arm,
+            Stream("physical/joint_states") as physical,
+            Stream("velocities/joint_states") as twin,
+            Stream("joint_states") as shown,
+        ):
             self.client.execute(self.client.plan_to(GOAL, 0.0), arm)
             self.client.assert_at(GOAL, arm, physical)
             self.client.assert_within_limits(arm, missed)
+            wait(lambda: not any(shown.messages[-1].velocity), "joint_states to be at rest")
+        self.assert_velocities_are_the_motion_s(twin.messages)
+        # joint_state_publisher passes them on
+        self.assertGreater(max(np.abs(message.velocity).max() for message in shown.messages), 0.1)
+
+    def assert_velocities_are_the_motion_s(self, messages) -> None:
+        """Each message has the velocity by which its pose differs from the one before."""
+        fastest = 0.0
+        for before, after in zip(messages, messages[1:]):
+            period = (after.header.stamp - before.header.stamp).to_sec()
+            moved = np.subtract(after.position, before.position) / period
+            np.testing.assert_allclose(after.velocity, moved, atol=1e-6)
+            fastest = max(fastest, float(np.abs(after.velocity).max()))
+        self.assertGreater(fastest, 0.1)
+        np.testing.assert_array_equal(messages[-1].velocity, 0.0)
 
     def test_to_a_pose(self):
         wanted = self.chain.forward(self.client.si(GOAL))

@@ -3,6 +3,9 @@
 
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import rosgraph
@@ -69,6 +72,31 @@ class BringupTest(RobotTest):
 
     def test_joint_states_run_at_50_hz(self):
         self.assertAlmostEqual(Rate("joint_states").value(WINDOW), 50.0, delta=5.0)
+
+    def test_joint_states_tell_planners_velocities(self):
+        with Stream("joint_states") as shown:
+            shown.wait_for_more(10)
+        last = shown.messages[-1]
+        self.assertEqual(tuple(last.name), self.client.robot.joint_names)
+        self.assertEqual(tuple(last.velocity), (0.0,) * 6)
+
+    def test_the_srdf_is_beside_the_urdf(self):
+        root = ElementTree.fromstring(rospy.get_param("robot_description_semantic"))
+        described = ElementTree.fromstring(rospy.get_param("robot_description"))
+        self.assertEqual(root.get("name"), described.get("name"))
+        self.assertEqual([group.get("name") for group in root.findall("group")], ["manipulator"])
+
+    def test_the_scene_is_written_for_moveit(self):
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "here.scene"
+            command = ["rosrun", "construction_twin", "twin", "scene", "--moveit", str(file)]
+            run = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+            self.assertEqual(run.returncode, 0, run.stderr)
+            self.assertEqual(run.stdout, f"{file}: 1 objects, in base_link\n")
+            lines = file.read_text().splitlines()
+        # the floor, with the scene's padding of 20 mm on every side
+        self.assertEqual(lines[1:6], ["* floor", "0 0 -0.5", "0 0 0 1", "1", "box"])
+        self.assertEqual((lines[6], lines[-1]), ("20.04 20.04 1.04", "."))
 
     def test_sync_reports_every_joint(self):
         sync = rospy.wait_for_message("sync", Sync, 5.0)

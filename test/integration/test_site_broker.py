@@ -113,7 +113,7 @@ class SiteTest(unittest.TestCase):
             wait(lambda: (self.tablet.plan or {}).get("id") == answer["plan_id"], "the plan at the tablet")
             plan = self.tablet.plan
             self.assertEqual(plan["hash"], answer["plan_hash"])
-            self.assertEqual(plan["source"], "by MQTT from account kr120-planner-ada, which says it is 'facade 7'")
+            self.assertEqual(plan["source"], "MQTT account kr120-planner-ada, which says it is 'facade 7'")
             self.assertTrue((arm.positions() == still[0]).all(), "the arm moved before anybody had approved")
             seen = len(self.planner.views)
             self.assertTrue(self.tablet.verdict(plan, "approved")["ok"])

@@ -171,6 +171,12 @@ class BridgeBench:
                 return
         raise AssertionError(f"not armed: {self.links[-1][0].reason}")
 
+    def arm_and_rest(self) -> None:
+        """Lead the link to ARMED, with a stream that has been seen to rest."""
+        self.arm()
+        for _ in range(15):
+            self.step()
+
     def at_rest(self) -> bool:
         """Tell whether the bridge takes the arm to be at rest: only then `mirror` is not refused for its pose."""
         return "still changing" not in self.bridge.on_mirror(SimpleNamespace(data=True)).message

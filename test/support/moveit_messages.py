@@ -110,6 +110,11 @@ def message_types() -> dict[str, type]:
     return generate_dynamic(core[0], whole)
 
 
+def md5_sums() -> dict[str, str]:
+    """Return the md5 sum of each type, by its full name."""
+    return {name: kind._md5sum for name, kind in message_types().items()}
+
+
 def modules() -> tuple[ModuleType, ModuleType]:
     """Return stand-ins for ``moveit_msgs.msg`` and ``shape_msgs.msg``."""
     made = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -19,6 +20,7 @@ def octave(code: str, folder: Path) -> str:
     script = folder / "run.m"
     paths = "".join(f"addpath('{path}');\n" for path in (STUBS, MATLAB))
     script.write_text(f"1;\n{paths}{code}\ndisp('{_DONE}');\n")
+    assert shutil.which("octave-cli"), "GNU Octave is not installed; `setup/setup.sh tests` installs it"
     command = ["octave-cli", "--norc", "--no-history", str(script)]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120.0)
     assert _DONE in run.stdout, f"octave: {run.stderr}\n{run.stdout}"

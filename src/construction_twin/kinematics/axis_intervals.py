@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import mul, sub
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,8 @@ from construction_twin.kinematics.solution import TURN
 ROUNDING = 3e-7
 #: A wrist or an arm that turns by more between two places may turn either way [rad].
 EITHER_WAY = 1.5
-#: Cubics that miss the joints' rates by more are not trusted [rad]; where they are, the distance is off by at most this fraction of it.
+#: Cubics that miss the joints' rates by more are not trusted [rad]; where they are, the distance is off by at most this fraction
+#: of it.
 _ROUGH, _OFF = 0.12, 0.125
 #: Where a branch ends in an interval, its distance may fall by this much [rad].
 _FALL = 1.3
@@ -37,14 +39,14 @@ class Aim:
     ----------
     seed : array, shape (7,)
         Near which: place [m] and joints [rad], within the ranges.
-    turns : sequence of int, length 6
-        Whole turns to add to the arm's joints where they are nearest to the seed.
+    turns : sequence of int, length 6, or None
+        By how many whole turns the arm's joints are further than the nearest one; None: nearest within the ranges.
     low, high : list of float, length 6
-        Ends of the joints' ranges, as distances from the seed [rad].
+        Ends of the joints' ranges, or of these turns, as distances from the seed [rad].
     """
 
     seed: np.ndarray
-    turns: Sequence[int]
+    turns: Sequence[int] | None
     low: list[float]
     high: list[float]
 
@@ -79,7 +81,7 @@ class Interval(NamedTuple):
     Attributes
     ----------
     bound : float
-        The squared distance from the seed is not less anywhere between; inf: there is nothing between.
+        Nowhere between is the squared distance from the seed less than this, unless at an end; inf: there is nothing between.
     split : float
         Where to look next, as a fraction of the way from the first to the last.
     first, last : Node
@@ -105,17 +107,15 @@ def make_node(away: list[float], rates: list[float], aim: Aim, edge: bool = Fals
         As in `Node`.
     """
     rates = [1.0, *rates]
-    square = slope = 0.0
-    excess, outwards = -math.inf, 0.0
-    for value, rate in zip(away, rates):
-        square += value * value
-        slope += value * rate
-    for value, rate, low, high in zip(away[1:], rates[1:], aim.low, aim.high):
-        if value - high > excess:
-            excess, outwards = value - high, rate
-        if low - value > excess:
-            excess, outwards = low - value, -rate
-    return Node(away, rates, square, 2.0 * slope, math.inf if square != square else excess, outwards, edge)
+    square = sum(map(mul, away, away))
+    above, below = list(map(sub, away[1:], aim.high)), list(map(sub, aim.low, away[1:]))
+    excess, under = max(above), max(below)
+    if excess >= under:
+        outwards = rates[above.index(excess) + 1]
+    else:
+        excess, outwards = under, -rates[below.index(under) + 1]
+    slope = 2.0 * sum(map(mul, away, rates))
+    return Node(away, rates, square, slope, math.inf if square != square else excess, outwards, edge)
 
 
 def make_intervals(
@@ -175,9 +175,7 @@ def _scaled(node: Node, factor: float) -> Node:
     return node._replace(rates=rates, slope=factor * node.slope, outwards=factor * node.outwards)
 
 
-def _assess(
-    first: Node, last: Node, wide: float, aim: Aim, straight: tuple[float, float]
-) -> tuple[float, float]:
+def _assess(first: Node, last: Node, wide: float, aim: Aim, straight: tuple[float, float]) -> tuple[float, float]:
     """Return bound and division of the interval between two nodes."""
     half = 0.5 * wide
     change = [b - a for a, b in zip(first.away, last.away)]

@@ -31,8 +31,9 @@ _TURNS = 2.0 * math.pi * np.arange(-2, 3)[:, None, None, None]
 def dense_search(chain: Chain) -> Callable[[Problem], float]:
     """Return a search for the distance of the nearest solution of an arm of the OPW kind on a linear axis.
 
-    The arm's closed form is solved at thousands of places, with every whole turn. Around each local minimum of each branch, and where
-    a branch or a range ends or a joint jumps, what lies between two places is divided until they are less than a nanometre apart.
+    The arm's closed form is solved at thousands of places, with every whole turn. Around each local minimum of each branch, and
+    where a branch or a range ends or a joint jumps, what lies between two places is divided until they are less than a nanometre
+    apart.
 
     Raises
     ------
@@ -100,6 +101,10 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
                 )
                 joints = q[:, slot, 1:]
                 wild |= known & (np.abs(np.diff(joints, axis=0)).max(axis=1) > _JUMP)
+                # where a branch ends it may be in range only within the last bit
+                ends = np.isnan(joints[1:, 0]) != np.isnan(joints[:-1, 0])
+                wild |= ends
+                least[ends] = -math.inf
                 padded = np.concatenate([[math.inf], own, [math.inf]])
                 lowest = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & np.isfinite(own)
                 smooth = (lowest[1:] | lowest[:-1]) & (least < best + _STEEP * (places[1] - places[0]))

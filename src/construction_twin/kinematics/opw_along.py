@@ -2,7 +2,8 @@
 
 A joint's rate is by how much it turns for each metre of travel. The rates follow from the wrist centre's velocity as seen from the
 base (joints 1 to 3), and from the angular velocity with which the wrist must undo theirs (joints 4 to 6). At a singularity (an
-elbow stretched or folded, a wrist centre on axis 1, axes 4 and 6 in line) they are infinite; near one they are large. In plain floats, because they are asked for few places.
+elbow stretched or folded, a wrist centre on axis 1, axes 4 and 6 in line) they are infinite; near one they are large. In plain
+floats, because they are asked for few places.
 """
 
 from __future__ import annotations
@@ -50,9 +51,10 @@ class OpwAlong:
         """
         model, forearm = self._model, self._forearm
         tx, ty, tz = self._travel
-        theta1, theta2, theta3, theta4, theta5, _ = (
-            sign * value - offset for sign, value, offset in zip(model.signs, q, model.offsets)
-        )
+        q1, q2, q3, q4, q5, _ = q
+        s1, s2, s3, s4, s5, s6 = model.signs
+        o1, o2, o3, o4, o5, _ = model.offsets
+        theta1, theta2, theta3, theta4, theta5 = s1 * q1 - o1, s2 * q2 - o2, s3 * q3 - o3, s4 * q4 - o4, s5 * q5 - o5
         sin1, cos1, sin2, cos2 = math.sin(theta1), math.cos(theta1), math.sin(theta2), math.cos(theta2)
         # axis 4, and the line from the elbow to the wrist centre, against the vertical
         theta3 += theta2
@@ -72,8 +74,14 @@ class OpwAlong:
             last = -(cos4 * about_x + sin4 * arm) / sin5
         except ZeroDivisionError:
             return [math.nan] * 6
-        rates = (first, second, arm - second, -about_z - last * cos5, sin4 * about_x - cos4 * arm, last)
-        return [sign * rate for sign, rate in zip(model.signs, rates)]
+        return [
+            s1 * first,
+            s2 * second,
+            s3 * (arm - second),
+            s4 * (-about_z - last * cos5),
+            s5 * (sin4 * about_x - cos4 * arm),
+            s6 * last,
+        ]
 
     def steep_places(self, flange: np.ndarray) -> tuple[list[float], tuple[float, float] | None]:
         """Return the places near which joints 1 to 3 move fast.

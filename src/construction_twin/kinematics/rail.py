@@ -18,7 +18,10 @@ from itertools import product
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
-from construction_twin.kinematics.axis_search import ROUNDING, AxisSearch, Found, Samples
+from construction_twin.kinematics import axis_search
+from construction_twin.kinematics.axis_intervals import ROUNDING
+from construction_twin.kinematics.axis_samples import SINGULAR, AxisSampler, Samples
+from construction_twin.kinematics.axis_search import Found
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
@@ -39,18 +42,16 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Number of evenly spaced places at which singular wrists, and the reason for no solution, are looked for.
 _PLACES = 101
-#: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad].
-_SINGULAR = 4e-7
 #: A solution whose wrist is this close to singular belongs to the family of solutions of a singular place [rad].
 _OF_FAMILY = 1e-3
 #: A wrist centre that is out of reach by less, or closer to axis 1, may have lost its branches by rounding [m].
 _AT_REACH = 1e-6
 #: Slots of each shoulder, front and back.
 _SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
+#: Solutions nearer to each other than this are one [rad]: they differ only in how exactly the nearest place was found.
+_SAME = 0.01
 #: Besides the nearest ones, `all` returns solutions that are further apart than this [rad], at most so many.
 _APART, _MOST = 0.35, 64
-#: No whole turns but those that are nearest to the seed.
-_NEAREST_TURNS = (0,) * 6
 
 
 def find_rail(chain: Chain) -> tuple[Chain, OpwModel] | NotOpw:
@@ -104,7 +105,12 @@ class RailInverse(InverseKinematics):
         self._axis = chain.jacobian(home)[:3, 0]
         # ... and the same in the directions of the arm's model
         self._travel = arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
-        self._along = AxisSearch(arm, self._travel, *self._ranges[0])
+        self._along = AxisSampler(arm, self._travel, *self._ranges[0])
+        # from a target of the whole chain to one of the arm's model, with the carriage at zero
+        base_T_carriage = np.eye(4)
+        base_T_carriage[:3, :3], base_T_carriage[:3, 3] = self._rotation, self._origin
+        self._opw_T_base = np.linalg.inv(base_T_carriage @ arm.model.base_T_opw)
+        self._tip_T_flange = np.linalg.inv(arm.model.flange_T_tip)
 
     @property
     def kind(self) -> ArmKind:
@@ -114,7 +120,7 @@ class RailInverse(InverseKinematics):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`: over all positions of the carriage."""
         start = self._checked(pose, seed)
-        flange, here = self._arm.flange(self._seen_from(pose, 0.0)), float(start[0])
+        flange, here = self._flange(pose), float(start[0])
         found: list[IkSolution] = []
 
         def at(place: float) -> float:
@@ -124,10 +130,11 @@ class RailInverse(InverseKinematics):
             return min((solution.distance**2 for solution in nearest), default=math.inf)
 
         samples = self._along.sample(flange, here, self._wanted(configuration))
-        aim = self._along.aim(start, _NEAREST_TURNS)
-        candidates = self._along.nearest(samples, self._along.measure(samples, aim), aim, at)
+        aim = self._along.aim(start)
+        measured = self._along.measure(samples, aim)
+        candidates = axis_search.nearest(self._along, samples, measured, aim, at)
         found += self._first_confirmed(candidates, pose, start)
-        if not found or self._is_special(flange, here):
+        if not found or self._is_special(flange, here, samples.wrist):
             at(here)
         if found:
             return min(found, key=lambda solution: solution.distance)
@@ -140,14 +147,14 @@ class RailInverse(InverseKinematics):
         that is free.
         """
         start = self._checked(pose, seed)
-        flange = self._arm.flange(self._seen_from(pose, 0.0))
+        flange = self._flange(pose)
         found = self._nearest_at(float(start[0]), pose, start, configuration)
         samples = self._along.sample(flange, float(start[0]), self._wanted(configuration))
-        for turns in self._choices_of_turns():
+        for turns in self._choices_of_turns(start):
             aim = self._along.aim(start, turns)
             measured = self._along.measure(samples, aim)
             for slot in range(len(SLOTS)):
-                candidates = self._along.nearest(samples, measured, aim, lambda place: math.inf, slot)
+                candidates = axis_search.nearest(self._along, samples, measured, aim, lambda place: math.inf, slot)
                 found += self._first_confirmed(candidates, pose, start)
         singular = self._singular_places(flange)
         if singular:
@@ -155,7 +162,7 @@ class RailInverse(InverseKinematics):
             found += self._families(pose, start, configuration, singular)
         if not found:
             return [self._search_or_explain(pose, start, configuration)]
-        found = distinct(sorted(found, key=lambda solution: solution.distance))
+        found = distinct(sorted(found, key=lambda solution: solution.distance), _SAME)
         found += self._spaced(samples, found, pose, start)
         return sorted(found, key=lambda solution: solution.distance)
 
@@ -168,12 +175,24 @@ class RailInverse(InverseKinematics):
         check_pose(pose)
         return np.array(seed, dtype=float)
 
-    def _wanted(self, configuration: Configuration | None) -> np.ndarray:
-        return np.array([configuration is None or have.matches(configuration) for have in SLOTS])
+    def _wanted(self, configuration: Configuration | None) -> np.ndarray | None:
+        if configuration is None:
+            return None
+        return np.array([have.matches(configuration) for have in SLOTS])
 
-    def _choices_of_turns(self) -> Iterator[tuple[int, ...]]:
-        """Return by how many whole turns each joint may be further than the nearest one, in all combinations."""
-        return product(*((-1, 0, 1) if high - low > TURN else (0,) for low, high in self._ranges[1:]))
+    def _flange(self, pose: Pose) -> np.ndarray:
+        """Return a target as the arm's model has it with the carriage at zero, see `ClosedFormInverse.flange`."""
+        target = np.eye(4)
+        target[:3, :3], target[:3, 3] = pose.rotation, pose.position
+        return self._opw_T_base @ target @ self._tip_T_flange
+
+    def _choices_of_turns(self, seed: np.ndarray) -> Iterator[tuple[int, ...]]:
+        """Return by how many whole turns each of the arm's joints may be further than the nearest one, in all combinations."""
+        choices = []
+        for near, (low, high) in zip(seed[1:].tolist(), self._ranges[1:]):
+            turns = range(math.ceil((low - near) / TURN - 0.5), math.floor((high - near) / TURN + 0.5) + 1)
+            choices.append(turns if high - low >= TURN else (0,))
+        return product(*choices)
 
     def _first_confirmed(self, candidates: Sequence[Found], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the first of candidates that forward kinematics confirms, as a list; empty if there is none."""
@@ -190,8 +209,8 @@ class RailInverse(InverseKinematics):
 
         Whole turns are those nearest to the seed: with other ones the arm would touch the same things.
         """
-        aim = self._along.aim(seed, _NEAREST_TURNS)
-        candidates = self._along.within(samples, self._along.measure(samples, aim), aim)
+        aim = self._along.aim(seed)
+        candidates = axis_search.within(samples, self._along.measure(samples, aim), aim)
         joints = np.array([candidate.q for candidate in candidates]).reshape(-1, len(seed))
         apart = np.full(len(joints), math.inf)
         for solution in found:
@@ -215,12 +234,14 @@ class RailInverse(InverseKinematics):
             # a place beyond the end by rounding is at the end
             float(min(max(found.place, low), high))
             for found in find_singularities(self._even, wrist(self._even), wrist)
-            if found.angle <= _SINGULAR and low - ROUNDING <= found.place <= high + ROUNDING
+            if found.angle <= SINGULAR and low - ROUNDING <= found.place <= high + ROUNDING
         ]
 
-    def _is_special(self, flange: np.ndarray, place: float) -> bool:
-        """Return whether the wrist is near its singularity, or a branch is missing although it is not out of reach."""
-        wrist = self._arm.branches(self._along.flanges(flange, np.array([place]))).wrist[0].tolist()
+    def _is_special(self, flange: np.ndarray, place: float, wrist: list[float]) -> bool:
+        """Return whether the wrist is near its singularity, or a branch is missing although it is not out of reach.
+
+        `wrist`, length 8, is |sin| of the branches' wrist angles at the place.
+        """
         if any(angle <= _OF_FAMILY for angle in wrist):
             return True
         dx, dy, dz = self._travel.tolist()
@@ -297,9 +318,7 @@ class RailInverse(InverseKinematics):
     def _explain(self, pose: Pose) -> None:
         """Raise the error that says why there is no solution at any place."""
         places = self._even
-        branches, _, extension = self._arm.branches(
-            self._along.flanges(self._arm.flange(self._seen_from(pose, 0.0)), places)
-        )
+        branches, _, extension = self._arm.branches(self._along.flanges(self._flange(pose), places))
         best = int(extension.argmax())
         if extension[best] < 0.0:
             carriage_T_tip = self._seen_from(pose, float(places[best]))

@@ -165,9 +165,9 @@ class InverseKinematics(abc.ABC):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """Return the solution nearest to a seed.
 
-        In closed form it is the nearest solution; with a linear axis it is the nearest up to the resolution with which the
-        axis is divided. By search it is the nearest solution found: probably the nearest that exists, but this is not proven,
-        and `all` may find a nearer one.
+        In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
+        places of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
+        proven, and `all` may find a nearer one.
 
         Parameters
         ----------
@@ -206,7 +206,8 @@ class InverseKinematics(abc.ABC):
         """Return every solution within the ranges, whole turns of each joint included.
 
         Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
-        each continuous family for every choice of whole turns: the one nearest to the seed.
+        each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
+        it also holds some that are spaced along the families, for whoever cannot use the nearest.
 
         Parameters
         ----------
@@ -279,11 +280,11 @@ def residual(chain: Chain, q: JointValues, pose: Pose) -> tuple[float, float]:
     return error_m, 2.0 * math.asin(min(1.0, chord / math.sqrt(8.0)))
 
 
-def distinct(solutions: Sequence[IkSolution]) -> list[IkSolution]:
-    """Return solutions without repetitions, in their order."""
+def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSolution]:
+    """Return solutions without those that are nearer than `same` to an earlier one [rad], in their order."""
     kept: list[IkSolution] = []
     for solution in solutions:
-        if all(math.dist(solution.q, other.q) > _SAME for other in kept):
+        if all(math.dist(solution.q, other.q) > same for other in kept):
             kept.append(solution)
     return kept
 

@@ -38,7 +38,7 @@ class MirrorMode:
         Raises
         ------
         ReviewError
-            When there is no arm to follow, or arm or command stream move.
+            When there is no arm to follow, or arm or command stream move or have not been seen to rest.
         """
         # a gateway that only reads is enough
         obstacle = self._inputs.obstacle(now, mirrors=True)
@@ -47,9 +47,10 @@ class MirrorMode:
         unrest = self._inputs.why_not_at_rest(now)
         if unrest:
             raise ReviewError(f"cannot mirror: {unrest}")
-        if self._inputs.stream_moves(now):
+        if self._inputs.stream_may_move(now):
             raise ReviewError(
-                "cannot mirror: the command stream still moves; stop or pause the plan and wait until it is at rest"
+                "cannot mirror: the command stream still moves, or has just begun; stop or pause the plan and wait until it is at "
+                "rest"
             )
         self.active, self.ended_session = True, session
 

@@ -65,8 +65,7 @@ class LinkObservations:
         self._refusal = ""
         self._refusals = 0
         self._command: tuple[float, ...] | None = None
-        self._command_at = 0
-        self._command_moved_at = 0
+        self._command_at = -FRESH
         self._command_rests_since = 0
 
     # -- what comes in
@@ -105,11 +104,9 @@ class LinkObservations:
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
         """Take a command that wants to be sent [rad]."""
-        if self._command is None or now - self._command_at >= FRESH:
-            # how it moved before is not known
+        # before the first one, and after a pause, it is not known how it moved
+        if q != self._command or now - self._command_at >= FRESH:
             self._command_rests_since = now
-        if self._command is not None and q != self._command:
-            self._command_moved_at = self._command_rests_since = now
         self._command, self._command_at = q, now
 
     def forget_command(self) -> None:
@@ -207,9 +204,12 @@ class LinkObservations:
             return ""
         return f"the arm's pose is unknown, because its strings are refused ({self._refusals} of them): {self._refusal}"
 
-    def stream_moves(self, now: int) -> bool:
-        """Return whether commands come, and one of them differed from the one before it within `REST`."""
-        return self._command is not None and now - self._command_moved_at < REST and now - self._command_at < FRESH
+    def stream_may_move(self, now: int) -> bool:
+        """Return whether commands come that have not been the same for `REST`: they move, or it is not known yet.
+
+        That those of another session were forgotten does not mean that none come.
+        """
+        return now - self._command_at < FRESH and not self.stream_rests(now)
 
     def stream_rests(self, now: int) -> bool:
         """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""

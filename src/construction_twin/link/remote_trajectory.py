@@ -30,6 +30,8 @@ _FACTORS = {"angle": {"rad": 1.0, "deg": math.pi / 180.0}, "length": {"m": 1.0, 
 _ENVELOPE = ("id", "source", "speed_scale", "acceleration_scale")
 _PLAIN = (*_ENVELOPE, "units", "joint_names", "points")
 _POINT = ("positions", "velocities", "accelerations", "time_from_start")
+#: The keys of our own form, at every level.
+KEYS = (*_PLAIN, *_POINT, *_FACTORS)
 _COMPAS = ("dtype", "data", "guid", "name", "inheritance")
 #: Of compas_fab's trajectory; the last three describe how it was made, and are not read.
 _COMPAS_DATA = (
@@ -226,6 +228,7 @@ def _plain_request(document: Mapping[str, Any], joints: Joints) -> TrajectoryReq
         time_ns = _seconds(point.get("time_from_start", 0.0), index)
         points.append(TrajectoryPoint(values[0], values[1], values[2], time_ns))
     _all_or_none(points)
+    _check_timed(points)
     return TrajectoryRequest(*_envelope(document), tuple(points))
 
 
@@ -256,6 +259,19 @@ def _all_or_none(points: Sequence[TrajectoryPoint]) -> None:
             )
 
 
+def _is_timed(points: Sequence[TrajectoryPoint]) -> bool:
+    return any(point.time_ns for point in points)
+
+
+def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
+    """Refuse velocities of a motion without times: it is timed here, and they would be dropped."""
+    if not _is_timed(points) and any(point.velocities or point.accelerations for point in points):
+        raise PayloadError(
+            "values",
+            "velocities or accelerations without times; expected time_from_start in the points, or neither of them",
+        )
+
+
 # -- compas_fab's form
 
 
@@ -274,8 +290,10 @@ def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], jo
     for name in ("velocities", "accelerations"):
         # compas_fab cannot say "none": it fills in zeros
         if points and not any(any(getattr(point, name)) for point in points):
-            notes.append(ZEROS.format(name))
+            if _is_timed(points):
+                notes.append(ZEROS.format(name))
             points = tuple(_without(point, name) for point in points)
+    _check_timed(points)
     if envelope is document:
         name = _text(document.get("name", ""), "name")
         return TrajectoryRequest(request_id(document), name, 0.0, 0.0, points, tuple(notes))

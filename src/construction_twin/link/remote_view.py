@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
@@ -146,7 +146,7 @@ def _pose(pose: PoseView | None) -> Mapping | None:
 
 
 def _part(part: SyncView | LinkView | ExecutionView | None) -> Mapping | None:
-    return None if part is None else {key: _plain(value) for key, value in asdict(part).items()}
+    return None if part is None else {key: _plain(value) for key, value in vars(part).items()}
 
 
 def _plain(value: object) -> object:

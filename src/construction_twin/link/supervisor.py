@@ -88,6 +88,8 @@ class LinkSupervisor:
         self._asked_for = False
         self._arm_refused = False
         self._halted: str | None = None
+        #: How often `halt` was called: what was asked for before a halt is not asked for any more.
+        self.halts = 0
         # the control message that waits for its answer, and the one to send next
         self._pending: Control | None = None
         self._sent_at = 0
@@ -273,6 +275,7 @@ class LinkSupervisor:
 
     def halt(self, reason: str) -> None:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
+        self.halts += 1
         self.take(LinkEvent.HALTED, 0, reason)
 
     # -- decisions

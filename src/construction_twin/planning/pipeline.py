@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from construction_twin.core.motion_errors import NoSceneError, SceneChangedError, SceneError
+from construction_twin.core.motion_errors import NoSceneError, SceneChangedError, SceneError, WaypointTimesError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.inverse import InverseKinematics
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.planner import Clock, Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoints import Waypoints, plan_waypoints
+from construction_twin.planning.waypoints import Waypoints, plan_waypoints, retime_waypoints
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
@@ -157,14 +157,29 @@ class PlanningPipeline:
         request : PlanRequest
             Its duration and number of waypoints are not used.
         retime : bool, optional
-            Whether times that break a limit are replaced by our own.
+            Times that need too much acceleration or jerk are replaced (`waypoints.retime_waypoints`), and the plan says so, with
+            the reason; otherwise they are refused.
         """
 
         def make(world: CollisionWorld) -> Trajectory:
-            scales, bounds = self._scales(request), self._settings.bounds
-            return plan_waypoints(waypoints, present, self._robot, *scales, bounds, retime)
+            return plan_waypoints(waypoints, present, self._robot, *self._scales(request), self._settings.bounds)
 
-        return self._in_scene(lambda world: self._checked(make, "waypoints", request, world))
+        def retimed(world: CollisionWorld) -> Trajectory:
+            # what was asked for is the sender's own pace, not the planner's default
+            speed = 1.0 if request.speed_scale is None else request.speed_scale
+            return retime_waypoints(
+                waypoints, present, self._robot, speed, request.acceleration_scale, self._settings.bounds
+            )
+
+        def plan(world: CollisionWorld) -> Plan:
+            try:
+                return self._checked(make, "waypoints", request, world)
+            except WaypointTimesError as error:
+                if not retime:
+                    raise
+                return self._checked(retimed, f"waypoints, timed anew ({error})", request, world)
+
+        return self._in_scene(plan)
 
     def _scales(self, request: PlanRequest) -> tuple[float, float | None]:
         speed_scale = self._settings.speed_scale if request.speed_scale is None else request.speed_scale

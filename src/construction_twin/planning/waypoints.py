@@ -26,6 +26,8 @@ START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
 #: Largest velocity and acceleration that count as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
+#: Between points whose velocity is at the limit, the curve through them is up to so much faster.
+BETWEEN_POINTS = 1.1
 #: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
 
@@ -167,7 +169,6 @@ def plan_waypoints(
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
     bounds: PlanBounds = PlanBounds(),
-    retime: bool = False,
 ) -> Trajectory:
     """Check waypoints against the robot's limits and make them a trajectory from the present pose.
 
@@ -186,9 +187,6 @@ def plan_waypoints(
         As in `timing.time_path`; only for waypoints without times.
     bounds : PlanBounds, optional
         Largest duration and number of waypoints. Default: any.
-    retime : bool, optional
-        Where the times break a limit, pass through the same waypoints in times of our own, never faster than asked. Accelerations
-        that jump, as MoveIt's do, break the limit of the jerk.
 
     Returns
     -------
@@ -196,10 +194,9 @@ def plan_waypoints(
 
     Raises
     ------
-    WaypointTimesError
-        Naming row, joint, value and limit: not at rest at an end, too fast.
     WaypointsError
-        Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase.
+        Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase, not
+        at rest at an end, too fast.
     PlanSizeError
         If there are too many waypoints, or the motion would be larger than `bounds`.
     PlanningError
@@ -217,20 +214,8 @@ def plan_waypoints(
         )
     _check_times(waypoints, waypoints.times)
     bounds.check(float(waypoints.times[-1] - waypoints.times[0]))
-    try:
-        return _as_timed(waypoints, waypoints.times, positions, robot)
-    except WaypointTimesError:
-        if not retime:
-            raise
-    fastest = time_path(positions, robot, bounds=bounds)
-    asked = float(waypoints.times[-1] - waypoints.times[0])
-    return fastest if fastest.duration >= asked else time_path(positions, robot, duration=asked, bounds=bounds)
-
-
-def _as_timed(waypoints: Waypoints, given: np.ndarray, positions: np.ndarray, robot: RobotModel) -> Trajectory:
-    """Return the motion that passes the waypoints at the given times [s], if the arm can follow it."""
     _check_rest(waypoints, robot)
-    times = given - given[0]
+    times = waypoints.times - waypoints.times[0]
     velocities, accelerations = _derivatives(times, positions, waypoints)
     try:
         trajectory = Trajectory(robot.joint_names, times, positions, velocities, accelerations)
@@ -238,6 +223,43 @@ def _as_timed(waypoints: Waypoints, given: np.ndarray, positions: np.ndarray, ro
         raise WaypointsError(f"the times are too close together: {error}") from error
     _check_limits(trajectory, waypoints, robot)
     return trajectory
+
+
+def retime_waypoints(
+    waypoints: Waypoints,
+    present: JointValues,
+    robot: RobotModel,
+    speed_scale: float = 1.0,
+    acceleration_scale: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
+) -> Trajectory:
+    """Make a trajectory through waypoints whose own times break a limit: the same points, never in less time than they say.
+
+    For planners that know no jerk limit (MoveIt, and whoever else plans with steps of acceleration): nothing that they time fits.
+
+    Parameters
+    ----------
+    waypoints : Waypoints
+        With times.
+    present, robot, speed_scale, acceleration_scale, bounds : optional
+        As for `plan_waypoints`.
+
+    Raises
+    ------
+    WaypointsError, PlanSizeError, PlanningError
+        As `plan_waypoints` without times.
+    """
+    untimed = replace(waypoints, times=None, velocities=None, accelerations=None)
+    fastest = plan_waypoints(untimed, present, robot, speed_scale, acceleration_scale, bounds)
+    if waypoints.times is None:
+        return fastest
+    wished = float(waypoints.times[-1] - waypoints.times[0])
+    if fastest.duration >= wished:
+        return fastest
+    path = _from_present(waypoints, np.array(present, dtype=float), robot)
+    return time_path(
+        path, robot, duration=wished, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
+    )
 
 
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
@@ -316,7 +338,8 @@ def _check_rest(waypoints: Waypoints, robot: RobotModel) -> None:
             if abs(values[row, joint]) > AT_REST:
                 found = waypoints.units[joint].text(values[row, joint], per)
                 message = f"{waypoints.place(row)}: {robot.joint_names[joint]} moves there ({found})"
-                raise WaypointTimesError(
+                kind = WaypointTimesError if name == "accelerations" else WaypointsError
+                raise kind(
                     f"{message}; the motion must begin and end at rest",
                     *(waypoints.rows[row], robot.joint_names[joint], float(values[row, joint]), 0.0),
                 )
@@ -372,7 +395,11 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
         for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():
             row, where = place(sample, joint)
             unit, limit = waypoints.units[joint], limits[joint]
+            article = "an" if name == "acceleration" else "a"
             value = float(fractions[sample, joint] * limit)
-            message = f"{where} has a {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
+            message = f"{where} has {article} {name} of {unit.text(value, per)}; its limit is {unit.text(limit, per)}"
             message = f"{message}, give it more time"
-            raise WaypointTimesError(message, waypoints.rows[row], robot.joint_names[joint], value, limit)
+            # more velocity than the joint has was not meant for this arm, whatever the times
+            much = name == "velocity" and float(fractions.max()) > BETWEEN_POINTS
+            kind = WaypointsError if much else WaypointTimesError
+            raise kind(message, waypoints.rows[row], robot.joint_names[joint], value, limit)

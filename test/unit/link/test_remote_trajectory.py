@@ -116,7 +116,8 @@ def test_joints_in_any_order_are_put_into_the_robot_s():
 
 
 def test_degrees_and_millimetres_are_converted_where_they_are_said():
-    points = [{"positions": [90.0, 500.0, -180.0], "velocities": [9.0, 50.0, 18.0]}] * 2
+    point = {"positions": [90.0, 500.0, -180.0], "velocities": [9.0, 50.0, 18.0]}
+    points = [point, point | {"time_from_start": 1}]
     request = read(plain(units={"angle": "deg", "length": "mm", "time": "s"}, points=points))
     assert request.points[0].positions == pytest.approx((0.5, -math.pi, math.pi / 2))
     assert request.points[1].velocities == pytest.approx((0.05, math.pi / 10, math.pi / 20))
@@ -204,6 +205,14 @@ def test_a_motion_without_times_has_none():
     assert [point.time_ns for point in request.points] == [0, 0] and request.points[0].velocities == ()
 
 
+@pytest.mark.parametrize("key", ["velocities", "accelerations"])
+def test_velocities_without_times_are_refused_because_they_would_be_dropped(key):
+    points = [{"positions": [0, 0, 0], key: [0, 0, 0]}, {"positions": [1, 1, 1], key: [0.1, 0, 0]}]
+    assert "without times" in refusal(plain(points=points))[1]
+    untimed = [compas_point([0.0] * 3), compas_point([1.0] * 3, **{key: [0.1, 0.0, 0.0]})]
+    assert "without times" in refusal(compas({"points": untimed}))[1]
+
+
 @pytest.mark.parametrize(
     "changes", [{"id": ...}, {"id": ""}, {"id": "x" * 65}, {"id": 7}, {"id": "a\nb"}, {"source": "a\x00b"}, {"source": 1},
                 {"extra": 1}, {"points": ...}, {"joint_names": ...}],
@@ -234,6 +243,8 @@ def test_zeros_that_compas_fab_fills_in_count_as_not_given_and_the_sender_is_tol
     request = read(compas(point={"velocities": [0.0] * 3}))
     assert request.notes == (ZEROS.format("velocities"), ZEROS.format("accelerations"))
     assert all(point.velocities == point.accelerations == () for point in request.points)
+    untimed = [compas_point([2.0, 0.5, 1.0]), compas_point([2.5, 1.5, -1.0])]
+    assert read(compas({"points": untimed})).notes == (), "it is timed here, without them"
     # a single one that is not zero makes all of them said
     assert read(compas()).notes == (ZEROS.format("accelerations"),)
 

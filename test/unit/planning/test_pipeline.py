@@ -22,6 +22,7 @@ from construction_twin.core.motion_errors import (
     SceneChangedError,
     SceneError,
     WaypointsError,
+    WaypointTimesError,
 )
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.pipeline import PlanningPipeline
@@ -229,3 +230,24 @@ def test_a_file_is_read_and_a_missing_one_is_named(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(PlanningError, match="cannot be read"):
         read_waypoints(str(path), ROBOT)
+
+
+def test_times_that_break_a_limit_are_replaced_only_where_that_is_allowed_and_the_plan_says_why():
+    near = np.add(HOME, 0.1)
+    points = from_points(ROBOT, ROBOT.joint_names, [HOME, near], times=[0.0, 0.2])
+    with pytest.raises(WaypointTimesError, match="acceleration"):
+        pipeline().through(points, HOME, REQUEST)
+    plan = pipeline().through(points, HOME, REQUEST, retime=True)
+    assert plan.planner.startswith("waypoints, timed anew (point 1 (on the path to it, ")
+    assert "has an acceleration of" in plan.planner and plan.trajectory.duration > 0.2
+    # what holds its limits is kept
+    kept = pipeline().through(
+        from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, 30.0]), HOME, REQUEST, retime=True
+    )
+    assert (kept.planner, kept.trajectory.duration) == ("waypoints", 30.0)
+
+
+def test_a_place_that_is_wrong_is_refused_whatever_the_times():
+    points = from_points(ROBOT, ROBOT.joint_names, [np.add(HOME, 0.1), LEFT], times=[0.0, 0.05])
+    with pytest.raises(WaypointsError, match="the first waypoint must be where the arm is"):
+        pipeline().through(points, HOME, REQUEST, retime=True)

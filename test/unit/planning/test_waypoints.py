@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from limit_use import limit_use
 
 from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
+from construction_twin.planning.limit_usage import limit_usage
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints
-from construction_twin.robot.description import read_robot_files
+from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints, retime_waypoints
+from construction_twin.robot.description import RobotModel, read_robot_files
 
 ROOT = Path(__file__).parents[3]
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -135,6 +136,8 @@ def test_too_fast_names_the_limit(span, quantity):
     with pytest.raises(WaypointsError, match=quantity) as caught:
         plan_waypoints(from_points(robot, NAMES, rows, times=[0.0, span]), HOME, robot)
     assert caught.value.row == 1 and caught.value.value > caught.value.limit
+    # three times the velocity is a mistake, too much jerk is another timing's to mend
+    assert isinstance(caught.value, WaypointTimesError) == (quantity != "velocity")
     assert caught.value.limit == getattr(robot, quantity)[0]
 
 
@@ -219,6 +222,47 @@ def test_no_point_is_no_motion():
     assert str(refused([])) == "0 waypoints; a motion needs at least one, its goal"
 
 
+def without_jerk_limit(robot: RobotModel, goal: np.ndarray, period: float = 0.1):
+    """A straight motion as planners without a jerk limit time it: full acceleration, full deceleration, points every `period`."""
+    way = goal - HOME
+    acceleration = float(np.min(np.array(robot.acceleration)[way != 0.0] / np.abs(way[way != 0.0])))
+    half = float(np.sqrt(1.0 / acceleration))
+    times = np.append(np.arange(0.0, 2 * half, period), 2 * half)
+    rising = times < half
+    left = 2 * half - times
+    part = np.where(rising, 0.5 * acceleration * times**2, 1.0 - 0.5 * acceleration * left**2)
+    speed = acceleration * np.where(rising, times, left)
+    push = np.where(rising, acceleration, -acceleration)
+    return times, HOME + np.outer(part, way), np.outer(speed, way), np.outer(push, way)
+
+
+@pytest.mark.parametrize("with_accelerations", [True, False])
+def test_times_of_planners_without_a_jerk_limit_are_refused_and_may_be_replaced(with_accelerations):
+    times, rows, velocities, accelerations = without_jerk_limit(ROBOT, HOME + np.array([0.6, 0.2, -0.3, 0.1, 0.0, 0.4]))
+    points = from_points(ROBOT, NAMES, rows, velocities, accelerations if with_accelerations else None, times)
+    with pytest.raises(WaypointTimesError):
+        plan_waypoints(points, HOME, ROBOT)
+    trajectory = retime_waypoints(points, HOME, ROBOT)
+    use = limit_usage(trajectory, ROBOT)
+    assert max(*use.velocity, *use.acceleration) <= 0.9 + 1e-6 and max(use.jerk) <= 1.0 + 1e-6
+    assert times[-1] <= trajectory.duration < 3.0 * times[-1]
+    np.testing.assert_allclose(trajectory.positions[-1], rows[-1], atol=1e-12)
+    # the same points: the motion is a straight line, so is this
+    way = rows[-1] - HOME
+    along = (trajectory.positions - HOME) @ way / (way @ way)
+    np.testing.assert_allclose(trajectory.positions, HOME + np.outer(along, way), atol=1e-6)
+
+
+def test_times_that_are_replaced_are_never_made_shorter():
+    """Whoever plans slowly wants it slow: full acceleration of a tenth, over a long time."""
+    slow = dataclasses.replace(ROBOT, acceleration=tuple(value / 200 for value in ROBOT.acceleration))
+    times, rows, velocities, accelerations = without_jerk_limit(slow, HOME + 0.5)
+    points = from_points(ROBOT, NAMES, rows, velocities, accelerations, times)
+    with pytest.raises(WaypointTimesError, match="at rest"):
+        plan_waypoints(points, HOME, ROBOT)
+    assert retime_waypoints(points, HOME, ROBOT).duration == pytest.approx(times[-1], abs=1e-6)
+
+
 def trapezoid(speed: float, acceleration: float, step: float) -> dict[str, np.ndarray]:
     """What MoveIt's time parameterization makes of a straight line: constant acceleration, speed, deceleration, sampled evenly.
 
@@ -251,24 +295,10 @@ def test_accelerations_that_jump_are_refused_or_the_same_points_are_passed_in_ti
     rows, asked = given["positions"], given["times"][-1]
     with pytest.raises(WaypointTimesError):
         plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
-    motion = plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT, retime=True)
+    motion = retime_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
     assert motion.positions[-1].tobytes() == rows[-1].tobytes() and motion.duration >= asked - 1e-9
     use = limit_use(motion, ROBOT)
     assert use.velocity <= 1.0 and use.acceleration <= 1.0 and use.jerk <= 1.0
     _, q = samples_of(motion)
     for row in rows:
         assert np.min(np.max(np.abs(q - row), axis=1)) < 5e-3
-
-
-def test_times_that_can_be_kept_are_kept():
-    times = [0.0, 1.0, 2.5, 5.0]
-    kept = plan_waypoints(from_points(ROBOT, NAMES, ROWS, times=times), HOME, ROBOT)
-    again = plan_waypoints(from_points(ROBOT, NAMES, ROWS, times=times), HOME, ROBOT, retime=True)
-    assert again.content_hash() == kept.content_hash()
-
-
-def test_what_is_not_a_matter_of_time_is_refused_all_the_same():
-    with pytest.raises(WaypointsError, match="waypoint must be where the arm is"):
-        plan_waypoints(from_points(ROBOT, NAMES, ROWS + 0.1, times=[0.0, 0.1, 0.2, 0.3]), HOME, ROBOT, retime=True)
-    with pytest.raises(WaypointsError, match="times must increase"):
-        plan_waypoints(from_points(ROBOT, NAMES, ROWS, times=[0.0, 0.2, 0.1, 0.3]), HOME, ROBOT, retime=True)

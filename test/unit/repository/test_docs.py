@@ -24,14 +24,16 @@ import yaml
 from evaluation_samples import run
 from gateway_cell import following
 
-from construction_twin.broker.access import PLC, ROLES
+from construction_twin.broker.access import PLANNER, PLC, ROLES
 from construction_twin.core.state_table import cells
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.execution.states import TABLE, ExecutorEvent, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
+from construction_twin.link import remote_trajectory
 from construction_twin.link.bare_supervisor import NOT_CHECKED
 from construction_twin.link.remote_review import PlanView, review_answer
+from construction_twin.link.remote_trajectory import trajectory_answer
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
 from construction_twin.monitor.comparison import ComparisonSettings, undetected
@@ -159,6 +161,22 @@ def test_keys_of_plan_review_and_account_files_are_documented():
     assert sorted(keys - code_words(BROKER)) == []
 
 
+def test_keys_of_a_remote_trajectory_its_answer_and_the_view_are_documented():
+    words, schema = (
+        code_words((ROOT / "docs/reference/mqtt.md").read_text()),
+        json.loads((ROOT / "docs/reference/view.schema.json").read_text()),
+    )
+    keys = {
+        *json.loads(trajectory_answer("", "", True, "")),
+        *schema["properties"],
+        *schema["$defs"]["pose"]["properties"],
+    }
+    for part in ("sync", "link", "execution"):
+        keys |= set(schema["properties"][part]["properties"])
+    keys |= set(remote_trajectory.KEYS)
+    assert sorted(keys - words) == []
+
+
 def test_what_is_not_checked_with_a_bare_plc_is_documented_word_for_word():
     table = BROKER.split("| not checked | so |")[1].split("\n\n")[0]
     rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", table, re.MULTILINE)
@@ -166,11 +184,12 @@ def test_what_is_not_checked_with_a_bare_plc_is_documented_word_for_word():
 
 
 def test_roles_and_their_topics_are_documented():
-    rows = dict(re.findall(r"^\| (\w+)(?: \(`--plc`\))? \| `kr120-.*?\| (.*) \|$", BROKER, re.MULTILINE))
-    assert set(rows) == {*ROLES, PLC}
+    rows = dict(re.findall(r"^\| (\w+)(?: \(`--[a-z ]+`\))? \| `kr120-.*?\| (.*) \|$", BROKER, re.MULTILINE))
+    assert set(rows) == {*ROLES, PLC, PLANNER}
     for role, row in rows.items():
         rules = (ROOT / f"config/mosquitto/{role}.acl").read_text()
-        topics = set(re.findall(r"^topic \w+ \$topics/([a-z/]+)$", rules, re.MULTILINE))
+        topics = set(re.findall(r"^topic \w+ \$topics/(\S+)$", rules, re.MULTILINE)) - {"#"}
+        topics = {topic.replace("$account", "kr120-planner-ada") for topic in topics}
         assert topics == code_words(row), role
 
 
@@ -439,12 +458,18 @@ def test_services_called_in_documents_exist(file):
     assert set(called) <= known
 
 
+def launch_file(name: str) -> Path:
+    """Return where roslaunch finds a launch file of this package."""
+    own, moveit = ROOT / f"launch/{name}.launch", ROOT / f"moveit/launch/{name}.launch"
+    return moveit if moveit.exists() and not own.exists() else own
+
+
 @pytest.mark.parametrize("file", GUIDES, ids=relative)
 def test_programs_and_launch_arguments_in_documents_exist(file):
     programs = re.findall(r"rosrun construction_twin ([a-z_]+)", commands(file))
     assert set(programs) <= {path.name for path in (ROOT / "nodes").iterdir()}
     for name, rest in re.findall(r"roslaunch construction_twin (\w+)\.launch([^\n`#]*)", commands(file)):
-        known = make_reference.launch_arguments(ROOT / f"launch/{name}.launch")
+        known = make_reference.launch_arguments(launch_file(name))
         if name in ("experiment", "scenario", "two_robots"):
             known = known | make_reference.launch_arguments(ROOT / "launch/bringup.launch")
         assert set(re.findall(r"(\w+):=", rest)) <= set(known)
@@ -485,7 +510,7 @@ def as_template(quote: str) -> str:
 
 def test_every_package_earns_its_place():
     text = (ROOT / "docs/dependencies.md").read_text()
-    for name in ("requirements.txt", "requirements-no-deps.txt", "debian-packages.txt"):
+    for name in ("requirements.txt", "requirements-no-deps.txt", "debian-packages.txt", "debian-test-packages.txt"):
         lines = (ROOT / "setup" / name).read_text().splitlines()
         packages = [line.split("==")[0].strip() for line in lines if line.strip() and not line.startswith("#")]
         assert [package for package in packages if f"`{package}`" not in text] == []

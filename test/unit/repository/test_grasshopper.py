@@ -199,7 +199,7 @@ def test_the_motion_that_is_reviewed_passes_the_designer_s_frames(session, cell)
 
 
 def test_the_reviewer_reads_which_account_sent_it(session, cell):
-    assert cell.planner.sources[0] == "by MQTT from account kr120-planner-ada, which says it is 'Ada'"
+    assert cell.planner.sources[0] == "MQTT account kr120-planner-ada, which says it is 'Ada'"
 
 
 def test_a_component_that_runs_again_sends_nothing_again(session, cell):
@@ -219,6 +219,24 @@ def test_the_same_trajectory_is_read_without_an_envelope(session):
     request = parse_trajectory(document, Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear)))
     assert len(request.points) == 3 and request.points[0].positions == pytest.approx(tuple(ROBOT.home), abs=1e-9)
     assert all(math.isfinite(value) for point in request.points for value in point.positions)
+
+
+def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_path):
+    """compas_eve subscribes once, and a broker that was started again has forgotten it."""
+    urdf = tmp_path / "kr120.urdf"
+    urdf.write_text(expand_xacro(str(XACRO), {}))
+    account = cell.site.folder / "accounts/kr120-planner-ada/account.json"
+    command = [python, SESSION, str(cell.site.site.port), str(account), str(urdf)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as session:
+        try:
+            assert json.loads(session.stdout.readline())["fresh"] is True
+            cell.site.stop()
+            lost = json.loads(session.stdout.readline())
+            assert lost["fresh"] is False and "the last view came" in lost["text"]
+            cell.site.start()
+            assert json.loads(session.stdout.readline())["fresh"] is True
+        finally:
+            session.kill()
 
 
 def test_a_stranger_is_not_let_in_and_is_told(cell, python, tmp_path):

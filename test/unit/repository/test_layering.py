@@ -19,6 +19,7 @@ from construction_twin.robot.description import home_positions, read_robot_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
+from construction_twin.ros.nodes.joint_velocities import Settings as VelocitySettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.mqtt_planner import Settings as RemotePlannerSettings
 from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
@@ -277,6 +278,7 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),
         (SeparationSettings, "separation", {}),
         (NeighbourSettings, "neighbour", {"name": "b"}),
+        (VelocitySettings, "joint_velocities", {}),
         (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
         (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
     ],
@@ -295,5 +297,5 @@ def test_the_shipped_gateway_settings_make_a_configuration():
 
 def test_rviz_begins_at_the_robot_s_home():
     publisher = config("joint_state_publisher")
+    assert (publisher["rate"], publisher["source_list"]) == (50, ["velocities/joint_states"])
     assert home_positions(ROOT / "config/kr120.yaml") == dict(zip(ROBOT.joint_names, ROBOT.home))
-    assert (publisher["rate"], publisher["source_list"]) == (50, ["twin/joint_states"])

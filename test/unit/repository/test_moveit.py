@@ -18,7 +18,7 @@ from construction_twin.planning.waypoints import START_TOLERANCE_M, START_TOLERA
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.moveit_config import moveit_files
 from construction_twin.robot.planning_groups import planning_groups
-from construction_twin.scene.planner_files_command import moveit_config_main
+from construction_twin.scene.moveit_config_command import main as moveit_config_main
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -263,14 +263,13 @@ def test_moveit_waits_for_a_person_and_begins_where_the_planner_takes_it(beside_
     assert on_track[f"{prefix}allowed_start_tolerance"] == START_TOLERANCE_M < START_TOLERANCE_RAD
 
 
-def test_plans_have_no_times_unless_asked_for(beside_bringup, with_moveit):
+def test_plans_are_timed_unless_that_is_switched_off(beside_bringup, with_moveit):
     name = "/kr120/move_group/planning_pipelines/ompl/request_adapters"
-    assert "Parameterization" not in beside_bringup[name] and "FixWorkspaceBounds" in beside_bringup[name]
-    timed = parameters(with_moveit, "move_group.launch", "time_parameterization:=true")[name]
-    assert timed.split() == [
-        "default_planner_request_adapters/AddTimeOptimalParameterization",
-        *beside_bringup[name].split(),
-    ]
+    first, *others = beside_bringup[name].split()
+    assert first == "default_planner_request_adapters/AddTimeOptimalParameterization"
+    assert "default_planner_request_adapters/FixWorkspaceBounds" in others
+    untimed = parameters(with_moveit, "move_group.launch", "time_parameterization:=false")[name]
+    assert untimed.split() == others
 
 
 @pytest.mark.parametrize("name, words", [("kr120", []), ("kr120_track", ["track:=true"])])

@@ -18,8 +18,8 @@ from construction_twin.robot.srdf import REASONS, srdf
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import checked_pairs
-from construction_twin.scene.planner_files_command import srdf_main
 from construction_twin.scene.self_collision import SelfCollision, read_self_collision
+from construction_twin.scene.srdf_command import main as srdf_main
 
 ROOT = Path(__file__).resolve().parents[3]
 ROBOTS = {

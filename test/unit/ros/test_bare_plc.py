@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from types import SimpleNamespace
 
 import pytest
@@ -31,6 +32,8 @@ CODEC = JointStringCodec.of(ROBOT, 3)
 HOME = CODEC.quantise(ROBOT.home)
 #: Cycles that the PLC keeps strings for: this machine may be busy.
 DELAY = 15
+#: Change of the speed per cycle while it turns: 72 deg/s^2 [rad].
+CHANGE = 2e-5
 
 
 class Cell:
@@ -56,6 +59,8 @@ class Cell:
             lambda report: self.refusals,
         )
         self.target = HOME
+        # what is sent next, a pose per string
+        self._path: deque[tuple[float, ...]] = deque()
         self.plc: subprocess.Popen | None = None
         self._running = True
         self._threads = [threading.Thread(target=run, daemon=True) for run in (self._poll, self._command)]
@@ -100,6 +105,10 @@ class Cell:
     def _command(self) -> None:
         due = time.monotonic()
         while self._running:
+            try:
+                self.target = self._path.popleft()
+            except IndexError:
+                pass  # it rests
             self.bridge.on_command(time.time_ns(), self.target)
             due = max(due + CYCLE, time.monotonic() - 0.05)
             time.sleep(max(0.0, due - time.monotonic()))
@@ -132,19 +141,27 @@ class Cell:
 
     def turn(self, degrees: float) -> None:
         """Move A1 by an angle at a tenth of its speed, beginning again where the machine's pauses stop it; wait for the end."""
-        goal, step = self.target[0] + math.radians(degrees), math.copysign(math.radians(0.02), degrees)
-        speed, deadline = 0.0, time.monotonic() + 30.0
-        while abs(self.pose[0] - goal) > 1e-9:
+        goal = CODEC.quantise((self.target[0] + math.radians(degrees), *self.target[1:]))
+        deadline = time.monotonic() + 30.0
+        self._path.extend(self._way_to(goal))
+        while self.pose != goal:
             assert time.monotonic() < deadline, f"at {self.pose}, target {self.target}, {self.link.reason}"
             if self.bridge.link is not LinkState.ARMED:
+                self._path.clear()
                 self.arm()
-                speed = 0.0
-            way = goal - self.target[0]
-            speed = math.copysign(min(abs(speed) + 2e-5, abs(step), abs(way)), way)
-            self.target = CODEC.quantise((self.target[0] + speed, *self.target[1:])) if abs(way) > 1e-5 else self.target
-            if abs(way) <= 1e-5:
-                goal = self.target[0]
+                self._path.extend(self._way_to(goal))
             time.sleep(CYCLE)
+
+    def _way_to(self, goal):
+        """Return the strings' poses from here to there: it stops in steps that shrink by as much as they grew."""
+        at, speed, poses = self.target[0], 0.0, []
+        while abs(goal[0] - at) > 1e-9:
+            way = goal[0] - at
+            most = max(math.sqrt(2.0 * CHANGE * abs(way)) - CHANGE, CHANGE)
+            speed = math.copysign(min(abs(speed) + CHANGE, math.radians(0.02), most, abs(way)), way)
+            at += speed
+            poses.append(CODEC.quantise((at, *goal[1:])))
+        return poses
 
 
 @pytest.fixture(scope="module")

@@ -244,7 +244,7 @@ def test_speed_limits_go_to_the_gateway_numbered_upwards(bench):
 def test_mirror_mode_is_kept_where_the_next_process_finds_it(bench, monkeypatch):
     kept = {}
     monkeypatch.setattr(rospy, "set_param", kept.__setitem__)
-    bench.arm()
+    bench.arm_and_rest()
     assert bench.bridge.on_mirror(SimpleNamespace(data=True)).success and kept == {MIRROR_MODE: True}
     bench.step()
     assert bench.bridge.link is LinkState.MIRROR
@@ -257,7 +257,7 @@ def test_without_a_master_halt_and_mirror_are_carried_out_all_the_same(bench, mo
         raise ConnectionRefusedError(111, "Connection refused")
 
     monkeypatch.setattr(rospy, "set_param", refuse)
-    bench.arm()
+    bench.arm_and_rest()
     answer = bench.bridge.on_mirror(SimpleNamespace(data=True))
     assert answer.success and "would not outlast this node" in answer.message
     assert bench.bridge.on_halt(None).success
@@ -307,6 +307,43 @@ def test_a_reset_that_fails_because_strings_are_refused_says_that(bench):
     assert answer.message.startswith(
         "cannot reset: the arm's pose is unknown, because its strings are refused (30 of them): 16 bytes b'+005.730,-057.29'; "
     )
+
+
+def halted_meanwhile(bench, step):
+    """Step the world while a call waits, and halt after a tenth of its time; return when it was halted [ns]."""
+    at = []
+
+    def wait():
+        step()
+        if bench.clocks.steady > began + 100_000_000 and not at:
+            bench.bridge.on_halt(None)
+            at.append(bench.clocks.steady)
+
+    began, bench.clocks.while_waiting = bench.clocks.steady, wait
+    return at
+
+
+def test_a_reset_that_is_halted_meanwhile_is_answered_at_once(bench):
+    bench.arm()
+    bench.gateway |= {"state": "holding", "session": "", "fault": True}
+    bench.step()
+    at = halted_meanwhile(bench, bench.step)
+    answer = bench.bridge.on_reset(None)
+    assert not answer.success
+    assert answer.message.startswith("not armed: halt was called meanwhile: NEEDS_RESET, ")
+    assert bench.clocks.steady - at[0] <= 40_000_000
+
+
+def test_a_person_s_arming_that_is_halted_meanwhile_is_answered_at_once(clocks):
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.run_bare(20)
+    # no command comes, so that twin and arm do not meet
+    at = halted_meanwhile(bench, lambda: bench.run_bare(commands=False))
+    answer = bench.bridge.on_responsible(SimpleNamespace(responsible="Ada"))
+    assert not answer.success
+    assert answer.message.startswith("not armed: halt was called meanwhile: NEEDS_RESET, ")
+    assert bench.clocks.steady - at[0] <= 40_000_000
 
 
 def test_a_bare_plc_is_armed_by_name_and_sent_strings_alone(clocks):

@@ -108,7 +108,7 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
     assert list(message.points[1].positions) == pytest.approx([math.pi / 2, 0.5])
     assert message.points[1].time_from_start.to_sec() == 2.75 and message.header.stamp.to_sec() == 0.0
     assert (speed, acceleration) == (0.5, 0.0)
-    assert source == "by MQTT, on the topic of kr120-planner-ada, which says it is 'Ada'"
+    assert source == "MQTT, on the topic of kr120-planner-ada, which says it is 'Ada'"
     assert bench.answers == [
         {"id": "7", "sender": "kr120-planner-ada", "ok": True, "reason": "waiting for review", "plan_id": "p1",
          "plan_hash": "cafe", "duration": 2.75, "notes": []}
@@ -119,10 +119,10 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
 @pytest.mark.parametrize(
     "sender, says, proven, shown",
     [
-        ("", "", True, "by MQTT, sender not known"),
-        ("", "Ada", False, "by MQTT, sender not known, which says it is 'Ada'"),
-        ("kr120-planner-ada", "", True, "by MQTT from account kr120-planner-ada"),
-        ("kr120-planner-ada", "", False, "by MQTT, on the topic of kr120-planner-ada"),
+        ("", "", True, "MQTT, sender not known"),
+        ("", "Ada", False, "MQTT, sender not known, which says it is 'Ada'"),
+        ("kr120-planner-ada", "", True, "MQTT account kr120-planner-ada"),
+        ("kr120-planner-ada", "", False, "MQTT, on the topic of kr120-planner-ada"),
     ],
 )
 def test_a_reviewer_reads_what_is_known_of_the_sender_and_no_more(sender, says, proven, shown):

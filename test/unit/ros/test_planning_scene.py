@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import sys
+from types import ModuleType
 
 import genpy
 import numpy as np
 import pytest
-from moveit_messages import PART_MD5, PLANNING_SCENE_MD5, MoveitScene, message_types, modules
+from moveit_messages import PART_MD5, PLANNING_SCENE_MD5, MoveitScene, md5_sums, message_types, modules
 from scene_samples import box_triangles, kr120, kr120_pairs, write_stl
 
 from construction_twin.kinematics.chain import Pose
@@ -52,14 +54,19 @@ def taken(messages) -> MoveitScene:
 
 
 def test_the_types_are_the_official_ones():
-    types = message_types()
-    assert types["moveit_msgs/PlanningScene"]._md5sum == PLANNING_SCENE_MD5
-    assert {name: types[name]._md5sum for name in PART_MD5} == PART_MD5
+    sums = md5_sums()
+    assert sums["moveit_msgs/PlanningScene"] == PLANNING_SCENE_MD5
+    assert {name: sums[name] for name in PART_MD5} == PART_MD5
 
 
-def test_without_moveit_msgs_there_are_no_types():
-    """As on this machine. Where they are installed, the node's test on the graph is MoveIt's."""
-    assert moveit_types() is None or moveit_types().moveit.PlanningScene._md5sum == PLANNING_SCENE_MD5
+def test_installed_types_are_taken_and_without_them_there_are_none(monkeypatch):
+    monkeypatch.setitem(sys.modules, "moveit_msgs", None)
+    assert moveit_types() is None
+    monkeypatch.setitem(sys.modules, "moveit_msgs", ModuleType("moveit_msgs"))
+    monkeypatch.setitem(sys.modules, "moveit_msgs.msg", TYPES.moveit)
+    monkeypatch.setitem(sys.modules, "shape_msgs", ModuleType("shape_msgs"))
+    monkeypatch.setitem(sys.modules, "shape_msgs.msg", TYPES.shapes)
+    assert moveit_types() == TYPES
 
 
 def test_objects_have_their_shape_pose_and_frame(tmp_path):

@@ -432,12 +432,15 @@ def test_the_shipped_files_are_fine(config_folder, kr120):
         ("gateway", {"silence": -1.0}, "silence"),
         ("gateway", {"silense": 0.1}, "silense"),
         ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a number above 0"),
+        ("mqtt_planner", {"view_rate": 0}, "view_rate: found 0, expected a number at least 1 and at most 50"),
         ("mqtt_review", {"path_points": 1}, "path_points: found 1, expected a whole number at least 2 and at most 1000"),
         ("mock_rsi", {"start_pose_deg": [0.0]}, "start_pose_deg: found [0.0], expected 6 numbers"),
         (
             "mock_rsi", {"start_pose_deg": [0.0, -90.0, 999.0, 0.0, 0.0, 0.0]},
             "A3 is 999 deg, outside its range -120 deg to 155 deg",
         ),
+        ("mqtt_planner", {"view_rate": 0.5}, "view_rate: found 0.5, expected a number at least 1 and at most 50"),
+        ("follow_joint_trajectory", {"goal_tolerance": -1.0}, "goal_tolerance: found -1.0, expected a number at least 0"),
         ("tool_marker", {"scale": 0.0}, "scale: found 0.0, expected a number above 0"),
         ("separation", {"table": [[1.0, 0.5], [0.5, 1.0]]}, "table"),
         ("separation", {"rate": 0}, "rate: found 0, expected a number at least 1"),
@@ -463,7 +466,7 @@ def test_a_file_that_is_no_mapping_is_refused_only_where_it_is_loaded(config_fol
     )
     bare = {"robot": "kr120", "arm": "none"}
     assert bool(node_files_problem(bare, kr120, config_folder)) is (
-        name in ("planner", "joint_state_publisher", "executor", "pca_monitor")
+        name in ("planner", "follow_joint_trajectory", "joint_state_publisher", "executor", "pca_monitor")
     )
 
 

@@ -65,6 +65,25 @@ class TestSupervisor:
         with pytest.raises(ReviewError, match="command stream still moves"):
             armed.supervisor.begin_mirror(armed.now)
 
+    @pytest.mark.parametrize("polls", [0, 1, 5])
+    def test_is_refused_until_the_stream_of_a_new_session_has_shown_that_it_rests(self, armed, polls):
+        armed.set_gateway("ready", "reset", session="")
+        armed.supervisor.request_reset(armed.now)
+        before, armed.carry_out = armed.supervisor.session, lambda control: None
+        while armed.supervisor.session == before:
+            armed.poll()
+        for _ in range(polls):
+            armed.poll()
+        with pytest.raises(ReviewError, match="command stream still moves, or has just begun"):
+            armed.supervisor.begin_mirror(armed.now)
+        armed.run(0.3)
+        assert "arm leads" in armed.supervisor.begin_mirror(armed.now)
+
+    def test_is_entered_where_no_stream_comes(self, armed):
+        armed.command = None
+        armed.run(0.3)
+        assert "arm leads" in armed.supervisor.begin_mirror(armed.now)
+
     def test_is_refused_without_an_arm(self, bench):
         bench.set_gateway("no_controller", "no telegram yet")
         bench.run(0.5)

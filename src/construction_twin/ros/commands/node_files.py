@@ -20,7 +20,17 @@ from construction_twin.monitor.gate import Gate
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import read_text
-from construction_twin.ros.nodes import executor, mqtt_bridge, mqtt_review, pca_monitor, planner, tool_marker
+from construction_twin.ros.nodes import (
+    executor,
+    follow_joint_trajectory,
+    joint_velocities,
+    mqtt_bridge,
+    mqtt_planner,
+    mqtt_review,
+    pca_monitor,
+    planner,
+    tool_marker,
+)
 from construction_twin.ros.shared.arm_listener import NeighbourSettings
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.views.preflight import is_bare, is_true
@@ -58,7 +68,7 @@ def _pca_monitor(values: Values, given: Given, robot: RobotModel) -> None:
     launched = {"arm": _arm(given), "transition_file": "transitions", "decimals": _decimals(given)}
     settings = _model(pca_monitor.Settings, values | launched)
     codec = JointStringCodec.of(robot, settings.decimals)
-    Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), lambda: 0)
+    Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), 0)
 
 
 def _gateway(values: Values, given: Given, robot: RobotModel) -> None:
@@ -121,10 +131,17 @@ class NodeFile:
 NODE_FILES = (
     NodeFile("neighbour", _of(NeighbourSettings, {"name": "other"}), lambda given: bool(given.get("neighbour"))),
     NodeFile("planner", _of(planner.Settings, _PLANNER)),
+    NodeFile(
+        "follow_joint_trajectory",
+        _of(follow_joint_trajectory.Settings, {"arm": "mock"}),
+        lambda given: is_true(given, "follow_joint_trajectory", "true"),
+    ),
+    NodeFile("joint_velocities", _of(joint_velocities.Settings, {})),
     NodeFile("joint_state_publisher", None),
     NodeFile("gateway", _gateway, _has_link),
     NodeFile("mqtt_bridge", _of(mqtt_bridge.Settings, _BROKER), _has_link),
     NodeFile("mqtt_review", _of(mqtt_review.Settings, _BROKER), _has_link),
+    NodeFile("mqtt_planner", _of(mqtt_planner.Settings, _BROKER), _has_link),
     NodeFile("mock_rsi", _mock_rsi, lambda given: _arm(given) == "mock" and not is_bare(given)),
     NodeFile("executor", _executor),
     NodeFile("pca_monitor", _pca_monitor),

@@ -111,7 +111,8 @@ class FollowJointTrajectoryNode:
         )
         self._goals = TrajectoryGoals(robot, rospy.resolve_name("review_plan"))
         self._clients: dict[str, Client] = {}
-        # not a SimpleQueue: when a signal's handler takes longer than the rest of a time-out, its `get` waits for ever
+        # not SimpleQueue: in Python 3.11 its `get` waits for ever after a signal handler that took longer than the timeout, and
+        # rospy shuts down in one
         self._inbox: queue.Queue[Callable[[], None]] = queue.Queue()
         self._poses = threading.Lock()
         self._tracking = Tracking(settings.arm != "none")

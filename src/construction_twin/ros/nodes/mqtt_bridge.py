@@ -272,9 +272,10 @@ class MqttBridge:
         self._publish_physical(q, received, properties)
 
     def _publish_physical(self, q: tuple[float, ...], received: int, properties: StateProperties | None) -> None:
-        self._outputs.physical.publish(received, q)
         seq, command_stamp = (properties.seq, properties.command_stamp) if properties is not None else (0, 0)
+        # the gate's first: each program that looks on at the other takes its time from what comes after
         self._outputs.feedback.publish(received, q, seq, command_stamp)
+        self._outputs.physical.publish(received, q)
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
@@ -325,7 +326,7 @@ class MqttBridge:
         try:
             with self._lock:
                 supervisor.take_responsibility(request.responsible, time.monotonic_ns())
-                session = supervisor.session
+                session, halts = supervisor.session, supervisor.halts
         except ReviewError as error:
             return TakeResponsibilityResponse(False, str(error))
 
@@ -334,22 +335,26 @@ class MqttBridge:
             if supervisor.session == session and supervisor.state is LinkState.RESYNC:
                 supervisor.withdraw_responsibility(because)
 
-        return TakeResponsibilityResponse(*self._wait_for_arming(lambda: supervisor.session == session, withdraw))
+        return TakeResponsibilityResponse(
+            *self._wait_for_arming(halts, lambda: supervisor.session == session, withdraw)
+        )
 
     def _begin_session(self, request: Callable[[int], None]) -> TriggerResponse:
         try:
             with self._lock:
-                before = self._supervisor.session
+                before, halts = self._supervisor.session, self._supervisor.halts
                 request(time.monotonic_ns())
         except ReviewError as error:
             return TriggerResponse(False, str(error))
-        armed, sentence = self._wait_for_arming(lambda: self._supervisor.session != before, lambda because: None)
+        armed, sentence = self._wait_for_arming(halts, lambda: self._supervisor.session != before, lambda because: None)
         return TriggerResponse(armed, f"armed, {sentence}" if armed else sentence)
 
-    def _wait_for_arming(self, is_asked_for: Callable[[], bool], give_up: Callable[[str], None]) -> tuple[bool, str]:
+    def _wait_for_arming(
+        self, halts: int, is_asked_for: Callable[[], bool], give_up: Callable[[str], None]
+    ) -> tuple[bool, str]:
         """Return whether the session that was asked for is armed in time, and one sentence; else give up, told the sentence.
 
-        The last look and the giving up are one hold of the lock: what is answered is what is the case.
+        A halt ends it at once. The last look and the giving up are one hold of the lock: what is answered is what is the case.
         """
         supervisor, timeout = self._supervisor, self._settings.reset_timeout
         deadline = time.monotonic() + timeout
@@ -358,6 +363,8 @@ class MqttBridge:
             with self._lock:
                 if supervisor.state is LinkState.ARMED and is_asked_for():
                     return True, supervisor.reason
+                if supervisor.halts != halts:
+                    return False, f"not armed: halt was called meanwhile: {supervisor.state.name}, {supervisor.reason}"
                 if late:
                     reason, refused = supervisor.reason, supervisor.inputs.why_no_pose(time.monotonic_ns())
                     because = f"{reason}; {refused}" if refused and refused not in reason else reason

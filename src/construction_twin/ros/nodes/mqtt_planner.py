@@ -382,9 +382,9 @@ def source_of(asked: TrajectoryRequest, sender: str, proven: bool) -> str:
         The broker knows accounts, and by a site's rules only this one writes on that topic.
     """
     if not sender:
-        known = "by MQTT, sender not known"
+        known = "MQTT, sender not known"
     else:
-        known = f"by MQTT from account {sender}" if proven else f"by MQTT, on the topic of {sender}"
+        known = f"MQTT account {sender}" if proven else f"MQTT, on the topic of {sender}"
     return f"{known}, which says it is {asked.source!r}" if asked.source else known
 
 

@@ -74,7 +74,8 @@ class Settings(pydantic.BaseModel):
 class SceneNode:
     """Services `add_object`, `remove_object`, `attach_object`, `detach_object`, `clear_scene`.
 
-    Latched topics `scene` and `scene_markers`, and `planning_scene` where moveit_msgs is installed; listens to `twin/joint_states` and tf.
+    Latched topics `scene` and `scene_markers`, and `planning_scene` where moveit_msgs is installed; listens to `twin/joint_states`
+    and tf.
     """
 
     def __init__(self):

@@ -56,5 +56,15 @@ class GoalServer(ActionServer):
         self.status_list_timeout = rospy.Duration(STATUS_KEPT)
         self.status_timer = rospy.Timer(rospy.Duration(1.0 / STATUS_RATE), self.publish_status_async)
 
+    def internal_cancel_callback(self, goal_id: GoalID) -> None:
+        """Cancel what is there, and forget when.
+
+        actionlib goes on to drop every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would
+        lock everybody else out for an hour, without a word. Here a cancel is about goals that are there, and nothing that comes.
+        """
+        super().internal_cancel_callback(goal_id)
+        with self.lock:
+            self.last_cancel = rospy.Time()
+
     def _hear(self, topic: str, kind: type, callback: Callable) -> Subscriber:
         return Subscriber(f"{self.ns}/{topic}", kind, callback, self._refused, queue_size=QUEUE, tcp_nodelay=True)

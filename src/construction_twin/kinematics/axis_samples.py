@@ -1,0 +1,258 @@
+"""The branches of an arm on a linear axis, solved at places all along the axis at once.
+
+Evenly spaced places are enough, except where joints 1 to 3 move fast: at the edges of the reach, and where the wrist centre passes
+axis 1. Places are added there. Between two neighbouring places of a branch is an interval; `axis_search` looks into those that may
+hold the nearest solution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.kinematics.axis_intervals import Aim, Node, make_node
+from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
+from construction_twin.kinematics.opw_along import OpwAlong
+from construction_twin.kinematics.solution import TURN
+
+#: Number of evenly spaced places along the axis.
+_PLACES = 31
+#: Where the wrist centre passes axis 1 more closely than the first [m], places are added where joint 1 has turned by these angles
+#: [rad]; not closer than the last [m].
+_PASSING, _TURNS, _CLOSEST = 0.2, np.tan([-1.3, -0.8, 0.0, 0.8, 1.3]), 1e-6
+#: Joints 2 and 3 further out of range than this at both ends of an interval are so between them [rad].
+_FAR = 0.15
+#: A wrist that comes closer to singular than this counts as exactly singular: only the sum of joints 4 and 6 is given [rad]. Beside
+#: such a place the arm is solved this far away [m].
+SINGULAR, ASIDE = 4e-7, 1e-6
+#: The branches with the wrist turned over follow those without, so many.
+_WRIST = len(SLOTS) // 2
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The arm's branches at places along the axis.
+
+    Samples are numbered branch by branch, in the order of `SLOTS`, those of a branch along the axis.
+
+    Attributes
+    ----------
+    flange : array, shape (4, 4)
+        The target as `ClosedFormInverse.flange` gives it, with the carriage at zero.
+    places : array, shape (m,)
+        Ascending [m].
+    q : array, shape (6, 8 m)
+        Of each sample [rad]; nan where the branch is missing or not wanted.
+    joined : array of bool, shape (8 m + 1,)
+        Which samples bound an interval with the one before; the last number stands for no sample.
+    wrist : list of float, length 8
+        |sin| of each branch's wrist angle at the given place; nan where a branch is missing.
+    singular : list of float
+        Places where the wrist is exactly singular [m], as far as found.
+    edges : list of float
+        Places just within an edge of a shoulder's reach [m].
+    edges_known : bool
+        No branch ends within an interval.
+    """
+
+    flange: np.ndarray
+    places: np.ndarray
+    q: np.ndarray
+    joined: np.ndarray
+    wrist: list[float]
+    singular: list[float]
+    edges: list[float]
+    edges_known: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Samples with respect to an aim.
+
+    Attributes
+    ----------
+    away : array, shape (7, k)
+        Distance of place [m] and joints [rad] from the seed, with the nearest whole turns within the ranges.
+    nearest : array, shape (7, k)
+        The same with the nearest whole turns even where they are out of range.
+    squares : array, shape (k,)
+        Squared distance; nan where a branch is missing.
+    excess : array, shape (k,)
+        By how much the worst joint is out of range [rad].
+    moved : array of bool, shape (k,)
+        Whether the nearest turns are out of range.
+    """
+
+    away: np.ndarray
+    nearest: np.ndarray
+    squares: np.ndarray
+    excess: np.ndarray
+    moved: np.ndarray
+
+
+class AxisSampler:
+    """Solves an arm at places along the axis that carries it.
+
+    Parameters
+    ----------
+    arm : ClosedFormInverse
+        The six joints on the carriage.
+    travel : array, shape (3,)
+        Direction in which the carriage travels, in the directions of the arm's model.
+    low, high : float
+        The carriage's range [m].
+    """
+
+    def __init__(self, arm: ClosedFormInverse, travel: np.ndarray, low: float, high: float):
+        self._arm, self._along = arm, OpwAlong(arm.model, travel)
+        self._travel = travel
+        self._low, self._high = low, high
+        self._even = np.linspace(low, high, _PLACES)
+        robot = arm.chain.robot
+        self._lower, self._upper = np.array(robot.lower)[:, None], np.array(robot.upper)[:, None]
+        # of joints 2 and 3: middle of the range, and half of it with a margin
+        self._middle = (0.5 * (self._lower + self._upper))[1:3, 0]
+        self._half = (0.5 * (self._upper - self._lower))[1:3, 0] + _FAR
+        self._endless = ((self._upper - self._lower)[:, 0] >= TURN).tolist()
+        signs = arm.model.signs
+        self._sense = float(signs[3] * signs[5])
+        self._straight = signs[4] * arm.model.offsets[4]
+
+    def sample(self, flange: np.ndarray, place: float, wanted: np.ndarray | None = None) -> Samples:
+        """Return the branches at evenly spaced places, at a given one, and at those that `opw_along` names.
+
+        Parameters
+        ----------
+        flange : array, shape (4, 4)
+            As in `Samples`.
+        place : float
+            [m]
+        wanted : array of bool, shape (8,), optional
+            Which branches. Default: all.
+        """
+        edges, at_axis = self._along.steep_places(flange)
+        edges = [edge for edge in edges if self._low < edge < self._high]
+        more = [place, *edges]
+        if at_axis is not None and at_axis[1] < _PASSING:
+            more += (at_axis[0] + max(at_axis[1], _CLOSEST) * _TURNS).tolist()
+        places = np.concatenate([self._even, more])
+        np.minimum(np.maximum(places, self._low, out=places), self._high, out=places)
+        places.sort()
+        q, wrist, lost = self._solve(flange, places)
+        here = wrist[int(places.searchsorted(place))].tolist()
+        singular = []
+        if lost is not None:
+            singular = places[lost].tolist()
+            beside = [each + aside for each in singular for aside in (-ASIDE, ASIDE)]
+            places = np.sort(np.clip(np.concatenate([places[~lost], beside]), self._low, self._high))
+            q, wrist, _ = self._solve(flange, places)
+        # joints 2 and 3 do not depend on how the wrist is turned, and they have less than one turn
+        two = q[:, :_WRIST, 1:3] - self._middle
+        two -= TURN * np.rint(two * (1.0 / TURN))
+        in_range = np.abs(two, out=two) < self._half
+        near = (in_range[:, :, 0] & in_range[:, :, 1]).T
+        counts = near[:, 1:] | near[:, :-1]
+        if at_axis is not None:
+            # all edges of the reach are among the places: between a place on a branch and one that is not, there is nothing
+            exists = (wrist[:, :_WRIST] >= 0.0).T
+            counts &= exists[:, 1:]
+            counts &= exists[:, :-1]
+        joined = np.zeros(len(SLOTS) * len(places) + 1, dtype=bool)
+        by_branch = joined[:-1].reshape(2, _WRIST, -1)
+        by_branch[:, :, 1:] = counts
+        rows = q.transpose(2, 1, 0).copy()
+        if wanted is not None:
+            by_branch.reshape(len(SLOTS), -1)[~wanted] = False
+            rows[:, ~wanted] = math.nan
+        return Samples(flange, places, rows.reshape(6, -1), joined, here, singular, edges, at_axis is not None)
+
+    def aim(self, seed: np.ndarray, turns: Sequence[int] | None = None) -> Aim:
+        """Return what to search for.
+
+        Parameters
+        ----------
+        seed : array, shape (7,)
+            Near which: place [m] and joints [rad], within the ranges.
+        turns : sequence of int, length 6, optional
+            By how many whole turns to be further than the nearest one, for joints that have more than one. Default: with the
+            nearest turns within the ranges.
+        """
+        low, high = (self._lower[:, 0] - seed[1:]).tolist(), (self._upper[:, 0] - seed[1:]).tolist()
+        if turns is not None:
+            for joint, (endless, turn) in enumerate(zip(self._endless, turns)):
+                if endless:
+                    low[joint] = max(low[joint], (turn - 0.5) * TURN)
+                    high[joint] = min(high[joint], (turn + 0.5) * TURN)
+        return Aim(seed, turns, low, high)
+
+    def measure(self, samples: Samples, aim: Aim) -> Measured:
+        """Return samples with respect to an aim."""
+        away = np.empty((7, samples.q.shape[1]))
+        away[0].reshape(len(SLOTS), -1)[:] = samples.places - aim.seed[0]
+        joints = away[1:]
+        np.subtract(samples.q, aim.seed[1:, None], out=joints)
+        joints -= TURN * np.rint(joints * (1.0 / TURN))
+        if aim.turns is not None:
+            joints += TURN * np.array(aim.turns)[:, None]
+        nearest = away.copy()
+        # the seed is in range, so besides the nearest turn only the next one towards the range can be in it; out of range, the one
+        # that is out by less, so that nothing jumps where the range ends
+        for row, low, high, endless in zip(joints, aim.low, aim.high, self._endless):
+            both = low + high
+            if endless and aim.turns is not None:
+                continue
+            if high < 0.5 * TURN and both < 0.0:
+                row -= TURN * (row > max(high, 0.5 * (both + TURN)))
+            elif -low < 0.5 * TURN and both > 0.0:
+                row += TURN * (row < min(low, 0.5 * (both - TURN)))
+        squares = np.einsum("ij,ij->j", away, away)
+        ends = np.array([aim.low, aim.high])[:, :, None]
+        middle, half = 0.5 * (ends[1] + ends[0]), 0.5 * (ends[1] - ends[0])
+        excess = (np.abs(joints - middle) - half).max(axis=0)
+        excess[np.isnan(squares)] = math.inf
+        return Measured(away, nearest, squares, excess, (nearest != away).any(axis=0))
+
+    def straight(self, aim: Aim) -> tuple[float, float]:
+        """Return where axes 4 and 6 are in line, as `axis_intervals.make_intervals` takes it."""
+        return self._straight - float(aim.seed[5]), self._sense
+
+    def sample_node(self, samples: Samples, measured: Measured, column: int, nearest: bool, aim: Aim) -> Node:
+        """Return a sample as a node, with the turns of `Measured.nearest` or of `Measured.away`."""
+        away = (measured.nearest if nearest else measured.away)[:, column].tolist()
+        rates = self._along.rates(samples.q[:, column].tolist())
+        return make_node(away, rates, aim, samples.places[column % len(samples.places)] in samples.edges)
+
+    def flanges(self, flange: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return targets as the arm sees them from places, shape (m, 4, 4); `flange` is the one from place zero."""
+        flanges = np.empty((len(places), 4, 4))
+        flanges[:] = flange
+        flanges[:, :3, 3] -= places[:, None] * self._travel
+        return flanges
+
+    def _solve(self, flange: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return branches, |sin| of their wrist angles, and at which places one is lost because its wrist is exactly singular.
+
+        The last is None if there is no such place.
+        """
+        q, wrist, _ = self._arm.branches(self.flanges(flange, places))
+        missing = np.isnan(wrist)
+        # neighbours differ in the elbow, which does not decide about the reach: where one is missing, its wrist is the reason
+        lost = missing[:, ::2] != missing[:, 1::2]
+        lost |= (wrist < SINGULAR)[:, ::2] | (wrist < SINGULAR)[:, 1::2]
+        return q, wrist, lost.any(axis=1) if lost.any() else None
+
+    def node(
+        self, flange: np.ndarray, place: float, slot: int, expected: Sequence[float], aim: Aim
+    ) -> tuple[Node, bool]:
+        """Return a branch at a place, with turns nearest to the expected ones, and whether its wrist is exactly singular."""
+        q, wrist, _ = self._arm.branches(self.flanges(flange, np.array([place])))
+        joints, angle = q[0, slot].tolist(), float(wrist[0, slot])
+        away = [place - float(aim.seed[0])]
+        for value, near, guess in zip(joints, aim.seed[1:].tolist(), expected[1:]):
+            value -= near
+            away.append(value - TURN * round((value - guess) / TURN) if value == value else value)
+        singular = angle < SINGULAR or (angle != angle and not math.isnan(wrist[0, slot ^ 1]))
+        return make_node(away, self._along.rates(joints), aim), singular
