@@ -55,6 +55,16 @@ def test_files_that_fit_pass(given):
     assert preflight.contents_problem(given) == ""
 
 
+def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
+    given = KR120 | {"follow_joint_trajectory": "true"}
+    assert preflight.contents_problem(given) == ""
+    monkeypatch.setitem(sys.modules, "control_msgs.msg", None)
+    said = preflight.contents_problem(given)
+    assert said.startswith("follow_joint_trajectory:=true: the Python package control_msgs: found 'missing")
+    assert "ros-noetic-control-msgs" in said and said.endswith("or follow_joint_trajectory:=false")
+    assert preflight.contents_problem(given | {"follow_joint_trajectory": "false"}) == ""
+
+
 @pytest.mark.parametrize("name", ["self_collision", "ethernet_xml", "robot_config"])
 def test_a_file_of_another_arm_is_refused_by_the_argument_that_names_it(name):
     said = preflight.contents_problem(KR120 | {name: TRACK[name]})

@@ -20,8 +20,8 @@ STATUS_RATE, STATUS_KEPT = 5.0, 5.0
 class GoalServer(ActionServer):
     """As `actionlib.ActionServer`, but an error in a callback ends the node, and a client that is slow or gone holds up nothing.
 
-    rospy's own publishers have a thread per client that is no daemon. When a client is there while the node ends, it can miss the
-    end, and the process then lives on until it is killed.
+    rospy's subscriber would log such an error and go on; its publisher starts a thread per client that is no daemon, and complains
+    about what is published while the node ends.
 
     Parameters
     ----------
