@@ -19,6 +19,7 @@ import pytest
 import rospy
 from bridge_bench import Refusals
 from construction_twin.msg import Execution, Link, Sync
+from construction_twin.srv import PlanTrajectoryRequest
 from processes import ROOT, wait_until
 from site_broker import SiteBroker
 
@@ -65,11 +66,14 @@ class Planner:
     def __init__(self):
         self.made, self.sources = [], []
 
-    def __call__(self, message, speed_scale, acceleration_scale, source):
-        self.sources.append(source)
+    def __call__(self, **fields):
+        asked = PlanTrajectoryRequest(**fields)
+        self.sources.append(asked.source)
         try:
-            waypoints = trajectory_waypoints(message, ROBOT)
-            trajectory = plan_waypoints(waypoints, ROBOT.home, ROBOT, speed_scale or 0.3, acceleration_scale or None)
+            waypoints = trajectory_waypoints(asked.trajectory, ROBOT)
+            trajectory = plan_waypoints(
+                waypoints, ROBOT.home, ROBOT, asked.speed_scale or 0.3, asked.acceleration_scale or None
+            )
         except ConstructionTwinError as error:
             return SimpleNamespace(success=False, message=str(error), plan_id="", plan_hash="", duration=0.0)
         self.made.append(trajectory)
