@@ -206,7 +206,8 @@ class InverseKinematics(abc.ABC):
         """Return every solution within the ranges, whole turns of each joint included.
 
         Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
-        each continuous family for every choice of whole turns: the one nearest to the seed.
+        each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
+        it also holds some that are spaced along the families, for whoever cannot use the nearest.
 
         Parameters
         ----------

@@ -221,6 +221,24 @@ def test_the_same_trajectory_is_read_without_an_envelope(session):
     assert all(math.isfinite(value) for point in request.points for value in point.positions)
 
 
+def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_path):
+    """compas_eve subscribes once, and a broker that was started again has forgotten it."""
+    urdf = tmp_path / "kr120.urdf"
+    urdf.write_text(expand_xacro(str(XACRO), {}))
+    account = cell.site.folder / "accounts/kr120-planner-ada/account.json"
+    command = [python, SESSION, str(cell.site.site.port), str(account), str(urdf)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as session:
+        try:
+            assert json.loads(session.stdout.readline())["fresh"] is True
+            cell.site.stop()
+            lost = json.loads(session.stdout.readline())
+            assert lost["fresh"] is False and "the last view came" in lost["text"]
+            cell.site.start()
+            assert json.loads(session.stdout.readline())["fresh"] is True
+        finally:
+            session.kill()
+
+
 def test_a_stranger_is_not_let_in_and_is_told(cell, python, tmp_path):
     for name in ("ca.crt", "account.json"):
         shutil.copy(cell.site.folder / "accounts/kr120-planner-ada" / name, tmp_path / name)

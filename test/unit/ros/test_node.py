@@ -102,6 +102,17 @@ def test_a_master_that_is_killed_while_a_node_starts_is_one_sentence(monkeypatch
     ]
 
 
+@pytest.mark.parametrize("asked", [True, False])
+def test_ctrl_c_while_ros_is_initialised_is_no_traceback(asked):
+    """rospy says so itself, by an exception; one for another reason is no known end."""
+    body = "def init_node(name):\n"
+    body += "    rospy.signal_shutdown('signal-2')\n" if asked else ""
+    body += "    raise rospy.exceptions.ROSInitException('init_node interrupted before it could complete')\n"
+    code = f"{BEGIN}\n{body}\nrospy.init_node = init_node\nrun_node('node', Node)\n"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode == 0, "Traceback" in ended.stderr) == (asked, not asked), ended.stderr
+
+
 def test_a_connection_that_is_lost_beside_a_living_master_is_no_known_end(monkeypatch):
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
     with ros_master() as uri:

@@ -432,6 +432,7 @@ def test_the_shipped_files_are_fine(config_folder, kr120):
         ("gateway", {"silence": -1.0}, "silence"),
         ("gateway", {"silense": 0.1}, "silense"),
         ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a number above 0"),
+        ("mqtt_planner", {"view_rate": 0}, "view_rate: found 0, expected a number at least 1 and at most 50"),
         ("mqtt_review", {"path_points": 1}, "path_points: found 1, expected a whole number at least 2 and at most 1000"),
         ("mock_rsi", {"start_pose_deg": [0.0]}, "start_pose_deg: found [0.0], expected 6 numbers"),
         (

@@ -2,7 +2,7 @@
 
 Called by bringup.launch, while roslaunch reads it, as ``preflight --for-roslaunch name:=value ...``, and by view.launch for the
 names of the arguments alone; by hand without the option. It looks at the arguments, at what is in the files they name, at the nodes
-that run on the master, and at the ports. It changes nothing.
+that run on the master, and at the ports. It changes nothing but who may start the robot (`start_claim`).
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.roslaunch_above import command_lines, roslaunch_above, say_below
+from construction_twin.ros.shared.start_claim import claim
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
@@ -230,6 +231,21 @@ def running_problem(given: Given, uri: str) -> str:
     return ""
 
 
+def claim_problem(given: Given, uri: str, pid: int) -> str:
+    """Claim the robot for the roslaunch of a number; return a sentence when another start has claimed it, empty when it has not.
+
+    To be asked last: what is refused for another reason claims nothing.
+    """
+    robot = given.get("robot", "")
+    other = claim(robot, uri, pid) if robot else ""
+    if not other:
+        return ""
+    return (
+        f"robot:={robot}: {other}; a second start would end its nodes one by one. End that launch first, or give this robot a name "
+        f"of its own, e.g. robot:={robot}_2"
+    )
+
+
 def port_problem(given: Given) -> str:
     """Return a sentence about the first port on this machine that another program holds; empty when all are free."""
     port, listeners = given.get("broker_port", ""), []
@@ -323,7 +339,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     above = roslaunch_above() if for_roslaunch else None
     pid, call = above if above is not None else (None, None)
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
-    sentence = refusal(given, call, _master(call))
+    uri = _master(call)
+    sentence = refusal(given, call, uri)
+    if not sentence and uri and pid is not None:
+        sentence = claim_problem(given, uri, pid)
     if sentence:
         print(f"preflight: {sentence}", file=sys.stderr, flush=True)
         say_below(f"preflight: {sentence}", pid)

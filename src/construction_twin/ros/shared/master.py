@@ -27,7 +27,7 @@ TO_DO = "start bringup, or set ROS_MASTER_URI"
 _POLL = 0.5
 _CALLER = "/construction_twin"
 #: What a call may end with when there is no master, or another program on its port.
-_FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
+FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
 
-def _ask(uri: str, timeout: float, question: str, *words: str) -> tuple[int, Any]:
-    """Return code and value of a call of ROS's XML-RPC interfaces; raises one of `_FAILURES`."""
+def ask(uri: str, timeout: float, question: str, *words: str) -> tuple[int, Any]:
+    """Return code and value of a call of ROS's XML-RPC interfaces; raises one of `FAILURES`."""
     with xmlrpc.client.ServerProxy(uri, transport=_Transport(timeout)) as proxy:
         answer: Any = getattr(proxy, question)(_CALLER, *words)
     if not isinstance(answer, list) or len(answer) != 3:
@@ -100,8 +100,8 @@ def await_master(timeout: float = TIMEOUT) -> None:
     if address.scheme != "http" or not address.hostname:
         raise ConfigurationError("ROS_MASTER_URI", uri, "http://HOST:PORT")
     try:
-        _ask(uri, timeout, "getPid")
-    except _FAILURES as error:
+        ask(uri, timeout, "getPid")
+    except FAILURES as error:
         problem = f"no ROS master answers ({error})"
         raise SilenceError(uri, problem, TO_DO) from error
 
@@ -149,8 +149,8 @@ def expect_publisher(topic: str, patience: float = ANSWER) -> None:
     """
     uri = rosgraph.get_master_uri()
     try:
-        _, (publishers, _, _) = _ask(uri, TIMEOUT, "getSystemState")
-    except _FAILURES as error:
+        _, (publishers, _, _) = ask(uri, TIMEOUT, "getSystemState")
+    except FAILURES as error:
         raise SilenceError(uri, f"no ROS master answers ({error})", TO_DO) from error
     names = [name for published, nodes in publishers if published == topic for name in nodes]
     answers = (node.pid for _ in range(2) for node in running(names, uri, patience))
@@ -176,8 +176,8 @@ def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> l
         How long a node may take to answer [s].
     """
     try:
-        found = {name: _ask(uri, TIMEOUT, "lookupNode", name) for name in names}
-    except _FAILURES:
+        found = {name: ask(uri, TIMEOUT, "lookupNode", name) for name in names}
+    except FAILURES:
         return []
     nodes = (_asked(name, str(address), patience) for name, (code, address) in found.items() if code == 1)
     return [node for node in nodes if node is not None]
@@ -186,14 +186,14 @@ def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> l
 def _asked(name: str, address: str, patience: float) -> RunningNode | None:
     host = urllib.parse.urlsplit(address).hostname or address
     try:
-        _, pid = _ask(address, patience, "getPid")
+        _, pid = ask(address, patience, "getPid")
         try:
-            code, told = _ask(address, patience, "getName")
+            code, told = ask(address, patience, "getName")
         except xmlrpc.client.Fault:
             code, told = -1, ""  # roscpp has no such question
     except ConnectionRefusedError:
         return None
-    except _FAILURES:
+    except FAILURES:
         return RunningNode(name, host, None)
     if code == 1 and told != name:
         return None

@@ -52,7 +52,13 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         wait_for_master(name)
     except ConstructionTwinError as error:
         sys.exit(f"{name} cannot run: {error}")
-    rospy.init_node(name)
+    try:
+        rospy.init_node(name)
+    except rospy.exceptions.ROSInitException:
+        # Ctrl-C came meanwhile
+        if rospy.core.is_shutdown_requested():
+            return
+        raise
     threading.excepthook = end_on_error
     try:
         node = start()
