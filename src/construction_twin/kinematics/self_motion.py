@@ -42,8 +42,9 @@ _POINTS, _AT_END, _BETWEEN = 7, 2e-5, 2e-6
 _HINGED, _IN_LINE = 0.8, 0.02
 #: Sweeps past a hinge that are followed for one pose; what their first guess may be out of range by; how far it may be off [rad].
 _SWEEPS, _WIDE, _MOVED = 5, 0.2, 1.0
-#: A seed that Newton steps bring onto the pose over no greater distance is almost on it [rad].
-_BESIDE = 0.1
+#: A seed that Newton steps bring onto the pose over no greater distance is almost on it; what is so near to the seed is not
+#: compared with anything else [rad].
+_BESIDE, _AT_ONCE = 0.1, 0.03
 #: What postures out of range count as, beside which every distance is small.
 _NEVER = 1e3
 
@@ -289,6 +290,8 @@ class _Search:
             self._best, self._distance = samples.q[row], float(samples.distance[row])
         if self._kept:
             self._beside_seed()
+            if self._distance < _AT_ONCE:
+                return self._best
         near = samples.near(self._distance)
         neighbours = samples.neighbours(near)
         node, other, side, ways, lengths = samples.links(near, neighbours, self._distance)
