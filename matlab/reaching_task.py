@@ -84,11 +84,14 @@ class Recorder:
 
 
 class Answers:
-    """Keeps what the planner says on /rosout of requests that came after `forget`; see send_by_topic.m."""
+    """Keeps what the planner says on /rosout after a time; see send_by_topic.m.
+
+    /rosout is latched: the last thing said before, of whatever request, comes too.
+    """
 
     def __init__(self, namespace: str):
         self._planner = f"{namespace}/planner"
-        self._said: list[str] = []
+        self._said: list[tuple[float, str]] = []
         self._subscriber = rospy.Subscriber("/rosout", Log, self._take, queue_size=500)
 
     def await_connection(self, until: float) -> None:
@@ -108,14 +111,13 @@ class Answers:
             time.sleep(0.05)
         raise Failure(f"{self._planner} was not heard on /rosout; {TO_DO}")
 
-    def newest(self) -> str:
-        """Return the newest answer; empty before the first."""
-        return self._said[-1] if self._said else ""
+    def newest(self, since: float) -> str:
+        """Return the newest answer with a stamp after `since` [s, clock of the twin's PC]; empty before the first."""
+        return self._said[-1][1] if self._said and self._said[-1][0] > since else ""
 
     def _take(self, message: Log) -> None:
         if message.name == self._planner and message.msg.startswith(("no plan", "plan ")):
-            self._said.append(message.msg)
-            print(message.msg, flush=True)
+            self._said.append((message.header.stamp.to_sec(), message.msg))
 
 
 def rest_to_rest(corners: np.ndarray, duration: float, count: int) -> tuple[np.ndarray, ...]:
@@ -169,17 +171,19 @@ def send_by_topic(
     if not virtual.wait(publisher.get_num_connections, until):
         raise Failure(f"{namespace}/planner does not listen; {TO_DO}")
     answers.await_connection(until)
+    since = virtual.table()[-1, 0]
     publisher.publish(message)
     goal = np.array(message.points[-1].positions)
 
     def over() -> bool:
-        return answers.newest().startswith("no plan") or bool(np.max(np.abs(virtual.newest() - goal)) < AT_GOAL)
+        return answers.newest(since).startswith("no plan") or bool(np.max(np.abs(virtual.newest() - goal)) < AT_GOAL)
 
     if not virtual.wait(over, time.monotonic() + patience):
-        said = answers.newest() or "nothing"
+        said = answers.newest(since) or "nothing"
         raise Failure(f"the twin is not at the goal within {patience:g} s; the planner said: {said}")
-    if answers.newest().startswith("no plan"):
-        raise Failure(answers.newest())
+    if answers.newest(since).startswith("no plan"):
+        raise Failure(answers.newest(since))
+    print(answers.newest(since), flush=True)
 
 
 def send_by_action(namespace: str, message: JointTrajectory, patience: float) -> None:

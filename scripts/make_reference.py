@@ -79,7 +79,7 @@ _EXPLAINED = {
 COMMANDS: list[tuple[str, str, list[str]]] = [
     ("twin", "nodes/twin", []),
     *((f"twin {name}", "nodes/twin", [name]) for name in ("plan", "home", "preview", "approve", "reject")),
-    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "scene", "watch")),
+    *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "scene", "export", "watch")),
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),

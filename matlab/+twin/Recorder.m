@@ -61,7 +61,7 @@ classdef Recorder < handle
         return
       end
       recorder.Count = recorder.Count + 1;
-      recorder.Times(recorder.Count) = double(message.Header.Stamp.Sec) + 1e-9 * double(message.Header.Stamp.Nsec);
+      recorder.Times(recorder.Count) = twin.stamp(message.Header);
       recorder.Positions(recorder.Count, :) = message.Position(recorder.Order);
     end
   end

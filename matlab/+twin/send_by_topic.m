@@ -25,6 +25,8 @@ function [succeeded, sentence] = send_by_topic(namespace, recorder, joints, t, q
   end
   said.NewMessageFcn = @(~, log) keep_answer(log, [namespace '/planner']);
   pause(1);  % /rosout comes from every node by itself: what the planner says before it is connected is lost
+  stamps = recorder.table();
+  since = stamps(end);  % /rosout is latched: what was said before is not about this request. Both stamps are of the twin's PC
   answer = '';
   send(publisher, message);
   goal = q(end, :);
@@ -45,7 +47,7 @@ function [succeeded, sentence] = send_by_topic(namespace, recorder, joints, t, q
   sentence = sprintf('not at the goal within %g s; the planner said: %s', patience, answer);
 
   function keep_answer(log, name)
-    if strcmp(log.Name, name) && (strncmp(log.Msg, 'no plan', 7) || strncmp(log.Msg, 'plan ', 5))
+    if twin.stamp(log.Header) > since && strcmp(log.Name, name) && (strncmp(log.Msg, 'no plan', 7) || strncmp(log.Msg, 'plan ', 5))
       answer = log.Msg;
       disp(answer);
     end

@@ -1,5 +1,7 @@
 #!/usr/bin/env python3
-"""A client of the action in a process and under a name of its own: sends one goal, prints state and result as JSON.
+"""Goals of the action as other planners send them; and a client in a process and under a name of its own.
+
+It sends one goal and prints state and result as JSON.
 
 Usage: goal_client.py NAME ACTION GOAL, where GOAL is JSON: {"joints": [names], "points": [[seconds, [positions]], ...]}.
 """
@@ -9,8 +11,10 @@ import sys
 
 import actionlib
 import rospy
+from actionlib_msgs.msg import GoalStatus
 from control_msgs.msg import FollowJointTrajectoryAction, FollowJointTrajectoryGoal
 from trajectory_msgs.msg import JointTrajectoryPoint
+from twin_client import TwinClient
 
 
 def goal_message(joints, points) -> FollowJointTrajectoryGoal:
@@ -22,6 +26,21 @@ def goal_message(joints, points) -> FollowJointTrajectoryGoal:
         for seconds, positions in points
     ]
     return goal
+
+
+def reach(robot: TwinClient, goal) -> None:
+    """Send a goal as another planner does, approve its plan, and wait until the client hears that it succeeded."""
+    action = actionlib.SimpleActionClient("follow_joint_trajectory", FollowJointTrajectoryAction)
+    assert action.wait_for_server(rospy.Duration(20.0))
+    count = len(robot.plans)
+    action.send_goal(goal)
+    # a refusal has its reason in the status
+    robot.wait(lambda: len(robot.plans) > count or action.get_goal_status_text(), "a plan")
+    assert len(robot.plans) > count, action.get_goal_status_text()
+    answer = robot.review(robot.plans[-1].id, robot.plans[-1].hash)
+    assert answer.success, answer.message
+    assert action.wait_for_result(rospy.Duration(30.0)), action.get_goal_status_text()
+    assert action.get_state() == GoalStatus.SUCCEEDED, action.get_goal_status_text()
 
 
 def main() -> None:

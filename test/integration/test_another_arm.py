@@ -18,6 +18,7 @@ import yaml
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from goal_client import goal_message, reach
 from sensor_msgs.msg import JointState
 from twin_client import RobotTest, Stream, TwinClient, wait
 
@@ -166,6 +167,12 @@ class AnotherArmTest(RobotTest):
         with Stream("mock_rsi/joint_states") as arm:
             q = self.client.execute(answer, arm)
         np.testing.assert_allclose(self.chain.forward(q).position, wanted.position, atol=1e-4)
+
+    def test_by_a_goal_of_another_planner(self):
+        names = list(self.client.robot.joint_names)[::-1]
+        with Stream("physical/joint_states") as physical:
+            reach(self.client, goal_message(names, [(3.0, self.client.si(GOAL)[::-1])]))
+            self.client.assert_at(GOAL, physical)
 
     def test_along_a_line(self):
         start = self.chain.forward(self.client.si(HOME))

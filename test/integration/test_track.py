@@ -12,6 +12,7 @@ import tf2_ros
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.srv import PlanCartesian, PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from goal_client import goal_message, reach
 from mqtt_listener import MqttListener
 from twin_client import RobotTest, Stream, TwinClient, case
 
@@ -65,6 +66,12 @@ class TrackTest(RobotTest):
                 with case(topic):
                     self.client.wait(lambda t=topic: self.mqtt.last.get(t) == GOAL_STRING, f"{GOAL_STRING} on {topic}")
             self.client.assert_within_limits(arm, missed)
+
+    def test_by_a_goal_of_another_planner(self):
+        start, goal = self.client.si(HOME), self.client.si(GOAL)
+        with Stream("physical/joint_states") as physical:
+            reach(self.client, goal_message(self.client.robot.joint_names, [(0.0, start), (3.0, goal)]))
+            self.client.assert_at(GOAL, physical)
 
     def test_tf_puts_the_arm_where_the_track_is(self):
         with Stream("mock_rsi/joint_states") as arm:

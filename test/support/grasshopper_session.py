@@ -115,5 +115,16 @@ def stranger(port, account):
     print(json.dumps({"connect": text, "send": sent}))
 
 
+def patient(port, account, urdf):
+    """See the view go and come back; a line for each."""
+    where = {"host": "localhost", "port": int(port), "account": account, "robot": "kr120", "prefix": ""}
+    twin = component("connect", on=True, **where).twin
+    for fresh in (True, False, True):
+        seen = until(
+            lambda: component("view", twin=twin, urdf=urdf, units="mm"), lambda seen: seen.fresh is fresh, 60.0
+        )
+        print(json.dumps({"fresh": seen.fresh, "text": seen.text}), flush=True)
+
+
 if __name__ == "__main__":
-    (stranger if len(sys.argv) == 3 else main)(*sys.argv[1:])
+    {3: stranger, 4: patient, 5: main}[len(sys.argv)](*sys.argv[1:])

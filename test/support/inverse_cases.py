@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 KR120 = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
 UR_LIKE = read_robot_files(ROOT / "test/data/ur_like.urdf", ROOT / "test/data/ur_like.yaml")
 PANDA_LIKE = read_robot_files(ROOT / "test/data/panda_like.urdf", ROOT / "test/data/panda_like.yaml")
+IIWA_LIKE = read_robot_files(ROOT / "test/data/iiwa_like.urdf", ROOT / "test/data/iiwa_like.yaml")
 TRACK = read_robot_files(ROOT / "urdf/kr120_track.urdf.xacro", ROOT / "config/kr120_track.yaml")
 
 

@@ -22,11 +22,14 @@ from construction_twin.kinematics.solution import TURN
 ROUNDING = 3e-7
 #: A wrist or an arm that turns by more between two places may turn either way [rad].
 EITHER_WAY = 1.5
-#: Cubics that miss the joints' rates by more are not trusted [rad]; where they are, the distance is off by at most this fraction
-#: of it.
-_ROUGH, _OFF = 0.12, 0.125
-#: Where a branch ends in an interval, its distance may fall by this much [rad].
-_FALL = 1.3
+#: Cubics that miss the joints' rates by more are not trusted: than this, or than so much and a share of what the joints move [rad].
+#: Where they are trusted, the distance is off by at most this fraction of it.
+_ROUGH, _AT_MOST, _SHARE, _OFF = 0.12, 1e-3, 0.3, 0.125
+#: Half a turn [rad].
+_HALF = 0.5 * TURN
+#: Where a branch ends in an interval, its distance may fall by this times the root of the interval [rad/sqrt(m)], as the elbow
+#: moves; shorter ones are not divided [m].
+_FALL, _END = 5.0, AT_EDGE
 #: Shorter intervals are not divided [m].
 _SHORT = 1e-8
 
@@ -135,11 +138,10 @@ def make_intervals(
     """
     if first.square != first.square or last.square != last.square:
         return _ending(first, last, edges_known)
-    turns = [
-        round((b - a) / TURN) if not -0.5 * TURN <= b - a <= 0.5 * TURN else 0 for a, b in zip(first.away, last.away)
-    ]
-    if not any(turns):
+    change = list(map(sub, last.away, first.away))
+    if max(change) <= _HALF and min(change) >= -_HALF:
         return [_interval(first, last, aim, straight)]
+    turns = [0, *(round(each / TURN) for each in change[1:])]
     back = make_node([value - TURN * turn for value, turn in zip(last.away, turns)], last.rates[1:], aim, last.edge)
     on = make_node([value + TURN * turn for value, turn in zip(first.away, turns)], first.rates[1:], aim, first.edge)
     return [_interval(first, back, aim, straight), _interval(on, last, aim, straight)]
@@ -148,9 +150,10 @@ def make_intervals(
 def _ending(first: Node, last: Node, edges_known: bool) -> list[Interval]:
     """Return the interval in which a branch ends."""
     square = last.square if first.square != first.square else first.square
-    if edges_known or square != square:
+    wide = last.away[0] - first.away[0]
+    if edges_known or square != square or not wide > _END:
         return []
-    return [Interval(max(math.sqrt(square) - _FALL, 0.0) ** 2, 0.5, first, last)]
+    return [Interval(max(math.sqrt(square) - _FALL * math.sqrt(wide), 0.0) ** 2, 0.5, first, last)]
 
 
 def _interval(first: Node, last: Node, aim: Aim, straight: tuple[float, float]) -> Interval:
@@ -178,10 +181,10 @@ def _scaled(node: Node, factor: float) -> Node:
 def _assess(first: Node, last: Node, wide: float, aim: Aim, straight: tuple[float, float]) -> tuple[float, float]:
     """Return bound and division of the interval between two nodes."""
     half = 0.5 * wide
-    change = [b - a for a, b in zip(first.away, last.away)]
+    change = list(map(sub, last.away, first.away))
     missed = [each - half * (u + v) for each, u, v in zip(change, first.rates, last.rates)]
-    error = math.sqrt(sum([each * each for each in missed]))
-    if not error < min(_ROUGH, 1e-3 + 0.3 * math.hypot(*change)):
+    error = math.hypot(*missed)
+    if not error < min(_ROUGH, _AT_MOST + _SHARE * math.hypot(*change)):
         return _rough(first, last, missed, straight)
     f0, f1 = first.square, last.square
     g0, g1 = wide * first.slope, wide * last.slope

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.kinematics.axis_intervals import EITHER_WAY, ROUNDING, Aim, Node, either_way, make_node
+from construction_twin.kinematics.axis_intervals import Aim, Node, make_node
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.opw_along import OpwAlong
 from construction_twin.kinematics.solution import TURN
 
-#: Number of evenly spaced places along the axis.
-_PLACES = 31
+#: Number of evenly spaced places along the axis; and where it is not level, so that the edges of the reach are not known.
+_PLACES, _OBLIQUE = 31, 151
 #: Where the wrist centre passes axis 1 more closely than the first [m], places are added where joint 1 has turned by these angles
 #: [rad]; not closer than the last [m].
 _PASSING, _TURNS, _CLOSEST = 0.2, np.tan([-1.3, -0.8, 0.0, 0.8, 1.3]), 1e-6
@@ -30,8 +30,6 @@ _FAR = 0.15
 SINGULAR, ASIDE = 4e-7, 1e-6
 #: The branches with the wrist turned over follow those without, so many.
 _WRIST = len(SLOTS) // 2
-#: Of each slot, the one with the other elbow.
-_PARTNERS = np.arange(len(SLOTS)) ^ 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Samples with respect to an aim, and the intervals between each of them and the next.
+    """Samples with respect to an aim.
 
     Attributes
     ----------
@@ -84,21 +82,15 @@ class Measured:
         Squared distance; nan where a branch is missing.
     excess : array, shape (k,)
         By how much the worst joint is out of range [rad].
-    bounds : array, shape (k - 1,)
-        Hardly less than this is the squared distance in an interval, if joints do not turn round in it.
-    fastest : array, shape (k - 1,)
-        By how much the joint moves that moves most [rad].
-    may_enter : array of bool, shape (k - 1,)
-        Whether joints move by as much as they are out of range at both ends.
+    moved : array of bool, shape (k,)
+        Whether the nearest turns are out of range.
     """
 
     away: np.ndarray
     nearest: np.ndarray
     squares: np.ndarray
     excess: np.ndarray
-    bounds: np.ndarray
-    fastest: np.ndarray
-    may_enter: np.ndarray
+    moved: np.ndarray
 
 
 class AxisSampler:
@@ -118,8 +110,7 @@ class AxisSampler:
         self._arm, self._along = arm, OpwAlong(arm.model, travel)
         self._travel = travel
         self._low, self._high = low, high
-        self._one = np.empty((1, 4, 4))
-        self._even = np.linspace(low, high, _PLACES)
+        self._even = np.linspace(low, high, _PLACES if self._along.level else _OBLIQUE)
         robot = arm.chain.robot
         self._lower, self._upper = np.array(robot.lower)[:, None], np.array(robot.upper)[:, None]
         # of joints 2 and 3: middle of the range, and half of it with a margin
@@ -130,7 +121,7 @@ class AxisSampler:
         self._sense = float(signs[3] * signs[5])
         self._straight = signs[4] * arm.model.offsets[4]
 
-    def sample(self, flange: np.ndarray, place: float, wanted: np.ndarray) -> Samples:
+    def sample(self, flange: np.ndarray, place: float, wanted: np.ndarray | None = None) -> Samples:
         """Return the branches at evenly spaced places, at a given one, and at those that `opw_along` names.
 
         Parameters
@@ -139,8 +130,8 @@ class AxisSampler:
             As in `Samples`.
         place : float
             [m]
-        wanted : array of bool, shape (8,)
-            Which branches.
+        wanted : array of bool, shape (8,), optional
+            Which branches. Default: all.
         """
         edges, at_axis = self._along.steep_places(flange)
         edges = [edge for edge in edges if self._low < edge < self._high]
@@ -152,28 +143,31 @@ class AxisSampler:
         places.sort()
         q, wrist, lost = self._solve(flange, places)
         here = wrist[int(places.searchsorted(place))].tolist()
-        singular = places[lost].tolist()
-        if singular:
+        singular = []
+        if lost is not None:
+            singular = places[lost].tolist()
             beside = [each + aside for each in singular for aside in (-ASIDE, ASIDE)]
             places = np.sort(np.clip(np.concatenate([places[~lost], beside]), self._low, self._high))
-            q, _, _ = self._solve(flange, places)
+            q, wrist, _ = self._solve(flange, places)
         # joints 2 and 3 do not depend on how the wrist is turned, and they have less than one turn
         two = q[:, :_WRIST, 1:3] - self._middle
         two -= TURN * np.rint(two * (1.0 / TURN))
-        near = (np.abs(two, out=two) < self._half).all(axis=2).T
+        in_range = np.abs(two, out=two) < self._half
+        near = (in_range[:, :, 0] & in_range[:, :, 1]).T
         counts = near[:, 1:] | near[:, :-1]
         if at_axis is not None:
             # all edges of the reach are among the places: between a place on a branch and one that is not, there is nothing
-            exists = ~np.isnan(q[:, :_WRIST, 0]).T
-            counts &= exists[:, 1:] & exists[:, :-1]
-        joined = np.zeros((2, _WRIST, len(places)), dtype=bool)
-        joined[:, :, 1:] = counts
-        joined = joined.reshape(len(SLOTS), -1) & wanted[:, None]
+            exists = (wrist[:, :_WRIST] >= 0.0).T
+            counts &= exists[:, 1:]
+            counts &= exists[:, :-1]
+        joined = np.zeros(len(SLOTS) * len(places) + 1, dtype=bool)
+        by_branch = joined[:-1].reshape(2, _WRIST, -1)
+        by_branch[:, :, 1:] = counts
         rows = q.transpose(2, 1, 0).copy()
-        rows[:, ~wanted] = math.nan
-        return Samples(
-            flange, places, rows.reshape(6, -1), np.append(joined, False), here, singular, edges, at_axis is not None
-        )
+        if wanted is not None:
+            by_branch.reshape(len(SLOTS), -1)[~wanted] = False
+            rows[:, ~wanted] = math.nan
+        return Samples(flange, places, rows.reshape(6, -1), joined, here, singular, edges, at_axis is not None)
 
     def aim(self, seed: np.ndarray, turns: Sequence[int] | None = None) -> Aim:
         """Return what to search for.
@@ -219,19 +213,7 @@ class AxisSampler:
         middle, half = 0.5 * (ends[1] + ends[0]), 0.5 * (ends[1] - ends[0])
         excess = (np.abs(joints - middle) - half).max(axis=0)
         excess[np.isnan(squares)] = math.inf
-        before, after = nearest[:, :-1], nearest[:, 1:]
-        steps = np.abs(after - before)
-        fastest = steps[1:].max(axis=0)
-        square = nearest * nearest
-        gaps = np.minimum(square[:, :-1], square[:, 1:])
-        gaps *= (before * after >= 0.0) | (steps > 0.5 * TURN)
-        bounds = gaps.sum(axis=0)
-        for column in (samples.joined[1:-1] & (fastest > EITHER_WAY)).nonzero()[0].tolist():
-            bounds[column] = either_way(before[:, column].tolist(), after[:, column].tolist(), self.straight(aim))
-        out = np.abs(nearest[1:] - middle)
-        out -= half
-        may_enter = (np.minimum(out[:, :-1], out[:, 1:]) <= steps[1:] + ROUNDING).all(axis=0) | ~(fastest < EITHER_WAY)
-        return Measured(away, nearest, squares, excess, bounds, fastest, may_enter)
+        return Measured(away, nearest, squares, excess, (nearest != away).any(axis=0))
 
     def straight(self, aim: Aim) -> tuple[float, float]:
         """Return where axes 4 and 6 are in line, as `axis_intervals.make_intervals` takes it."""
@@ -250,22 +232,23 @@ class AxisSampler:
         flanges[:, :3, 3] -= places[:, None] * self._travel
         return flanges
 
-    def _solve(self, flange: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return branches, |sin| of their wrist angles, and at which places one is lost because its wrist is exactly singular."""
+    def _solve(self, flange: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return branches, |sin| of their wrist angles, and at which places one is lost because its wrist is exactly singular.
+
+        The last is None if there is no such place.
+        """
         q, wrist, _ = self._arm.branches(self.flanges(flange, places))
         missing = np.isnan(wrist)
-        # the elbow does not decide about the reach: where only one of both is missing, its wrist is the reason
-        return q, wrist, ((missing > missing[:, _PARTNERS]) | (wrist < SINGULAR)).any(axis=1)
+        # neighbours differ in the elbow, which does not decide about the reach: where one is missing, its wrist is the reason
+        lost = missing[:, ::2] != missing[:, 1::2]
+        lost |= (wrist < SINGULAR)[:, ::2] | (wrist < SINGULAR)[:, 1::2]
+        return q, wrist, lost.any(axis=1) if lost.any() else None
 
     def node(
         self, flange: np.ndarray, place: float, slot: int, expected: Sequence[float], aim: Aim
     ) -> tuple[Node, bool]:
         """Return a branch at a place, with turns nearest to the expected ones, and whether its wrist is exactly singular."""
-        target = self._one
-        target[0] = flange
-        for row, part in enumerate(self._travel.tolist()):
-            target[0, row, 3] -= place * part
-        q, wrist, _ = self._arm.branches(target)
+        q, wrist, _ = self._arm.branches(self.flanges(flange, np.array([place])))
         joints, angle = q[0, slot].tolist(), float(wrist[0, slot])
         away = [place - float(aim.seed[0])]
         for value, near, guess in zip(joints, aim.seed[1:].tolist(), expected[1:]):

@@ -15,7 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.kinematics.axis_intervals import ROUNDING, Aim, Interval, Node, make_intervals
+from construction_twin.kinematics.axis_intervals import (
+    EITHER_WAY,
+    ROUNDING,
+    Aim,
+    Interval,
+    Node,
+    either_way,
+    make_intervals,
+)
 from construction_twin.kinematics.axis_samples import ASIDE, AxisSampler, Measured, Samples
 
 #: A joint that moves by more in an interval may turn round in it, or move faster within [rad]; what slower ones may gain by
@@ -100,7 +108,10 @@ def nearest(
             break
         _, _, own, (_, split, first, last) = heapq.heappop(heap)
         place = float(aim.seed[0]) + first.away[0] + split * (last.away[0] - first.away[0])
-        expected = [a + split * (b - a) for a, b in zip(first.away, last.away)]
+        # beyond the end of a branch: as on the branch
+        start, stop = (last, last) if first.square != first.square else (first, last)
+        stop = start if last.square != last.square else stop
+        expected = [a + split * (b - a) for a, b in zip(start.away, stop.away)]
         middle, singular = sampler.node(samples.flange, place, own, expected, aim)
         middles = [middle]
         if singular:
@@ -121,15 +132,34 @@ def _promising(
     sampler: AxisSampler, samples: Samples, measured: Measured, aim: Aim, best: float, part: slice
 ) -> Iterator[tuple[Node, Node, int]]:
     """Yield the ends of intervals that may hold a solution nearer than the best, and their branch."""
-    intervals = slice(part.start, part.stop - 1)
-    bounds = measured.bounds[intervals]
-    candidates = bounds < (math.sqrt(best) + _GAIN) ** 2
+    limit = (math.sqrt(best) + _GAIN) ** 2
+    away = measured.nearest[:, part]
+    before, after = away[:, :-1], away[:, 1:]
+    # a joint that turns one way comes as near as this
+    square = away * away
+    gaps = np.minimum(square[:, :-1], square[:, 1:])
+    gaps *= before * after >= 0.0
+    bounds = gaps.sum(axis=0)
+    # where it turns by much it may turn the other way: what is left are the others
+    changes = before[1::3] - after[1::3], before[6] - after[6]
+    flips = (np.abs(changes[0], out=changes[0]).max(axis=0) > EITHER_WAY) | (np.abs(changes[1]) > EITHER_WAY)
+    bounds -= flips * (gaps[1] + gaps[4] + gaps[5] + gaps[6])
+    candidates = bounds < limit
     if not samples.edges_known:
         candidates |= np.isnan(bounds)
     candidates &= samples.joined[part.start + 1 : part.stop]
     columns = candidates.nonzero()[0]
     if not len(columns):
         return
+    before, after = before[:, columns], after[:, columns]
+    steps = np.abs(after - before)
+    low, high = np.array([aim.low, aim.high])[:, :, None]
+    out = np.minimum(*(np.maximum(ends[1:] - high, low - ends[1:]) for ends in (before, after)))
+    # a joint out of range at both ends may be within it between them if it moves by as much
+    may_enter = (out <= steps[1:] + ROUNDING).all(axis=0) | flips[columns]
+    fastest = steps[1:].max(axis=0)
+    columns += part.start
+    moved = measured.moved[columns] | measured.moved[columns + 1]
     joined, squares, excess = samples.joined.tolist(), measured.squares.tolist(), measured.excess.tolist()
     nodes: dict[tuple[int, bool], Node] = {}
 
@@ -138,18 +168,18 @@ def _promising(
             nodes[column, nearest] = sampler.sample_node(samples, measured, column, nearest, aim)
         return nodes[column, nearest]
 
-    columns += part.start
-    moved = (measured.nearest[:, columns] != measured.away[:, columns]).any(axis=0)
-    moved |= (measured.nearest[:, columns + 1] != measured.away[:, columns + 1]).any(axis=0)
-    each = zip(
-        columns.tolist(), measured.fastest[columns].tolist(), measured.may_enter[columns].tolist(), moved.tolist()
-    )
-    for column, fastest, may_enter, turned in each:
+    straight = sampler.straight(aim)
+    each = zip(columns.tolist(), fastest.tolist(), may_enter.tolist(), moved.tolist())
+    for number, (column, fast, enters, turned) in enumerate(each):
+        if fast > EITHER_WAY:
+            first, second = before[:, number].tolist(), after[:, number].tolist()
+            if either_way(first, second, straight) >= limit:
+                continue
         last, own = column + 1, column // len(samples.places)
         first_out, last_out = excess[column] > ROUNDING, excess[last] > ROUNDING
-        if first_out and last_out:
-            promises = may_enter
-        elif first_out or last_out or not fastest <= _FAST:
+        if first_out and last_out and fast == fast:  # not nan: the branch does not end here
+            promises = enters
+        elif first_out or last_out or not fast <= _FAST:
             promises = True
         # a branch that runs smoothly within the ranges is lowest beside the lowest of its places, where it falls from there
         elif squares[last] <= squares[column]:
@@ -161,7 +191,7 @@ def _promising(
         if promises:
             yield node(column, False), node(last, False), own
         # turns that are out of range at both ends may be within it between them
-        if turned and may_enter:
+        if turned and enters:
             yield node(column, True), node(last, True), own
 
 

@@ -34,7 +34,10 @@ class OpwAlong:
     def __init__(self, model: OpwModel, travel: np.ndarray):
         self._model = model
         self._travel = tuple(travel.tolist())
+        #: Whether the edges of the reach are known.
+        self.level = abs(self._travel[2]) <= _LEVEL and math.hypot(*self._travel[:2]) > 0.7
         self._forearm, self._bend = math.hypot(model.a2, model.c3), math.atan2(model.a2, model.c3)
+        self._lengths = model.a1, model.b, model.c2, self._forearm
 
     def rates(self, q: Sequence[float]) -> list[float]:
         """Return the rates of joints.
@@ -49,11 +52,10 @@ class OpwAlong:
         rates : list of float, length 6
             [rad/m]; nan at a singularity, and huge beside it.
         """
-        model, forearm = self._model, self._forearm
-        tx, ty, tz = self._travel
+        (tx, ty, tz), (a1, b, c2, forearm) = self._travel, self._lengths
         q1, q2, q3, q4, q5, _ = q
-        s1, s2, s3, s4, s5, s6 = model.signs
-        o1, o2, o3, o4, o5, _ = model.offsets
+        s1, s2, s3, s4, s5, s6 = self._model.signs
+        o1, o2, o3, o4, o5, _ = self._model.offsets
         theta1, theta2, theta3, theta4, theta5 = s1 * q1 - o1, s2 * q2 - o2, s3 * q3 - o3, s4 * q4 - o4, s5 * q5 - o5
         sin1, cos1, sin2, cos2 = math.sin(theta1), math.cos(theta1), math.sin(theta2), math.cos(theta2)
         # axis 4, and the line from the elbow to the wrist centre, against the vertical
@@ -64,10 +66,10 @@ class OpwAlong:
         sin4, cos4, sin5, cos5 = math.sin(theta4), math.cos(theta4), math.sin(theta5), math.cos(theta5)
         try:
             # the wrist centre moves against the travel; outwards and upwards as joints 2 and 3 see it
-            first = (tx * sin1 - ty * cos1) / (model.a1 + model.c2 * sin2 + forearm * sin_arm)
-            out, up = model.b * first - tx * cos1 - ty * sin1, -tz
+            first = (tx * sin1 - ty * cos1) / (a1 + c2 * sin2 + forearm * sin_arm)
+            out, up = b * first - tx * cos1 - ty * sin1, -tz
             elbow = sin_arm * cos2 - cos_arm * sin2
-            second = (out * sin_arm + up * cos_arm) / (model.c2 * elbow)
+            second = (out * sin_arm + up * cos_arm) / (c2 * elbow)
             arm = (out * sin2 + up * cos2) / (-forearm * elbow)
             # the forearm's angular velocity about its own axes; the wrist turns against it
             about_x, about_z = -sin3 * first, cos3 * first
@@ -99,9 +101,9 @@ class OpwAlong:
             Where the wrist centre passes axis 1 most closely, and how closely [m]; None for travel that is not level.
         """
         model = self._model
-        (x, y, z), (dx, dy, dz) = model.wrist_centre(flange), self._travel
+        (x, y, z), (dx, dy, _) = model.wrist_centre(flange), self._travel
         square = dx * dx + dy * dy
-        if abs(dz) > _LEVEL or square < 0.5:
+        if not self.level:
             return [], None
         closest, beside = (x * dx + y * dy) / square, (x * dy - y * dx) ** 2 / square
         edges = []

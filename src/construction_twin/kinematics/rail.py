@@ -106,7 +106,6 @@ class RailInverse(InverseKinematics):
         # ... and the same in the directions of the arm's model
         self._travel = arm.model.base_T_opw[:3, :3].T @ (self._rotation.T @ self._axis)
         self._along = AxisSampler(arm, self._travel, *self._ranges[0])
-        self._all_wanted = np.ones(len(SLOTS), dtype=bool)
         # from a target of the whole chain to one of the arm's model, with the carriage at zero
         base_T_carriage = np.eye(4)
         base_T_carriage[:3, :3], base_T_carriage[:3, 3] = self._rotation, self._origin
@@ -176,9 +175,9 @@ class RailInverse(InverseKinematics):
         check_pose(pose)
         return np.array(seed, dtype=float)
 
-    def _wanted(self, configuration: Configuration | None) -> np.ndarray:
+    def _wanted(self, configuration: Configuration | None) -> np.ndarray | None:
         if configuration is None:
-            return self._all_wanted
+            return None
         return np.array([have.matches(configuration) for have in SLOTS])
 
     def _flange(self, pose: Pose) -> np.ndarray:

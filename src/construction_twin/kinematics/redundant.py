@@ -2,25 +2,27 @@
 
 A pose leaves such an arm one degree of freedom: it can move along a line in joint space, its self-motion, without moving the tip.
 The held joint's range is divided evenly. With the joint held at each value in turn the closed form gives every branch, which
-together are samples of all self-motions. From the nearest samples within the ranges the arm slides along the self-motion towards
-the seed, until no motion brings it nearer or a joint's range ends. Where no sample is within the ranges, the division becomes
-finer, and at last `numeric` searches. SI; the held joint may be a linear axis that carries the arm.
+together are samples of all self-motions. `self_motion` finds the point between them that is nearest to the seed within the ranges.
+Where it finds none, the division becomes finer; then the arm slides into the ranges from samples almost within them, and at last
+`numeric` searches. SI; the held joint may be a linear axis that carries the arm.
 """
 
 from __future__ import annotations
 
+import bisect
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
-from eaik.pybindings.EAIK import Robot as Solver
 
 from construction_twin.core.motion_errors import BranchError
 from construction_twin.kinematics.axes import joint_axes
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.decomposition import ClosedForm, NoClosedForm, find_closed_form
 from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.self_motion import SelfMotion
 from construction_twin.kinematics.solution import (
     TURN,
     ArmKind,
@@ -28,7 +30,6 @@ from construction_twin.kinematics.solution import (
     IkSolution,
     InverseKinematics,
     check_pose,
-    pose_error,
     refine,
     residual,
 )
@@ -37,20 +38,39 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Joints to hold, those first whose model does not depend on the held value: the last joint, the first, then the others.
 _ORDER = (6, 0, 2, 4, 1, 5, 3)
-#: Values at which the joint is held, and how many times finer the division becomes where none of them leads to a solution.
-_VALUES, _FINER = 40, (4, 16)
-#: Samples from which the arm slides towards the seed: for the nearest solution, and for all.
-_SLID, _SLID_ALL = 1, 6
-#: Samples that are nearer to each other than this are one [rad].
-_APART = 0.35
-#: Most samples that `all` returns.
-_MOST = 64
-#: A sample out of range by less may slide into it [rad].
-_NEARLY = 0.4
+#: Values at which the joint is held, ends of the range included; and where none of them leads to a solution.
+_VALUES, _FINER = 56, 321
+#: Where the seed misses the pose by less, first only values within a window around the seed's are tried [m], [rad].
+_BESIDE, _WINDOW = 0.5, 1.0
+#: Samples that `all` returns are farther apart than this [rad]; and how many of them, at most.
+_APART, _MOST = 0.35, 64
+#: A sample out of range by less may slide into it [rad]; and how many samples are tried.
+_NEARLY, _SLID = 0.4, 6
 #: A solution that misses the pose by more is improved by Newton steps [m], [rad].
 _EXACT = 1e-8
-#: Most steps of a slide, the longest of them, and the one at which it ends [rad].
-_STEPS, _LONGEST, _SETTLED = 8, 0.3, 2e-3
+
+
+class _Found(Protocol):
+    """What EAIK's solver returns."""
+
+    @property
+    def Q(self) -> np.ndarray:
+        """Postures, shape (m, 7)."""
+
+    @property
+    def is_LS(self) -> np.ndarray:
+        """Which of them only come nearest to the pose, shape (m,)."""
+
+
+_Solve = Callable[[np.ndarray], _Found]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _OnCarriage:
+    """The same as `_Found` for an arm with the linear axis that carries it."""
+
+    Q: np.ndarray
+    is_LS: np.ndarray
 
 
 class _Held:
@@ -59,16 +79,16 @@ class _Held:
     def __init__(self, form: ClosedForm):
         self._form = form
 
-    def solver(self, value: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Return what gives the joint values, shape (m, 7), that reach a target with the joint held, and which are no solutions."""
-        return _of_solver(self._form.solver(value))
+    def solver(self, value: float) -> _Solve:
+        """Return what solves a target, shape (4, 4), with the joint held at a value."""
+        return self._form.solver(value).calculate_IK
 
 
 class _Carried:
     """Six joints solved with the linear axis that carries them held at a place."""
 
     def __init__(self, form: ClosedForm, whole: Chain, arm: Chain):
-        self._solver = form.solver()
+        self._solve = form.solver().calculate_IK
         home = np.array(whole.robot.home)
         home[0] = 0.0
         base, part = whole.forward(home), arm.forward(home[1:])
@@ -78,26 +98,20 @@ class _Carried:
         self._carriage_T_base[:3, :3] = rotation.T
         self._carriage_T_base[:3, 3] = -rotation.T @ (base.position - rotation @ part.position)
 
-    def solver(self, value: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    def solver(self, value: float) -> _Solve:
         """Return the same as `_Held.solver`."""
-        solve = _of_solver(self._solver)
         travel = value * self._axis
 
-        def rows(target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def solve(target: np.ndarray) -> _OnCarriage:
             moved = target.copy()
             moved[:3, 3] -= travel
-            q, missed = solve(self._carriage_T_base @ moved)
-            return np.column_stack([np.full(len(q), value), q]) if len(q) else np.empty((0, 7)), missed
+            found = self._solve(self._carriage_T_base @ moved)
+            q = found.Q
+            return _OnCarriage(
+                np.column_stack([np.full(len(q), value), q]) if len(q) else np.empty((0, 7)), found.is_LS
+            )
 
-        return rows
-
-
-def _of_solver(solver: Solver) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    def rows(target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = solver.calculate_IK(target)
-        return found.Q, found.is_LS
-
-    return rows
+        return solve
 
 
 def find_redundant(chain: Chain) -> tuple[ClosedForm, int] | NoClosedForm:
@@ -160,9 +174,9 @@ class RedundantInverse(InverseKinematics):
         robot = chain.robot
         self._lower, self._upper = np.array(robot.lower), np.array(robot.upper)
         self._turns = np.where(robot.linear, 0.0, TURN)
-        self._per_turn = np.where(robot.linear, np.inf, TURN)
+        self._motion = SelfMotion(chain, held)
         self._arm = _Carried(form, chain, arm_on_carriage(chain)) if robot.linear[held] else _Held(form)
-        self._solvers = [self._arm.solver(value) for value in self._values(_VALUES)]
+        self._solvers = {count: self._divided(count) for count in (_VALUES, _FINER)}
 
     @property
     def kind(self) -> ArmKind:
@@ -170,13 +184,24 @@ class RedundantInverse(InverseKinematics):
         return ArmKind("one redundant joint", self.form.why)
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
-        """See `InverseKinematics.nearest`: the nearest to which the arm slides from the nearest samples; not proven."""
+        """See `InverseKinematics.nearest`: the nearest along all self-motions that samples were found of; not proven."""
         start = self._checked(pose, seed, configuration)
-        for solvers in self._divisions(float(start[self.held])):
-            samples, excess = self._samples(solvers, pose, start)
-            found = list(self._slid(samples, excess, pose, start, _SLID))
+        target = _matrix(pose)
+        beside = max(residual(self.chain, start, pose)) < _BESIDE
+        if beside:
+            window = self._samples(_VALUES, target, float(start[self.held]))
+            found = self._along(*window, target, pose, start, beside)
+            # what is nearer than this has the held joint within the window
+            if found and found[0].distance < _WINDOW:
+                return found[0]
+        for count in (_VALUES, _FINER):
+            found = self._along(*self._samples(count, target), target, pose, start, beside)
             if found:
-                return min(found, key=lambda solution: solution.distance)
+                return found[0]
+        for q in self._almost(target, start)[:_SLID]:
+            found = self._confirmed(self._search.towards(q, start, pose), pose, start)
+            if found:
+                return found[0]
         return self._search.nearest(pose, start)
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
@@ -184,21 +209,27 @@ class RedundantInverse(InverseKinematics):
 
         Whoever has to avoid contacts takes the first that is free: the choice of the free joint is his.
         """
-        start = self._checked(pose, seed, configuration)
-        found: list[IkSolution] = []
-        for solvers in self._divisions(float(start[self.held])):
-            samples, excess = self._samples(solvers, pose, start)
-            found += self._slid(samples, excess, pose, start, _SLID_ALL)
-            inside = samples[excess <= 0.0]
-            for q in inside:
-                if len(found) < _MOST and all(math.dist(q, other.q) > _APART for other in found):
-                    found += self._confirmed(q, pose, start)
-            if found:
-                break
-        if not found:
-            found = self._search.all(pose, start)
+        found = [self.nearest(pose, seed, configuration)]
+        start = np.array(seed, dtype=float)
+        samples = self._motion.into_range(self._samples(_VALUES, _matrix(pose))[0], start)
+        inside = samples[self._motion.excess(samples) <= 0.0]
+        for q in inside[((inside - start) ** 2).sum(axis=1).argsort()]:
+            if len(found) < _MOST and all(math.dist(q, other.q) > _APART for other in found):
+                found += self._confirmed(q, pose, start)
         turned = [other for solution in found for other in self._turned(solution, pose, start)]
         return sorted(turned, key=lambda solution: solution.distance)
+
+    def held_at(self, value: float, pose: Pose) -> np.ndarray:
+        """Return all postures of the model on a pose with the held joint at a value, shape (m, 7); ranges are ignored.
+
+        Parameters
+        ----------
+        value : float
+            [rad] or [m]
+        pose : Pose
+        """
+        found = self._arm.solver(value)(_matrix(pose))
+        return found.Q[~found.is_LS].reshape(-1, len(self._lower))
 
     def configuration(self, q: JointValues) -> None:
         """Return None: these arms have no named configurations."""
@@ -213,88 +244,69 @@ class RedundantInverse(InverseKinematics):
             )
         return np.array(seed, dtype=float)
 
-    def _values(self, count: int) -> np.ndarray:
-        low, high = self._lower[self.held], self._upper[self.held]
-        return low + (high - low) * (np.arange(count) + 0.5) / count
+    def _divided(self, count: int) -> tuple[list[float], list[_Solve]]:
+        """Return the values of a division of the held joint's range, and their solvers."""
+        values = np.linspace(self._lower[self.held], self._upper[self.held], count).tolist()
+        return values, [self._arm.solver(value) for value in values]
 
-    def _divisions(self, here: float) -> Iterator[list[Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]]]:
-        """Yield the solvers for ever finer divisions of the held joint's range; the first also has the seed's value."""
-        yield [self._arm.solver(here), *self._solvers]
-        for finer in _FINER:
-            yield [self._arm.solver(value) for value in self._values(_VALUES * finer)]
+    def _samples(self, count: int, target: np.ndarray, around: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the samples of a division, in the order of the held joint, and how many each value has.
 
-    def _samples(
-        self, solvers: Sequence[Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]], pose: Pose, seed: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint values on the pose, shape (m, 7), nearest to the seed first, and by how much they are out of range."""
-        target = np.eye(4)
-        target[:3, :3], target[:3, 3] = pose.rotation, pose.position
+        Parameters
+        ----------
+        count : int
+            Which division.
+        target : array, shape (4, 4)
+        around : float, optional
+            Only the values near this one.
+        """
+        values, solvers = self._solvers[count]
+        if around is not None:
+            solvers = solvers[bisect.bisect(values, around - _WINDOW) : bisect.bisect(values, around + _WINDOW)]
         found = [solve(target) for solve in solvers]
-        rows = [q for q, _ in found if len(q)]
-        if not rows:
-            return np.empty((0, len(seed))), np.empty(0)
-        q, missed = np.concatenate(rows), np.concatenate([each for q, each in found if len(q)])
-        # where all only miss the pose, the arm may be stretched to the edge of its reach, which rounding decides
-        if self.form.exact and not missed.all():
-            q = q[~missed]
-        q = q - self._turns * np.rint((q - seed) / self._per_turn)
-        q = np.where((q > self._upper) & (q - self._turns >= self._lower), q - self._turns, q)
-        q = np.where((q < self._lower) & (q + self._turns <= self._upper), q + self._turns, q)
-        excess = np.maximum(self._lower - q, q - self._upper).max(axis=1)
-        order = ((q - seed) ** 2).sum(axis=1).argsort()
-        order = order[excess[order] < _NEARLY]
-        return q[order], excess[order]
+        q = [each.Q for each in found]
+        counts = np.array([len(rows) for rows in q])
+        if not counts.any():
+            return np.empty((0, len(self._lower))), counts
+        samples = np.concatenate([rows for rows in q if len(rows)])
+        if self.form.exact:
+            solved = ~np.concatenate([each.is_LS for each in found])
+            # where all only miss the pose, the arm may be stretched to the edge of its reach, which rounding decides
+            if not solved.all() and solved.any():
+                return samples[solved], np.bincount(np.repeat(np.arange(len(q)), counts)[solved], minlength=len(q))
+        return samples, counts
 
-    def _slid(
-        self, samples: np.ndarray, excess: np.ndarray, pose: Pose, seed: np.ndarray, most: int
-    ) -> Iterator[IkSolution]:
-        """Yield solutions to which the arm slides from the nearest samples: first from those in range, else from those near it."""
-        tried: list[np.ndarray] = []
-        for allowed in (0.0, _NEARLY):
-            count = 0
-            for q in samples[(excess <= allowed) & (excess > allowed - _NEARLY - 10.0 * (allowed == 0.0))]:
-                if any(math.dist(q, other) < _APART for other in tried):
-                    continue
-                tried.append(q)
-                solutions = self._towards(q, seed, pose)
-                yield from solutions
-                count += len(solutions)
-                if count >= most:
-                    break
-            if count:
-                return
+    def _along(
+        self,
+        samples: np.ndarray,
+        counts: np.ndarray,
+        target: np.ndarray,
+        pose: Pose,
+        seed: np.ndarray,
+        beside: bool,
+    ) -> list[IkSolution]:
+        """Return the nearest solution along the self-motions, as a list."""
 
-    def _towards(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> list[IkSolution]:
-        """Return the solution to which the arm slides from a sample; if that fails, the sample; as a list."""
-        if (q < self._lower).any() or (q > self._upper).any():
-            return self._confirmed(self._search.towards(q, seed, pose), pose, seed)
-        slid = self._confirmed(self._slide(q, seed, pose), pose, seed)
-        here = math.dist(q, seed)
-        return slid if slid and slid[0].distance <= here else self._confirmed(q, pose, seed) or slid
+        def point(q: np.ndarray) -> np.ndarray | None:
+            found = self._arm.solver(float(q[self.held]))(target)
+            if not len(found.Q) or found.is_LS.all():
+                return None
+            ways = self._motion.wrapped(found.Q - q)
+            return found.Q[np.einsum("mn,mn->m", ways, ways).argmin()]
 
-    def _slide(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
-        """Return where along the self-motion the distance from the seed is least: Newton's method, derivatives by differences."""
-        curvature, before = 1.0, None
-        step = 0.0
-        along = np.zeros(len(q))
-        for _ in range(_STEPS):
-            error = pose_error(self.chain.forward(q), pose)
-            left, sizes, right = np.linalg.svd(self.chain.jacobian(q))
-            direction = right[6] if right[6] @ along >= 0.0 else -right[6]
-            slope = float((q - seed) @ direction)
-            if before is not None and abs(step) > 1e-6:
-                curvature = max((slope - before) / step, 0.2)
-            before, along = slope, direction
-            step = min(max(-slope / curvature, -_LONGEST), _LONGEST)
-            # the interval of steps that leave every joint in its range; joints that hardly move do not count
-            moving = np.abs(direction) > 1e-9
-            ends = np.array([(self._lower - q)[moving], (self._upper - q)[moving]]) / direction[moving]
-            low, high = float(ends.min(axis=0).max()), float(ends.max(axis=0).min())
-            step = min(max(step, low), high) if low <= high else 0.5 * (low + high)
-            q = q + step * direction + right[:6].T @ ((left.T @ error) / np.maximum(sizes, 1e-6))
-            if abs(step) < _SETTLED:
-                break
-        return q
+        best = self._motion.nearest(samples, counts, pose, seed, point, beside)
+        return [] if best is None else self._confirmed(best, pose, seed)
+
+    def _almost(self, target: np.ndarray, seed: np.ndarray) -> np.ndarray:
+        """Return samples that are almost in range, nearest to the ranges first."""
+        q = self._motion.into_range(self._samples(_FINER, target)[0], seed)
+        excess = self._motion.excess(q)
+        order = excess.argsort()
+        kept: list[np.ndarray] = []
+        for each in q[order[excess[order] < _NEARLY]]:
+            if len(kept) < _SLID and all(math.dist(each, other) > _APART for other in kept):
+                kept.append(each)
+        return np.array(kept).reshape(-1, len(seed))
 
     def _confirmed(self, q: np.ndarray, pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return joint values as a solution if forward kinematics confirms them, after Newton steps where needed; as a list."""
@@ -324,3 +336,9 @@ class RedundantInverse(InverseKinematics):
 
     def _is_solved(self, error: tuple[float, float]) -> bool:
         return error[0] <= self.settings.tolerance_m and error[1] <= self.settings.tolerance_rad
+
+
+def _matrix(pose: Pose) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
+    return matrix

@@ -166,8 +166,8 @@ class InverseKinematics(abc.ABC):
         """Return the solution nearest to a seed.
 
         In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
-        places of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
-        proven, and `all` may find a nearer one.
+        places of its division. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
+        exists, but this is not proven, and `all` of a search may find a nearer one.
 
         Parameters
         ----------
@@ -206,7 +206,8 @@ class InverseKinematics(abc.ABC):
         """Return every solution within the ranges, whole turns of each joint included.
 
         Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
-        each continuous family for every choice of whole turns: the one nearest to the seed.
+        each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
+        it also holds some that are spaced along the families, for whoever cannot use the nearest.
 
         Parameters
         ----------

@@ -85,7 +85,7 @@ def _joint_limits(robot: RobotModel) -> str:
     }
     comment = (
         "Ranges and velocities are the URDF's, accelerations the robot YAML's, in rad, m and s. MoveIt 1 knows no jerk limit: the\n"
-        "planner of the twin times MoveIt's plans anew where they need one, never faster (docs/tutorials/moveit.md)."
+        "planner of the twin times MoveIt's plans anew where that is too large, never faster (docs/tutorials/moveit.md)."
     )
     return _text(f" for {robot.name}", comment, content)
 

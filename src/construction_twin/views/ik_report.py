@@ -25,7 +25,7 @@ _MEANS = {
     "OPW": "every branch is computed, configurations have names (front, up, positive ...), errors name the cause",
     "closed form": "every branch is computed, errors name the cause; configurations have no names",
     "OPW on a linear axis": "every branch is computed at many places of the axis, configurations have names",
-    "one redundant joint": "the free joint is chosen within the ranges and, in a plan, clear of contacts; the others are computed",
+    "one redundant joint": "the free joint is chosen near the present pose and, in a plan, clear of contacts; the rest is computed",
     "search": "solutions are searched for `ik_budget`; what is not found may still be reachable",
 }
 

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from inverse_cases import KR120, TRACK, assert_solves, joints, make_inverse
+from inverse_cases import KR120, TRACK, assert_solves, changed, joints, make_inverse
 
 from construction_twin.core.motion_errors import CollisionError
 from construction_twin.kinematics.axis_intervals import make_intervals, make_node
@@ -202,3 +202,19 @@ def test_a_goal_that_touches_everywhere_is_refused():
     world = CollisionWorld(TRACK, Scene((at_tool,), 0.005), sample_self_collision(TRACK, samples=500))
     with pytest.raises(CollisionError, match="post"):
         planner_of_track().plan_to_pose(home, pose, PlanRequest(plan_id="p1", created_ns=7), world)
+
+
+@pytest.mark.parametrize("axis", ["0 0 1", "0.6 0 0.8", "0.6 0.8 0"])
+def test_the_axis_may_point_anywhere(axis):
+    inverse = make_inverse(changed("track", axis=axis, robot=TRACK))
+    search = dense_search(inverse.chain)
+    travel = inverse.chain.jacobian(TRACK.home)[:3, 0]
+    along = OpwAlong(ARM.model, travel)
+    for task in problems(inverse.chain, 12, 3):
+        solution = inverse.nearest(task.pose, task.seed)
+        assert_solves(inverse.chain, solution, task.pose, task.seed)
+        assert solution.distance <= search(task) + NEARER
+        # along the self-motion the tip stands still
+        rates = [1.0, *along.rates(solution.q[1:].tolist())]
+        if np.abs(rates).max() < 100.0:
+            assert np.abs(inverse.chain.jacobian(solution.q) @ rates).max() < 1e-9

@@ -192,10 +192,18 @@ def test_a_matrix_that_does_not_fit_what_was_told_is_refused(text, columns, mess
 # -- both ways
 
 
-@pytest.mark.parametrize("robot", [ROBOT, TRACK], ids=["kr120", "track"])
+OTHERS = [
+    read_robot_files(ROOT / f"test/data/{name}.urdf", ROOT / f"test/data/{name}.yaml")
+    for name in ("ur_like", "panda_like")
+]
+
+
+@pytest.mark.parametrize("robot", [ROBOT, TRACK, *OTHERS], ids=["kr120", "track", "ur_like", "panda_like"])
 def test_an_exported_plan_comes_back_with_its_hash(robot):
     home = np.array(robot.home)
-    own = time_path(np.array([home, home + 0.25, home - 0.1, home + 0.05]), robot)
+    # within the ranges, whatever arm it is
+    nearby = np.clip([home, home + 0.25, home - 0.1, home + 0.05], robot.lower, robot.upper)
+    own = time_path(nearby, robot)
     text = format_waypoints(own, robot.linear, ["plan p", "by\nsomebody"])
     assert text.startswith("# plan p\n# by somebody\ntime_s,")
     assert plan_waypoints(parse_waypoints(text, robot), home, robot).content_hash() == own.content_hash()

@@ -19,6 +19,7 @@ import pytest
 import rospy
 from bridge_bench import Refusals
 from construction_twin.msg import Execution, Link, Sync
+from construction_twin.srv import PlanTrajectoryRequest
 from processes import ROOT, wait_until
 from site_broker import SiteBroker
 
@@ -65,11 +66,14 @@ class Planner:
     def __init__(self):
         self.made, self.sources = [], []
 
-    def __call__(self, message, speed_scale, acceleration_scale, source):
-        self.sources.append(source)
+    def __call__(self, **fields):
+        asked = PlanTrajectoryRequest(**fields)
+        self.sources.append(asked.source)
         try:
-            waypoints = trajectory_waypoints(message, ROBOT)
-            trajectory = plan_waypoints(waypoints, ROBOT.home, ROBOT, speed_scale or 0.3, acceleration_scale or None)
+            waypoints = trajectory_waypoints(asked.trajectory, ROBOT)
+            trajectory = plan_waypoints(
+                waypoints, ROBOT.home, ROBOT, asked.speed_scale or 0.3, asked.acceleration_scale or None
+            )
         except ConstructionTwinError as error:
             return SimpleNamespace(success=False, message=str(error), plan_id="", plan_hash="", duration=0.0)
         self.made.append(trajectory)
@@ -219,6 +223,24 @@ def test_the_same_trajectory_is_read_without_an_envelope(session):
     request = parse_trajectory(document, Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear)))
     assert len(request.points) == 3 and request.points[0].positions == pytest.approx(tuple(ROBOT.home), abs=1e-9)
     assert all(math.isfinite(value) for point in request.points for value in point.positions)
+
+
+def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_path):
+    """compas_eve subscribes once, and a broker that was started again has forgotten it."""
+    urdf = tmp_path / "kr120.urdf"
+    urdf.write_text(expand_xacro(str(XACRO), {}))
+    account = cell.site.folder / "accounts/kr120-planner-ada/account.json"
+    command = [python, SESSION, str(cell.site.site.port), str(account), str(urdf)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as session:
+        try:
+            assert json.loads(session.stdout.readline())["fresh"] is True
+            cell.site.stop()
+            lost = json.loads(session.stdout.readline())
+            assert lost["fresh"] is False and "the last view came" in lost["text"]
+            cell.site.start()
+            assert json.loads(session.stdout.readline())["fresh"] is True
+        finally:
+            session.kill()
 
 
 def test_a_stranger_is_not_let_in_and_is_told(cell, python, tmp_path):

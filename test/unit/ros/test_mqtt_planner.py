@@ -11,6 +11,7 @@ import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Execution, Link, Sync
+from construction_twin.srv import PlanTrajectoryRequest
 
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
@@ -67,8 +68,9 @@ class Bench:
         self.made = Refusals(report)
         return self.made
 
-    def __call__(self, *request):
-        self.asked.append(request)
+    def __call__(self, **fields):
+        # as rospy makes it: fields that the service does not have are an error
+        self.asked.append(PlanTrajectoryRequest(**fields))
         if self.error is not None:
             raise self.error
         plan = ("p1", "cafe", 2.75) if self.success else ("", "", 0.0)
@@ -103,12 +105,13 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
     bench.send("kr120-planner-ada")
     assert bench.answers == [] and bench.asked == [], "it is checked in another thread"
     bench.check()
-    message, speed, acceleration, source = bench.asked[0]
+    asked = bench.asked[0]
+    message = asked.trajectory
     assert message.joint_names == ["joint_a1", "track"]
     assert list(message.points[1].positions) == pytest.approx([math.pi / 2, 0.5])
     assert message.points[1].time_from_start.to_sec() == 2.75 and message.header.stamp.to_sec() == 0.0
-    assert (speed, acceleration) == (0.5, 0.0)
-    assert source == "MQTT, on the topic of kr120-planner-ada, which says it is 'Ada'"
+    assert (asked.speed_scale, asked.acceleration_scale, asked.retime) == (0.5, 0.0, False)
+    assert asked.source == "MQTT, on the topic of kr120-planner-ada, which says it is 'Ada'"
     assert bench.answers == [
         {"id": "7", "sender": "kr120-planner-ada", "ok": True, "reason": "waiting for review", "plan_id": "p1",
          "plan_hash": "cafe", "duration": 2.75, "notes": []}

@@ -104,10 +104,22 @@ def test_a_plan_that_is_refused_is_told_to_the_other_pc_with_its_reason(twin, ot
     assert len(twin.plans) == before
 
 
+def test_a_line_that_delays_and_loses_brings_the_plan_whole_or_not_at_all(twin, spaces, other, tmp_path):
+    before, syncs, links = len(twin.plans), len(twin.syncs), len(twin.links)
+    with bad_line(spaces, other), other.reaching("topic", NEAR, 4.0, tmp_path) as program:
+        plan = next_plan(twin, before, program)
+        assert len(np.loadtxt(tmp_path / "motion.csv", delimiter=",")) == len(plan.trajectory.points) == 80
+        twin.approve()
+        wait_until(lambda: twin.ended(plan.id), 30.0, "the end of the motion")
+        assert twin.ended(plan.id) == "finished"
+        assert program.wait(60.0) == 0, program.output
+    assert undisturbed(twin, syncs, links), twin.log()[-4000:]
+
+
 def test_a_line_that_is_cut_in_the_middle_of_a_motion_changes_nothing_on_the_arm_s_side(twin, other, tmp_path):
     before, syncs, links = len(twin.plans), len(twin.syncs), len(twin.links)
     try:
-        with other.reaching("action", NEAR, 6.0, tmp_path) as program:
+        with other.reaching("action", HOME, 6.0, tmp_path) as program:
             plan = next_plan(twin, before, program)
             twin.approve()
             wait_until(lambda: twin.executions[-1].state == Execution.PLAYING, 10.0, "the motion")
@@ -122,18 +134,6 @@ def test_a_line_that_is_cut_in_the_middle_of_a_motion_changes_nothing_on_the_arm
         assert undisturbed(twin, syncs, links), twin.log()[-4000:]
     finally:
         other.mend()
-
-
-def test_a_line_that_delays_and_loses_brings_the_plan_whole_or_not_at_all(twin, spaces, other, tmp_path):
-    before, syncs, links = len(twin.plans), len(twin.syncs), len(twin.links)
-    with bad_line(spaces, other), other.reaching("action", HOME, 4.0, tmp_path) as program:
-        plan = next_plan(twin, before, program)
-        assert len(np.loadtxt(tmp_path / "motion.csv", delimiter=",")) == len(plan.trajectory.points) == 80
-        twin.approve()
-        wait_until(lambda: twin.ended(plan.id), 30.0, "the end of the motion")
-        assert twin.ended(plan.id) == "finished"
-        assert program.wait(60.0) == 0, program.output
-    assert undisturbed(twin, syncs, links), twin.log()[-4000:]
 
 
 class bad_line:  # noqa: N801 (used as a function)

@@ -55,6 +55,16 @@ def test_files_that_fit_pass(given):
     assert preflight.contents_problem(given) == ""
 
 
+def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
+    given = KR120 | {"follow_joint_trajectory": "true"}
+    assert preflight.contents_problem(given) == ""
+    monkeypatch.setitem(sys.modules, "control_msgs.msg", None)
+    said = preflight.contents_problem(given)
+    assert said.startswith("follow_joint_trajectory:=true: the Python package control_msgs: found 'missing")
+    assert "ros-noetic-control-msgs" in said and said.endswith("or follow_joint_trajectory:=false")
+    assert preflight.contents_problem(given | {"follow_joint_trajectory": "false"}) == ""
+
+
 @pytest.mark.parametrize("name", ["self_collision", "ethernet_xml", "robot_config"])
 def test_a_file_of_another_arm_is_refused_by_the_argument_that_names_it(name):
     said = preflight.contents_problem(KR120 | {name: TRACK[name]})
@@ -432,6 +442,7 @@ def test_the_shipped_files_are_fine(config_folder, kr120):
         ("gateway", {"silence": -1.0}, "silence"),
         ("gateway", {"silense": 0.1}, "silense"),
         ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a number above 0"),
+        ("mqtt_planner", {"view_rate": 0}, "view_rate: found 0, expected a number at least 1 and at most 50"),
         ("mqtt_review", {"path_points": 1}, "path_points: found 1, expected a whole number at least 2 and at most 1000"),
         ("mock_rsi", {"start_pose_deg": [0.0]}, "start_pose_deg: found [0.0], expected 6 numbers"),
         (

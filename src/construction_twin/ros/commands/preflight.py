@@ -27,6 +27,7 @@ from construction_twin.robot.description import ESTIMATES, RobotModel, load_robo
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.node_files import node_files_problem, read_mapping
+from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
 from construction_twin.ros.shared.params import ros_home
@@ -156,6 +157,12 @@ def _check_trace(given: Given, _robot: RobotModel) -> None:
     check_writable(path.parent)
 
 
+def _check_action(given: Given, _robot: RobotModel) -> None:
+    """Find the messages of the action before a node is started again and again without them."""
+    if is_true(given, "follow_joint_trajectory"):
+        control_messages()
+
+
 #: What is checked of a file's contents, by the argument that names it, in this order; each raises a ConstructionTwinError.
 CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("robot_config", _check_estimates),
@@ -171,6 +178,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("review_file", _check_folder_of("review_file")),
     ("transition_file", _check_folder_of("transition_file")),
     ("gateway_trace", _check_trace),
+    ("follow_joint_trajectory", _check_action),
 )
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 
 import pydantic
 import rospy
-from actionlib import ActionServer, ServerGoalHandle
+from actionlib import ServerGoalHandle
 from rospy.exceptions import TransportException
 from std_srvs.srv import Trigger
 
@@ -50,6 +50,7 @@ from construction_twin.ros.messages.joint_goals import (
 from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan
@@ -90,23 +91,9 @@ class Settings(pydantic.BaseModel):
 class Client:
     """A goal as its client knows it: its handle, and the joints in its own order as indices of the robot's."""
 
-    server: ActionServer
+    server: GoalServer
     handle: ServerGoalHandle
     order: tuple[int, ...]
-
-
-class _Server(ActionServer):
-    """actionlib's server, but for what it does with clocks of other PCs.
-
-    After a cancel it drops every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would lock
-    everybody else out for an hour, without a word. Here a cancel is about the goals that are there, and about nothing that comes.
-    """
-
-    def internal_cancel_callback(self, goal_id) -> None:
-        """Cancel what is there, and forget when."""
-        super().internal_cancel_callback(goal_id)
-        with self.lock:
-            self.last_cancel = rospy.Time()
 
 
 class FollowJointTrajectoryNode:
@@ -144,13 +131,13 @@ class FollowJointTrajectoryNode:
         Subscriber("execution", Execution, self._on_execution, refuse, queue_size=50, tcp_nodelay=True)
         self._servers = [self._serve(name) for name in settings.action_names]
 
-    def _serve(self, name: str) -> ActionServer:
-        server: _Server = _Server(
+    def _serve(self, name: str) -> GoalServer:
+        server: GoalServer = GoalServer(
             name,
             self._messages.FollowJointTrajectoryAction,
             lambda handle: self._inbox.put(functools.partial(self._take_goal, server, handle)),
             lambda handle: self._inbox.put(functools.partial(self._take_cancel, server, handle)),
-            auto_start=False,
+            self._diagnostics.refuse,
         )
         server.start()
         return server
@@ -220,7 +207,7 @@ class FollowJointTrajectoryNode:
 
     # -- what was in the inbox
 
-    def _take_goal(self, server: ActionServer, handle: ServerGoalHandle) -> None:
+    def _take_goal(self, server: GoalServer, handle: ServerGoalHandle) -> None:
         goal, client, goal_id = handle.get_goal(), caller_of(handle.goal), _key(server, handle)
         self._taken += 1
         names = goal.trajectory.joint_names
@@ -242,7 +229,7 @@ class FollowJointTrajectoryNode:
         else:
             self._goals.on_stand_still(taken, now)
 
-    def _take_cancel(self, server: ActionServer, handle: ServerGoalHandle) -> None:
+    def _take_cancel(self, server: GoalServer, handle: ServerGoalHandle) -> None:
         self._goals.on_cancel(_key(server, handle), time.monotonic_ns())
 
     def _take_review(self, message: Review) -> None:
@@ -362,7 +349,7 @@ class FollowJointTrajectoryNode:
         return Report(OK, self._described, values)
 
 
-def _key(server: ActionServer, handle: ServerGoalHandle) -> str:
+def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
     return f"{server.ns} {handle.get_goal_id().id}"
 
 

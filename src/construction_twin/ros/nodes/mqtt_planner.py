@@ -268,10 +268,10 @@ class MqttPlanner:
         try:
             rospy.wait_for_service(self._plan_trajectory.resolved_name, SERVICE_TIMEOUT)
             answer = self._plan_trajectory(
-                trajectory_message(asked, self._joints),
-                asked.speed_scale,
-                asked.acceleration_scale,
-                source_of(asked, sender, proven=self._broker.account is not None),
+                trajectory=trajectory_message(asked, self._joints),
+                speed_scale=asked.speed_scale,
+                acceleration_scale=asked.acceleration_scale,
+                source=source_of(asked, sender, proven=self._broker.account is not None),
             )
         except (rospy.ServiceException, rospy.ROSException) as error:
             sentence = f"{self._plan_trajectory.resolved_name} does not answer: {error}; does the planner run?"

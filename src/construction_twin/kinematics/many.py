@@ -1,0 +1,142 @@
+"""Forward kinematics and Jacobians of many postures at once, as arrays: for ten of them quicker than KDL one by one.
+
+Product of exponentials: every joint turns (or moves) all that follows it about its axis in the zero posture. Poses are
+``base_T_tip`` [m]; joint values [rad], or [m] for a prismatic joint. One posture is `chain`'s.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from construction_twin.kinematics.axes import joint_axes
+from construction_twin.kinematics.chain import Chain, Pose
+
+#: Newton steps of a projection, at most, and the size of the step that is the last one [rad].
+_STEPS, _LAST = 5, 1e-3
+#: Keeps steps short where the tip cannot move in a direction.
+_DAMPING = 1e-12
+_DIAGONAL, _ONE = np.arange(6), np.eye(4)
+
+
+class ManyPostures:
+    """The kinematics of many postures of one chain.
+
+    Parameters
+    ----------
+    chain : Chain
+    """
+
+    def __init__(self, chain: Chain):
+        axes = joint_axes(chain)
+        self._linear = np.array(chain.robot.linear)
+        self._prismatic = any(chain.robot.linear)
+        self._directions = np.array([axis.direction for axis in axes])
+        self._points = np.array([axis.point for axis in axes])
+        home = chain.forward([0.0] * len(axes))
+        self._home = np.eye(4)
+        self._home[:3, :3], self._home[:3, 3] = home.rotation, home.position
+        # the exponential of a joint is constant + sine s + (cosine - 1) c + value v
+        count = len(axes)
+        self._sine, self._cosine, self._value = (np.zeros((count, 4, 4)) for _ in range(3))
+        for joint, axis in enumerate(axes):
+            x, y, z = axis.direction
+            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            if self._linear[joint]:
+                self._value[joint, :3, 3] = axis.direction
+            else:
+                self._sine[joint, :3, :3], self._cosine[joint, :3, :3] = cross, -cross @ cross
+                self._sine[joint, :3, 3], self._cosine[joint, :3, 3] = -cross @ axis.point, cross @ cross @ axis.point
+
+    def frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the tip's poses, shape (k, 4, 4), and the Jacobians, shape (k, 6, n), as `Chain.jacobian`.
+
+        Parameters
+        ----------
+        q : array, shape (k, n)
+        """
+        moves = np.sin(q)[:, :, None, None] * self._sine + (np.cos(q) - 1.0)[:, :, None, None] * self._cosine
+        if self._prismatic:
+            moves += q[:, :, None, None] * self._value
+        moves += _ONE
+        count, joints = q.shape
+        before = np.empty((joints, count, 4, 4))
+        before[0] = _ONE
+        for joint in range(joints - 1):
+            np.matmul(before[joint], moves[:, joint], out=before[joint + 1])
+        tip = before[-1] @ moves[:, -1] @ self._home
+        turned = before[:, :, :3, :3]
+        direction = (turned @ self._directions[:, None, :, None])[..., 0]
+        lever = tip[:, :3, 3] - before[:, :, :3, 3] - (turned @ self._points[:, None, :, None])[..., 0]
+        jacobian = np.empty((6, joints, count))
+        x, y, z = direction.transpose(2, 0, 1)
+        u, v, w = lever.transpose(2, 0, 1)
+        jacobian[0], jacobian[1], jacobian[2] = y * w - z * v, z * u - x * w, x * v - y * u
+        jacobian[3], jacobian[4], jacobian[5] = x, y, z
+        if self._prismatic:
+            jacobian[:3, self._linear] = jacobian[3:, self._linear]
+            jacobian[3:, self._linear] = 0.0
+        return tip, jacobian.transpose(2, 0, 1)
+
+    def projected(self, q: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the postures on a pose that Newton steps of least length lead to.
+
+        Parameters
+        ----------
+        q : array, shape (k, n)
+        pose : Pose
+
+        Returns
+        -------
+        q : array, shape (k, n)
+            Ranges are ignored.
+        arrived : array of bool, shape (k,)
+            Which ones are on the pose, to about 1e-6 m and rad.
+        jacobian : array, shape (k, 6, n)
+            Of the last postures but one, which hardly differ.
+        """
+        error = np.empty((len(q), 6))
+        for _ in range(_STEPS):
+            tip, jacobian = self.frames(q)
+            error[:, :3] = pose.position - tip[:, :3, 3]
+            turn = pose.rotation @ tip[:, :3, :3].transpose(0, 2, 1)
+            error[:, 3] = 0.5 * (turn[:, 2, 1] - turn[:, 1, 2])
+            error[:, 4] = 0.5 * (turn[:, 0, 2] - turn[:, 2, 0])
+            error[:, 5] = 0.5 * (turn[:, 1, 0] - turn[:, 0, 1])
+            back = jacobian.transpose(0, 2, 1)
+            square = jacobian @ back
+            square[:, _DIAGONAL, _DIAGONAL] += _DAMPING
+            step = (back @ np.linalg.solve(square, error[:, :, None]))[:, :, 0]
+            q = q + step
+            # the error that the last step leaves is of the order of the square of this
+            size = np.abs(step).max(axis=1)
+            if (size < _LAST).all():
+                break
+        # a turn by pi has no error in its sense; the trace tells
+        arrived = (size < _LAST) & (turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2] > 0.0)
+        return q, arrived, jacobian
+
+
+def tangents(jacobian: np.ndarray, held: int) -> np.ndarray:
+    """Return how arms with one redundant joint move along their self-motions.
+
+    Parameters
+    ----------
+    jacobian : array, shape (k, 6, n)
+    held : int
+        The joint whose motion is positive, from 0.
+
+    Returns
+    -------
+    tangents : array, shape (k, n)
+        Unit vectors.
+    """
+    count, _, joints = jacobian.shape
+    others = [joint for joint in range(joints) if joint != held]
+    square = jacobian[:, :, others]
+    back = square.transpose(0, 2, 1)
+    normal = back @ square
+    normal[:, _DIAGONAL, _DIAGONAL] += _DAMPING
+    found = np.ones((count, joints))
+    found[:, others] = -np.linalg.solve(normal, back @ jacobian[:, :, held : held + 1])[:, :, 0]
+    found /= np.sqrt(np.einsum("kn,kn->k", found, found))[:, None]
+    return found
