@@ -1,6 +1,7 @@
 """Checks the sources without running them, and ends with one line per tool: `python scripts/lint.py`.
 
-ruff checks style and format of every file, import-linter the order of the folders (.importlinter), mypy the types of the package.
+ruff checks style and format of every file, import-linter the order of the folders (.importlinter), mypy the types of package and
+examples.
 The settings are in pyproject.toml. The tools run beside each other; `make test` counts each of them as one test.
 """
 
