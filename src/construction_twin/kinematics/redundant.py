@@ -2,8 +2,9 @@
 
 A pose leaves such an arm one degree of freedom: it can move along a line in joint space, its self-motion, without moving the tip.
 The held joint's range is divided evenly. With the joint held at each value in turn the closed form gives every branch, which
-together are samples of all self-motions. `self_motion` finds the point between them that is nearest to the seed within the ranges.
-Where it finds none, the division becomes finer; then the arm slides into the ranges from samples almost within them, and at last
+together are samples of all self-motions. `nearest`, which must be quick, slides from the nearest sample within the ranges along its
+self-motion towards the seed. `all`, which plans ask, has `self_motion` find the nearest point of all of them. Where no sample
+leads to a solution, the division becomes finer; then the arm slides into the ranges from samples almost within them, and at last
 `numeric` searches. SI; the held joint may be a linear axis that carries the arm.
 """
 
@@ -30,6 +31,7 @@ from construction_twin.kinematics.solution import (
     IkSolution,
     InverseKinematics,
     check_pose,
+    pose_error,
     refine,
     residual,
 )
@@ -38,8 +40,10 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Joints to hold, those first whose model does not depend on the held value: the last joint, the first, then the others.
 _ORDER = (6, 0, 2, 4, 1, 5, 3)
-#: Values at which the joint is held, ends of the range included; and where none of them leads to a solution.
-_VALUES, _FINER = 56, 321
+#: Values at which the joint is held, ends of the range included: for `nearest`, for `all`, and where none leads to a solution.
+_FEW, _VALUES, _FINER = 40, 56, 321
+#: Most steps of a slide, the longest of them, and the one at which it ends [rad].
+_STEPS, _LONGEST, _SETTLED = 8, 0.3, 2e-3
 #: Where the seed misses the pose by less, first only values within a window around the seed's are tried [m], [rad].
 _BESIDE, _WINDOW = 0.5, 1.0
 #: Samples that `all` returns are farther apart than this [rad]; and how many of them, at most.
@@ -176,7 +180,7 @@ class RedundantInverse(InverseKinematics):
         self._turns = np.where(robot.linear, 0.0, TURN)
         self._motion = SelfMotion(chain, held)
         self._arm = _Carried(form, chain, arm_on_carriage(chain)) if robot.linear[held] else _Held(form)
-        self._solvers = {count: self._divided(count) for count in (_VALUES, _FINER)}
+        self._solvers = {count: self._divided(count) for count in (_FEW, _VALUES, _FINER)}
 
     @property
     def kind(self) -> ArmKind:
@@ -184,34 +188,80 @@ class RedundantInverse(InverseKinematics):
         return ArmKind("one redundant joint", self.form.why)
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
-        """See `InverseKinematics.nearest`: the nearest along all self-motions that samples were found of; not proven."""
+        """See `InverseKinematics.nearest`: where the arm slides from the nearest sample; `all` may know a nearer one."""
         start = self._checked(pose, seed, configuration)
         target = _matrix(pose)
-        beside = max(residual(self.chain, start, pose)) < _BESIDE
-        if beside:
-            window = self._samples(_VALUES, target, float(start[self.held]))
-            found = self._along(*window, target, pose, start, beside)
-            # what is nearer than this has the held joint within the window
-            if found and found[0].distance < _WINDOW:
-                return found[0]
+        return (
+            self._beside(target, pose, start) or self._slid(target, pose, start) or self._thorough(target, pose, start)
+        )
+
+    def _beside(self, target: np.ndarray, pose: Pose, seed: np.ndarray) -> IkSolution | None:
+        """Return the nearest solution of a pose that the seed is almost on; None: it is not, or nothing is near."""
+        if max(residual(self.chain, seed, pose)) >= _BESIDE:
+            return None
+        found = self._along(*self._samples(_VALUES, target, float(seed[self.held])), target, pose, seed, beside=True)
+        # what is nearer than this has the held joint within the window
+        return found[0] if found and found[0].distance < _WINDOW else None
+
+    def _slid(self, target: np.ndarray, pose: Pose, seed: np.ndarray) -> IkSolution | None:
+        """Return the solution to which the arm slides from the nearest sample within the ranges; None: there is no such sample."""
+        samples = self._motion.into_range(self._samples(_FEW, target)[0], seed)
+        samples = samples[self._motion.excess(samples) <= 0.0]
+        if not len(samples):
+            return None
+        ways = samples - seed
+        nearest = samples[np.einsum("mn,mn->m", ways, ways).argmin()]
+        slid = self._confirmed(self._slide(nearest, seed, pose), pose, seed)
+        if slid and slid[0].distance <= math.dist(nearest, seed):
+            return slid[0]
+        return next(iter(self._confirmed(nearest, pose, seed) + slid), None)
+
+    def _slide(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
+        """Return where along the self-motion the distance from the seed is least: Newton's method, derivatives by differences."""
+        curvature, before = 1.0, None
+        step = 0.0
+        along = np.zeros(len(q))
+        for _ in range(_STEPS):
+            error = pose_error(self.chain.forward(q), pose)
+            left, sizes, right = np.linalg.svd(self.chain.jacobian(q))
+            direction = right[6] if right[6] @ along >= 0.0 else -right[6]
+            slope = float((q - seed) @ direction)
+            if before is not None and abs(step) > 1e-6:
+                curvature = max((slope - before) / step, 0.2)
+            before, along = slope, direction
+            step = min(max(-slope / curvature, -_LONGEST), _LONGEST)
+            # the interval of steps that leave every joint in its range; joints that hardly move do not count
+            moving = np.abs(direction) > 1e-9
+            ends = np.array([(self._lower - q)[moving], (self._upper - q)[moving]]) / direction[moving]
+            low, high = float(ends.min(axis=0).max()), float(ends.max(axis=0).min())
+            step = min(max(step, low), high) if low <= high else 0.5 * (low + high)
+            q = q + step * direction + right[:6].T @ ((left.T @ error) / np.maximum(sizes, 1e-6))
+            if abs(step) < _SETTLED:
+                break
+        return q
+
+    def _thorough(self, target: np.ndarray, pose: Pose, seed: np.ndarray) -> IkSolution:
+        """Return the nearest point of all self-motions that samples were found of; not proven."""
+        beside = max(residual(self.chain, seed, pose)) < _BESIDE
         for count in (_VALUES, _FINER):
-            found = self._along(*self._samples(count, target), target, pose, start, beside)
+            found = self._along(*self._samples(count, target), target, pose, seed, beside)
             if found:
                 return found[0]
-        for q in self._almost(target, start)[:_SLID]:
-            found = self._confirmed(self._search.towards(q, start, pose), pose, start)
+        for q in self._almost(target, seed)[:_SLID]:
+            found = self._confirmed(self._search.towards(q, seed, pose), pose, seed)
             if found:
                 return found[0]
-        return self._search.nearest(pose, start)
+        return self._search.nearest(pose, seed)
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
         """See `InverseKinematics.all`; besides, solutions spaced along the self-motions, for whoever cannot use the nearest.
 
         Whoever has to avoid contacts takes the first that is free: the choice of the free joint is his.
         """
-        found = [self.nearest(pose, seed, configuration)]
-        start = np.array(seed, dtype=float)
-        samples = self._motion.into_range(self._samples(_VALUES, _matrix(pose))[0], start)
+        start = self._checked(pose, seed, configuration)
+        target = _matrix(pose)
+        found = [self._thorough(target, pose, start)]
+        samples = self._motion.into_range(self._samples(_VALUES, target)[0], start)
         inside = samples[self._motion.excess(samples) <= 0.0]
         for q in inside[((inside - start) ** 2).sum(axis=1).argsort()]:
             if len(found) < _MOST and all(math.dist(q, other.q) > _APART for other in found):
