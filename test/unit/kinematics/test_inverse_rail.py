@@ -86,8 +86,9 @@ def test_rates_are_what_joints_turn_by(q):
         rates = np.array(ALONG.rates(here))
         turned = after - before
         turned -= 2.0 * math.pi * np.rint(turned / (2.0 * math.pi))
-        # beside a singularity rates change within the step
-        if np.isfinite(turned).all() and np.abs(rates).max() < 100.0:
+        # beside a singularity rates change within the step; where the wrist is stretched the branch flips
+        wrist = abs(math.sin(here[4] - ARM.model.signs[4] * ARM.model.offsets[4]))
+        if np.isfinite(turned).all() and np.abs(rates).max() < 100.0 and wrist > 1e-3:
             np.testing.assert_allclose(turned / (2.0 * step), rates, atol=1e-2)
 
 
