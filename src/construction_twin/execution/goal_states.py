@@ -137,6 +137,7 @@ TABLE: tuple[Row, ...] = (
     # the path was played to its end; the arm may still be on its way
     _row(_S.SETTLING, _E.AT_GOAL, _A.SUCCEED, _S.FREE),
     _row(_S.SETTLING, _E.TOO_LATE, _A.ABORT_GOAL, _S.FREE),
+    _row(_S.SETTLING, _E.LOST, _A.ABORT_GOAL, _S.FREE),
     _row(_S.SETTLING, _E.CANCEL, _A.PREEMPT, _S.FREE),
     _row(_S.SETTLING, _E.GOAL, _A.TURN_AWAY, _S.SETTLING, _G.STRANGER),
     _row(_S.SETTLING, _E.GOAL, _A.REPLACE, _S.STOPPED),

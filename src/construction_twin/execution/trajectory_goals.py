@@ -23,8 +23,8 @@ RETRY = NANOSECONDS // 5
 WITHDRAWAL = 5 * NANOSECONDS
 #: A plan that takes this much longer than asked is said to [s].
 NOTABLE = 0.001
-#: States in which the executor plays the goal's plan.
-PLAYED = (GoalState.MOVING, GoalState.BRAKING)
+#: States in which the executor plays the goal's plan, or has just played it to its end.
+PLAYED = (GoalState.MOVING, GoalState.BRAKING, GoalState.SETTLING)
 
 
 class ResultCode(IntEnum):

@@ -186,6 +186,13 @@ class TestToTheGoal:
         assert end.code is ResultCode.GOAL_TOLERANCE_VIOLATED
         assert end.sentence == "the executor no longer plays plan plan-1: started"
 
+    def test_another_plan_that_begins_while_the_arm_settles_ends_the_goal(self, desk):
+        desk.moving().executes(ExecutorState.IDLE, "finished").effects()
+        end = desk.executes(ExecutorState.PLAYING, reason="approved by Anna", plan="plan-2").end()
+        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
+        assert end.sentence == "the executor no longer plays plan plan-1: approved by Anna"
+        assert desk.state is GoalState.FREE
+
     def test_a_pause_is_told_and_ends_nothing(self, desk):
         told = desk.moving().executes(ExecutorState.PAUSED, reason="pause requested").effects()
         assert told == [Status("a", "PAUSED: pause requested")] and desk.state is GoalState.MOVING

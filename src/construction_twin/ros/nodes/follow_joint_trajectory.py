@@ -41,6 +41,7 @@ from construction_twin.execution.trajectory_goals import (
 )
 from construction_twin.msg import Execution, Feedback, Review
 from construction_twin.ros.messages.joint_goals import (
+    LONGEST,
     GoalDefaults,
     asked_duration,
     control_messages,
@@ -82,7 +83,7 @@ class Settings(pydantic.BaseModel):
     path_tolerance_linear: Tolerance
     goal_tolerance: Tolerance
     goal_tolerance_linear: Tolerance
-    goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+    goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=LONGEST)]
     retime: bool
     planner_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
 
