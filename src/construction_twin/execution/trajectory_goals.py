@@ -273,8 +273,8 @@ class TrajectoryGoals:
 
     # -- what time and poses bring
 
-    def tick(self, now: int, sample: Sample | None, at_rest: bool) -> None:
-        """Take the time, where the arm is, and whether the twin is at rest.
+    def tick(self, now: int, sample: Sample | None, at_rest: bool, settled: bool) -> None:
+        """Take the time, where the arm is, and whether the twin, and then the arm, is at rest.
 
         Parameters
         ----------
@@ -283,6 +283,9 @@ class TrajectoryGoals:
         sample : Sample or None
             The newest one; None: not known.
         at_rest : bool
+            The twin is.
+        settled : bool
+            And the arm's pose answers to a command since then; see `Tracking.settled`.
         """
         self._now = now
         if self._retry_at and now >= self._retry_at:
@@ -296,7 +299,7 @@ class TrajectoryGoals:
         if self.state is GoalState.MOVING and sample is not None:
             self._check_path(sample, now)
         if self.state is GoalState.SETTLING:
-            self._check_goal(sample if at_rest else None, now)
+            self._check_goal(sample if settled else None, now)
         if self.state is GoalState.FREE and self._next is not None and at_rest:
             self._coming, self._next = self._next, None
             self._on(GoalEvent.GOAL, now)
@@ -312,7 +315,7 @@ class TrajectoryGoals:
         assert self.goal is not None  # it settles
         problem = "twin and arm are not known to be at rest"
         if sample is not None:
-            # the twin rests at the path's end: what it shows is the goal
+            # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
             error = sample.error
             problem = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
         if not problem:

@@ -83,9 +83,12 @@ class Desk:
         self.goals.on_verdict(plan, False, reviewer, reason, self.now)
         return self
 
-    def after(self, seconds: float, sample: Sample | None = None, at_rest: bool = False) -> Desk:
+    def after(
+        self, seconds: float, sample: Sample | None = None, at_rest: bool = False, settled: bool | None = None
+    ) -> Desk:
+        """Let time pass; where the twin rests, the arm's pose answers to a command since then, unless `settled` is given."""
         self.now += int(seconds * NANOSECONDS)
-        self.goals.tick(self.now, sample, at_rest)
+        self.goals.tick(self.now, sample, at_rest, at_rest if settled is None else settled)
         return self
 
     def under_review(self, path: Tolerances = FREE) -> Desk:
@@ -228,6 +231,18 @@ class TestTolerances:
     def test_an_arm_that_comes_late_but_in_time_succeeds(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished").after(1.5, off_by(0.5), at_rest=True)
         assert desk.after(0.4, off_by(0.0), at_rest=True).end().ending is Ending.SUCCEEDED
+
+    def test_an_arm_that_still_answers_to_the_motion_is_not_at_the_goal(self, desk):
+        desk.moving().executes(ExecutorState.IDLE, "finished")
+        assert desk.after(0.1, off_by(0.0), at_rest=True, settled=False).effects() == []
+        assert desk.state is GoalState.SETTLING
+        assert desk.after(0.1, off_by(0.0), at_rest=True).end().ending is Ending.SUCCEEDED
+
+    def test_an_arm_that_never_answers_is_aborted(self, desk):
+        desk.moving().executes(ExecutorState.IDLE, "finished")
+        end = desk.after(2.1, off_by(0.0), at_rest=True, settled=False).end()
+        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
+        assert end.sentence == "2 s after the plan's end twin and arm are not known to be at rest"
 
     def test_a_pose_that_is_not_known_is_no_success(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished")

@@ -169,9 +169,10 @@ class FollowJointTrajectoryNode:
 
     def _look(self) -> None:
         with self._poses:
-            sample, at_rest = self._tracking.sample(), self._tracking.at_rest
+            tracking = self._tracking
+            sample, at_rest, settled = tracking.sample(), tracking.at_rest, tracking.settled
         now = time.monotonic()
-        self._goals.tick(time.monotonic_ns(), sample, at_rest)
+        self._goals.tick(time.monotonic_ns(), sample, at_rest, settled)
         goal = self._goals.goal
         if goal is None or sample is None or goal.id not in self._clients:
             return
