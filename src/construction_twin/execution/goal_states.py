@@ -69,6 +69,7 @@ class Action(Enum):
     ABORT_PATH = "the goal is aborted: PATH_TOLERANCE_VIOLATED where the gate closed, else GOAL_TOLERANCE_VIOLATED"
     ABORT_GOAL = "the goal is aborted: GOAL_TOLERANCE_VIOLATED"
     END_STOPPED = "the goal ends: preempted, or aborted with PATH_TOLERANCE_VIOLATED, after what it braked for"
+    GIVE_UP = "the same, and a goal that waits is recalled"
     BRAKE = "the executor's `stop` is called"
     BRAKE_FOR_NEXT = "the executor's `stop` is called; the new goal waits"
     BRAKE_OFF_PATH = "the executor's `stop` is called, because a joint is off the path"
@@ -132,6 +133,7 @@ TABLE: tuple[Row, ...] = (
     _row(_S.BRAKING, _E.GOAL, _A.LINE_UP, _S.BRAKING),
     # the executor sends no more of the path; a next plan begins where the twin comes to rest
     _row(_S.STOPPED, _E.STILL, _A.END_STOPPED, _S.FREE),
+    _row(_S.STOPPED, _E.TOO_LATE, _A.GIVE_UP, _S.FREE),
     _row(_S.STOPPED, _E.GOAL, _A.TURN_AWAY, _S.STOPPED, _G.STRANGER),
     _row(_S.STOPPED, _E.GOAL, _A.LINE_UP, _S.STOPPED),
     # the path was played to its end; the arm may still be on its way

@@ -21,8 +21,11 @@ from construction_twin.robot.description import RobotModel
 RETRY = NANOSECONDS // 5
 #: A plan that is withdrawn counts as gone when the executor has not said so for this long [ns].
 WITHDRAWAL = 5 * NANOSECONDS
+#: A goal ends this long after the executor's stop when the twin is not seen at rest [ns].
+STOPPED = 10 * NANOSECONDS
 #: A plan that takes this much longer than asked is said to [s].
 NOTABLE = 0.001
+UNKNOWN_REST = "the twin is not known to be at rest"
 #: States in which the executor plays the goal's plan, or has just played it to its end.
 PLAYED = (GoalState.MOVING, GoalState.BRAKING, GoalState.SETTLING)
 
@@ -296,6 +299,8 @@ class TrajectoryGoals:
             self._on(GoalEvent.TOO_LATE, now)
         if at_rest:
             self._on(GoalEvent.STILL, now)
+        elif self.state is GoalState.STOPPED and now - self._since > STOPPED:
+            self._on(GoalEvent.TOO_LATE, now)
         if self.state is GoalState.MOVING and sample is not None:
             self._check_path(sample, now)
         if self.state is GoalState.SETTLING:
@@ -435,7 +440,18 @@ class TrajectoryGoals:
         self._finish(Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, reason)
 
     def _end_stopped(self, _reason: str) -> None:
-        where = f"the arm is at rest on its path; {self._heard.reason}" if self._heard.reason else "the arm is at rest"
+        self._end_where("the arm is at rest on its path" if self._heard.reason else "the arm is at rest")
+
+    def _give_up(self, _reason: str) -> None:
+        self._end_where(UNKNOWN_REST)
+        if self._next is not None:
+            after = f"{STOPPED // NANOSECONDS} s after the stop {UNKNOWN_REST}"
+            sentence = f"not planned: {after}; see whether it runs, and send the goal again"
+            self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
+            self._next = None
+
+    def _end_where(self, where: str) -> None:
+        where = f"{where}; {self._heard.reason}" if self._heard.reason else where
         if self._off_path:
             self._finish(Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{self._why}; {where}")
         else:

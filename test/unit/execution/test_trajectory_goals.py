@@ -14,6 +14,7 @@ from construction_twin.execution.joint_tolerances import AskedTolerance, Toleran
 from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import (
     RETRY,
+    STOPPED,
     WITHDRAWAL,
     Accept,
     Ask,
@@ -299,6 +300,24 @@ class TestCancel:
         desk.send(goal()).cancel().effects()
         desk.goals.on_not_planned("no path", desk.now)
         assert desk.after(0.02, at_rest=True).effects() == [] and desk.state is GoalState.FREE
+
+    def test_a_twin_that_is_never_seen_at_rest_holds_nobody_up_for_ever(self, desk):
+        desk.moving().cancel().send(goal("b")).executes(ExecutorState.IDLE, "stopped").effects()
+        assert desk.after(STOPPED / NANOSECONDS - 0.1).effects() == [] and desk.state is GoalState.STOPPED
+        first, waiting = desk.after(0.2).effects(End)
+        assert (first.goal_id, first.ending) == ("a", Ending.CANCELED)
+        assert first.sentence == "cancelled by its client; the twin is not known to be at rest; as approved"
+        assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
+        assert waiting.sentence == (
+            "not planned: 10 s after the stop the twin is not known to be at rest; see whether it runs, and send the goal again"
+        )
+        assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
+
+    def test_nor_does_one_that_braked_off_its_path(self, desk):
+        desk.moving(CLOSE).after(0.02, off_by(1.0)).executes(ExecutorState.IDLE, "stopped").effects()
+        end = desk.after(STOPPED / NANOSECONDS + 0.1).end()
+        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
+        assert "; the twin is not known to be at rest" in end.sentence
 
     def test_of_a_goal_that_has_ended_changes_nothing(self, desk):
         assert desk.moving().cancel("other").effects() == [] and desk.state is GoalState.MOVING
