@@ -70,9 +70,9 @@ class Action(Enum):
     ABORT_GOAL = "the goal is aborted: GOAL_TOLERANCE_VIOLATED"
     END_STOPPED = "the goal ends: preempted, or aborted with PATH_TOLERANCE_VIOLATED, after what it braked for"
     GIVE_UP = "the same, and a goal that waits is recalled"
-    BRAKE = "the executor's `stop` is called"
-    BRAKE_FOR_NEXT = "the executor's `stop` is called; the new goal waits"
-    BRAKE_OFF_PATH = "the executor's `stop` is called, because a joint is off the path"
+    BRAKE = "the executor's `stop_plan` is called"
+    BRAKE_FOR_NEXT = "the executor's `stop_plan` is called; the new goal waits"
+    BRAKE_OFF_PATH = "the executor's `stop_plan` is called, because a joint is off the path"
     SAY_MOVING = "the status says that it moves"
     SUCCEED = "the goal succeeds"
 

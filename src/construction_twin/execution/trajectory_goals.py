@@ -17,7 +17,7 @@ from construction_twin.execution.tracking import Sample
 from construction_twin.review.queue import EXECUTOR
 from construction_twin.robot.description import RobotModel
 
-#: A call that failed, of `stop` or `review_plan`, is made again after this time [ns].
+#: A call that failed, of `stop_plan` or `review_plan`, is made again after this time [ns].
 RETRY = NANOSECONDS // 5
 #: A plan that is withdrawn counts as gone when the executor has not said so for this long [ns].
 WITHDRAWAL = 5 * NANOSECONDS
@@ -271,7 +271,7 @@ class TrajectoryGoals:
             self._on(GoalEvent.LOST, now, f"the executor no longer plays plan {self._plan.id}: {reason}")
 
     def on_call_failed(self, now: int) -> None:
-        """Take that a call of `stop` or `review_plan` did not do what it was for: it is made again, while it is still needed."""
+        """Take that a call of `stop_plan` or `review_plan` did not do what it was for: it is made again, while it is still needed."""
         self._retry_at = now + RETRY
 
     # -- what time and poses bring

@@ -18,7 +18,6 @@ import pydantic
 import rospy
 from actionlib import ServerGoalHandle
 from rospy.exceptions import TransportException
-from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.execution.executor import ExecutorState
@@ -54,7 +53,7 @@ from construction_twin.ros.shared.params import read_parameters, robot_from_para
 from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
-from construction_twin.srv import PlanTrajectory, ReviewPlan
+from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
 
 #: Time between two looks at poses and clock while a goal has the arm, and while none has [s].
 PERIOD, IDLE_PERIOD = 0.02, 0.2
@@ -139,6 +138,7 @@ class FollowJointTrajectoryNode:
             lambda handle: self._inbox.put(functools.partial(self._take_goal, server, handle)),
             lambda handle: self._inbox.put(functools.partial(self._take_cancel, server, handle)),
             self._diagnostics.refuse,
+            functools.partial(self._result, ResultCode.GOAL_TOLERANCE_VIOLATED),
         )
         server.start()
         return server
@@ -324,7 +324,15 @@ class FollowJointTrajectoryNode:
     def _withdraw(self, effect: Withdraw) -> None:
         try:
             review = rospy.ServiceProxy("review_plan", ReviewPlan)
-            answer = review(effect.plan_id, effect.plan_hash, False, f"client {effect.client}", effect.reason)
+            answer = review(
+                plan_id=effect.plan_id,
+                plan_hash=effect.plan_hash,
+                approve=False,
+                reviewer=f"client {effect.client}",
+                reason=effect.reason,
+            )
+        except rospy.ROSInterruptException:
+            return
         except NO_ANSWER as error:
             self._failed("review_plan", error)
             return
@@ -332,11 +340,17 @@ class FollowJointTrajectoryNode:
             # the plan has not reached the executor yet, or a verdict has just been taken, which will be heard of
             self._put(self._goals.on_call_failed)
 
-    def _brake(self, _effect: Brake) -> None:
+    def _brake(self, effect: Brake) -> None:
         try:
-            rospy.ServiceProxy("stop", Trigger)()
+            answer = rospy.ServiceProxy("stop_plan", StopPlan)(plan_id=effect.plan_id)
+        except rospy.ROSInterruptException:
+            return
         except NO_ANSWER as error:
-            self._failed("stop", error)
+            self._failed("stop_plan", error)
+            return
+        if not answer.success:
+            # the plan has ended, or its approval and the start have just crossed this, which will be heard of
+            self._put(self._goals.on_call_failed)
 
     def _failed(self, service: str, error: Exception) -> None:
         if not rospy.core.is_shutdown_requested():
