@@ -144,7 +144,7 @@ class FollowJointTrajectoryTest(RobotTest):
         plan = self.waiting(handle.client.get_goal_status_text, count)
         self.assertEqual(plan.source, f"{ACTION} from {rospy.get_name()}")
         text = handle.client.get_goal_status_text()
-        self.assertIn("waits for a person, who approves or rejects it by /kr120/review_plan", text)
+        self.assertIn("waits for approval; a person gives or refuses it by /kr120/review_plan", text)
         self.client.wait(lambda: handle.feedbacks, "a feedback while it waits")
         self.assertEqual((handle.done, handle.last_execution, handle.actives), (False, "RUNNING", 1))
         self.approve(plan)

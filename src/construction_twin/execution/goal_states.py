@@ -61,7 +61,7 @@ class Action(Enum):
     REPLACE = "the goal ends: recalled or preempted; the new one waits"
     WITHDRAW = "the plan is rejected in the client's name"
     WITHDRAW_FOR_NEXT = "the plan is rejected in the client's name; the new goal waits"
-    ACCEPT = "the goal is active: its status says that it waits for a person"
+    ACCEPT = "the goal is active: its status says that it waits for approval"
     REFUSE = "the goal is rejected: INVALID_GOAL, with the planner's sentence"
     RECALL = "the goal ends: recalled"
     PREEMPT = "the goal ends: preempted"

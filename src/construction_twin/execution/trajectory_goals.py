@@ -25,6 +25,8 @@ WITHDRAWAL = 5 * NANOSECONDS
 STOPPED = 10 * NANOSECONDS
 #: A plan that takes this much longer than asked is said to [s].
 NOTABLE = 0.001
+#: Plans that were turned down are known for as many more, should the planner's answer be slower than the verdict.
+VERDICTS = 20
 UNKNOWN_REST = "the twin is not known to be at rest"
 #: States in which the executor plays the goal's plan, or has just played it to its end.
 PLAYED = (GoalState.MOVING, GoalState.BRAKING, GoalState.SETTLING)
@@ -142,6 +144,7 @@ class _Heard:
     state: ExecutorState = ExecutorState.WAITING
     outcome: str = ""
     reason: str = ""
+    start: int = 0
 
 
 class TrajectoryGoals:
@@ -173,13 +176,18 @@ class TrajectoryGoals:
         self._off_path = False
         self._retry_at = self._since = self._now = 0
         self._heard = _Heard()
-        self._verdict: tuple[str, str] = ("", "")
+        self._turned_down: dict[str, str] = {}
         self._effects: list[Effect] = []
 
     @property
     def plan(self) -> GoalPlan | None:
         """The plan of the goal that has the arm; None before the planner has answered."""
         return self._plan
+
+    @property
+    def plan_start(self) -> int:
+        """Stamp of the first setpoint of the goal's plan [ns]; 0: it has not begun, or the executor plays another one."""
+        return self._heard.start if self._plan is not None and self._plan.id == self._heard.plan_id else 0
 
     def take_effects(self) -> list[Effect]:
         """Return what has to be done since the last call, in this order."""
@@ -234,8 +242,8 @@ class TrajectoryGoals:
         self._plan = plan
         self._on(GoalEvent.PLANNED, now)
         # verdict and execution travel on connections of their own and may have been faster
-        if self._verdict[0] == plan.id:
-            self._on(GoalEvent.TURNED_DOWN, now, self._verdict[1])
+        if plan.id in self._turned_down:
+            self._on(GoalEvent.TURNED_DOWN, now, self._turned_down[plan.id])
         if self._heard.plan_id == plan.id:
             self._follow_execution(now)
 
@@ -253,13 +261,17 @@ class TrajectoryGoals:
             return
         what = f"withdrawn by the {EXECUTOR}" if reviewer == EXECUTOR else f"rejected by {reviewer}"
         sentence = f"plan {plan_id} was {what}{': ' if reason else ''}{reason}"
-        self._verdict = plan_id, sentence
+        self._turned_down[plan_id] = sentence
+        if len(self._turned_down) > VERDICTS:
+            del self._turned_down[next(iter(self._turned_down))]
         if self._plan is not None and plan_id == self._plan.id:
             self._on(GoalEvent.TURNED_DOWN, now, sentence)
 
-    def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, now: int) -> None:
-        """Take what the executor does, with the plan that it plays or played last."""
-        before, self._heard = self._heard, _Heard(plan_id, state, outcome, reason)
+    def on_execution(
+        self, plan_id: str, state: ExecutorState, outcome: str, reason: str, start: int, now: int
+    ) -> None:
+        """Take what the executor does, with the plan that it plays or played last, and the stamp of that one's first setpoint [ns]."""
+        before, self._heard = self._heard, _Heard(plan_id, state, outcome, reason, start)
         if self._plan is None:
             return
         if plan_id == self._plan.id:
@@ -415,8 +427,8 @@ class TrajectoryGoals:
         plan = self._planned
         late = plan.asked and plan.duration > plan.asked + NOTABLE
         instead = f" instead of {plan.asked:.3f} s, which would break a limit of the arm," if late else ""
-        decides = f"a person, who approves or rejects it by {self._reviewed_by}"
-        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for {decides}"
+        decides = f"a person gives or refuses it by {self._reviewed_by}"
+        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for approval; {decides}"
         self._effects.append(Accept(self.goal.id, waits))
 
     def _refuse(self, reason: str) -> None:

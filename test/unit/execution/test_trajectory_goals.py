@@ -15,6 +15,7 @@ from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import (
     RETRY,
     STOPPED,
+    VERDICTS,
     WITHDRAWAL,
     Accept,
     Ask,
@@ -52,7 +53,7 @@ class Desk:
     def __init__(self):
         self.goals = TrajectoryGoals(ROBOT, "/kr120/review_plan")
         self.now = NANOSECONDS
-        self.goals.on_execution("", ExecutorState.IDLE, "", "agree", self.now)
+        self.goals.on_execution("", ExecutorState.IDLE, "", "agree", 0, self.now)
 
     @property
     def state(self) -> GoalState:
@@ -75,9 +76,9 @@ class Desk:
         return self
 
     def executes(
-        self, state: ExecutorState, outcome: str = "", reason: str = "as approved", plan: str = PLAN.id
+        self, state: ExecutorState, outcome: str = "", reason: str = "as approved", plan: str = PLAN.id, start: int = 0
     ) -> Desk:
-        self.goals.on_execution(plan, state, outcome, reason, self.now)
+        self.goals.on_execution(plan, state, outcome, reason, start, self.now)
         return self
 
     def rejects(self, reviewer: str = "Anna", reason: str = "too close to the wall", plan: str = PLAN.id) -> Desk:
@@ -120,7 +121,7 @@ class TestToTheGoal:
         assert desk.send(goal()).effects() == [Ask(goal())]
         (accepted,) = desk.planned().effects()
         assert accepted == Accept(
-            "a", "plan plan-1 of 2.500 s waits for a person, who approves or rejects it by /kr120/review_plan"
+            "a", "plan plan-1 of 2.500 s waits for approval; a person gives or refuses it by /kr120/review_plan"
         )
         desk.goals.on_verdict(PLAN.id, True, "Anna", "", desk.now)
         assert desk.effects() == [Status("a", "plan plan-1 was approved by Anna")]
@@ -138,10 +139,10 @@ class TestToTheGoal:
     def test_a_motion_that_takes_longer_than_asked_says_so(self, desk):
         (accepted,) = desk.send(goal()).planned(GoalPlan("p", "h", 3.5, 2.5)).effects(Accept)
         assert accepted.text.startswith(
-            "plan p of 3.500 s instead of 2.500 s, which would break a limit of the arm, waits for a"
+            "plan p of 3.500 s instead of 2.500 s, which would break a limit of the arm, waits for approval"
         )
         desk = Desk().send(goal()).planned(GoalPlan("p", "h", 2.5000001, 2.5))
-        assert desk.effects(Accept)[0].text.startswith("plan p of 2.500 s waits for a person")
+        assert desk.effects(Accept)[0].text.startswith("plan p of 2.500 s waits for approval; a")
 
     def test_what_the_planner_refuses_is_an_invalid_goal_in_its_words(self, desk):
         desk.send(goal()).effects()
@@ -171,6 +172,24 @@ class TestToTheGoal:
         assert desk.state is GoalState.MOVING
         desk = Desk().send(goal()).rejects().planned()
         assert desk.end().code is ResultCode.INVALID_GOAL and desk.state is GoalState.FREE
+
+    def test_the_start_that_is_heard_before_the_planner_s_answer_is_kept(self):
+        desk = Desk().send(goal()).executes(ExecutorState.PLAYING, start=7)
+        assert desk.goals.plan_start == 0
+        assert desk.planned().goals.plan_start == 7
+        desk.executes(ExecutorState.PLAYING, plan="other", start=9)
+        assert desk.goals.plan_start == 0
+
+    def test_verdicts_on_other_plans_do_not_cover_the_one_that_is_heard_too_early(self):
+        desk = Desk().send(goal()).rejects()
+        for other in range(VERDICTS - 1):
+            desk.rejects(plan=f"other-{other}")
+        end = desk.planned().end()
+        assert end.code is ResultCode.INVALID_GOAL and "rejected by Anna" in end.sentence
+        desk = Desk().send(goal()).rejects()
+        for other in range(VERDICTS):
+            desk.rejects(plan=f"other-{other}")
+        assert desk.planned().state is GoalState.REVIEW
 
     @pytest.mark.parametrize(
         ("outcome", "code"),

@@ -59,10 +59,12 @@ from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
 PERIOD, IDLE_PERIOD = 0.02, 0.2
 #: Between two feedbacks while nothing moves [s].
 WAITING_FEEDBACK = 0.5
-#: How long the streams are not read while no goal has the arm [s]; then only the newest pose is.
+#: How long the streams are not read while no plan of a goal is played [s]; then only the newest pose is.
 PAUSE = 0.1
 #: A plan of the goal is, or may be, played.
 IN_MOTION = (GoalState.MOVING, GoalState.BRAKING, GoalState.STOPPED, GoalState.SETTLING)
+#: The streams are read in full then: a plan may begin at any moment of WITHDRAWING. REVIEW lasts minutes.
+FOLLOWED = (GoalState.WITHDRAWING, *IN_MOTION)
 #: The errors of a call whose node is not there, or goes away.
 NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
 
@@ -117,7 +119,6 @@ class FollowJointTrajectoryNode:
         self._poses = threading.Lock()
         self._tracking = Tracking(settings.arm != "none")
         self._needs_poses = threading.Event()
-        self._plan_start = 0
         self._fed_back = 0.0
         self._taken = 0
         self._last = self._described = "no goal yet"
@@ -158,11 +159,12 @@ class FollowJointTrajectoryNode:
                     continue
             self._carry_out()
             self._described = self._goals.describe()
-            if self._is_busy():
+            if self._goals.state in FOLLOWED:
                 self._needs_poses.set()
-                looks = min(looks, time.monotonic() + PERIOD)
             else:
                 self._needs_poses.clear()
+            if self._is_busy():
+                looks = min(looks, time.monotonic() + PERIOD)
 
     def _is_busy(self) -> bool:
         return self._goals.state is not GoalState.FREE or bool(self._clients)
@@ -182,7 +184,7 @@ class FollowJointTrajectoryNode:
             feedback = self._messages.FollowJointTrajectoryFeedback()
             feedback.header.stamp = rospy.Time.now()
             feedback.joint_names = [self._robot.joint_names[index] for index in client.order]
-            fill_feedback(feedback, sample, self._plan_start, client.order)
+            fill_feedback(feedback, sample, self._goals.plan_start, client.order)
             client.handle.publish_feedback(feedback)
 
     # -- subscriptions and actions: other threads
@@ -243,10 +245,8 @@ class FollowJointTrajectoryNode:
             sentence = f"execution state {message.state} is unknown; expected one of Execution.msg"
             self._diagnostics.refuse("execution", sentence)
             return
-        plan = self._goals.plan
-        self._plan_start = from_time(message.plan_start) if plan is not None and plan.id == message.plan_id else 0
-        state, now = ExecutorState(message.state), time.monotonic_ns()
-        self._goals.on_execution(message.plan_id, state, message.outcome, message.reason, now)
+        state, start, now = ExecutorState(message.state), from_time(message.plan_start), time.monotonic_ns()
+        self._goals.on_execution(message.plan_id, state, message.outcome, message.reason, start, now)
 
     # -- effects
 
