@@ -59,7 +59,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class _ArmPose:
-    """A measured pose, the stamp of the command that it answers to, 0 for unknown, and the twin's newest stamp when it came [ns]."""
+    """A measured pose, the stamp of its command, 0 for unknown, and the twin's newest stamp when it came [ns]."""
 
     q: tuple[float, ...]
     command_stamp: int

@@ -267,10 +267,8 @@ class TrajectoryGoals:
         if self._plan is not None and plan_id == self._plan.id:
             self._on(GoalEvent.TURNED_DOWN, now, sentence)
 
-    def on_execution(
-        self, plan_id: str, state: ExecutorState, outcome: str, reason: str, start: int, now: int
-    ) -> None:
-        """Take what the executor does, with the plan that it plays or played last, and the stamp of that one's first setpoint [ns]."""
+    def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, start: int, now: int) -> None:
+        """Take what the executor does, with the plan that it plays or played last, and the stamp at which that began [ns]."""
         before, self._heard = self._heard, _Heard(plan_id, state, outcome, reason, start)
         if self._plan is None:
             return
@@ -283,7 +281,7 @@ class TrajectoryGoals:
             self._on(GoalEvent.LOST, now, f"the executor no longer plays plan {self._plan.id}: {reason}")
 
     def on_call_failed(self, now: int) -> None:
-        """Take that a call of `stop_plan` or `review_plan` did not do what it was for: it is made again, while it is still needed."""
+        """Take that a call of `stop_plan` or `review_plan` did nothing: it is made again, while it is still needed."""
         self._retry_at = now + RETRY
 
     # -- what time and poses bring

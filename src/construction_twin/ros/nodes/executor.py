@@ -1,4 +1,4 @@
-"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, `stop`, `stop_plan`, `pause` and `resume`."""
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`."""
 
 from __future__ import annotations
 
