@@ -144,7 +144,7 @@ class FollowJointTrajectoryTest(RobotTest):
         plan = self.waiting(handle.client.get_goal_status_text, count)
         self.assertEqual(plan.source, f"{ACTION} from {rospy.get_name()}")
         text = handle.client.get_goal_status_text()
-        self.assertIn("waits for a person, who approves or rejects it by /kr120/review_plan", text)
+        self.assertIn("waits for approval; a person gives or refuses it by /kr120/review_plan", text)
         self.client.wait(lambda: handle.feedbacks, "a feedback while it waits")
         self.assertEqual((handle.done, handle.last_execution, handle.actives), (False, "RUNNING", 1))
         self.approve(plan)
@@ -210,7 +210,12 @@ class FollowJointTrajectoryTest(RobotTest):
         answer = self.client.review(plan.id, plan.hash)
         self.assertFalse(answer.success)
         self.assertIn("was decided already or withdrawn", answer.message)
-        self.assertEqual(self.reviews[-1].reviewer, f"client {rospy.get_name()}")
+        self.client.wait(lambda: self.verdict_on(plan.id), f"the verdict on plan {plan.id}")
+        self.assertEqual(self.verdict_on(plan.id).reviewer, f"client {rospy.get_name()}")
+
+    def verdict_on(self, plan_id: str) -> Review | None:
+        """Return the verdict on a plan; None while it has not been heard."""
+        return next((review for review in reversed(self.reviews) if review.plan_id == plan_id), None)
 
     def test_5_a_cancel_while_moving_brakes_on_the_path(self):
         handle = MoveItHandle("joint_trajectory_action", "")
@@ -223,7 +228,7 @@ class FollowJointTrajectoryTest(RobotTest):
             handle.cancel_execution()
             self.assertEqual(handle.last_execution, "PREEMPTED")
             wait(lambda: handle.states, "the result")
-            self.assertEqual((self.client.execution.plan_id, self.client.execution.outcome), (plan.id, "stopped"))
+            self.client.wait_for_outcome(plan.id, "stopped")
             reached = twin.positions(-1)[0]
             # it has stood still when the client hears of it, on the line from start to goal
             self.client.wait(lambda: twin.at_rest(25), "the twin to rest")
@@ -251,7 +256,7 @@ class FollowJointTrajectoryTest(RobotTest):
             replacing.send_goal(goal_message(self.joints, [(2.0, self.pose)]))
             words = "replaced by a newer goal; the arm is at rest on its path"
             self.assert_result(GoalStatus.PREEMPTED, Result.GOAL_TOLERANCE_VIOLATED, words)
-            self.assertEqual((self.client.execution.plan_id, self.client.execution.outcome), (first.id, "stopped"))
+            self.client.wait_for_outcome(first.id, "stopped")
             # it leads from where the arm came to rest, and is reviewed like any other
             plan = self.waiting(replacing.get_goal_status_text, count)
             self.assertTrue(twin.at_rest(5))
@@ -303,12 +308,24 @@ class FollowJointTrajectoryTest(RobotTest):
         self.assertEqual(verdict.reviewer, "auto_approve")
         self.assertIn("auto_approve_sources names /kr120/trusted", verdict.reason)
 
+    def test_8a_an_arm_that_does_not_come_to_its_goal_in_time_has_violated_its_tolerance(self):
+        goal = self.goal(0.3 * np.array(WAY), 1.0)
+        # closer than three decimals of a degree can say
+        goal.goal_tolerance = [JointTolerance(name=name, position=1e-9) for name in self.joints]
+        goal.goal_time_tolerance = rospy.Duration(0.2)
+        plan = self.send(goal)
+        self.approve(plan)
+        words = "0.2 s after the plan's end the position of joint_a", "its tolerance is "
+        self.assert_result(GoalStatus.ABORTED, Result.GOAL_TOLERANCE_VIOLATED, *words)
+        self.client.wait_for_outcome(plan.id, "finished")
+
     def test_9_off_its_path_it_brakes_and_says_which_joint(self):
         goal = self.goal()
         goal.path_tolerance = [
             JointTolerance(name=name, position=0.02 if name == "joint_a1" else -1.0) for name in self.joints
         ]
-        self.approve(self.send(goal))
+        plan = self.send(goal)
+        self.approve(plan)
         self.client.wait(lambda: self.client.execution.state == Execution.PLAYING, "the plan to begin")
         self.client.stall("joint_a1", True)
         try:
@@ -317,7 +334,7 @@ class FollowJointTrajectoryTest(RobotTest):
             )
         finally:
             self.client.stall("joint_a1", False)
-        self.assertEqual(self.client.execution.outcome, "stopped")
+        self.client.wait_for_outcome(plan.id, "stopped")
 
 
 if __name__ == "__main__":

@@ -258,11 +258,34 @@ class Executor:
         self.turn_down(self.queue.void(now), "stop requested")
         if self.state not in ACTIVE:
             return f"nothing is playing ({self.state.name})"
+        return self._stop("stop requested")
+
+    def stop_plan(self, plan_id: str, reason: str) -> str:
+        """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence.
+
+        Parameters
+        ----------
+        plan_id : str
+        reason : str
+            Why, for the operator.
+
+        Raises
+        ------
+        ExecutionError
+            When this plan is not played.
+        """
+        if self.state not in ACTIVE:
+            raise ExecutionError(f"plan {plan_id!r} is not played: the executor is {self.state.name} ({self.reason})")
+        if self._run.plan.id != plan_id:
+            raise ExecutionError(f"plan {plan_id!r} is not played: the executor plays plan {self._run.plan.id}")
+        return self._stop(reason)
+
+    def _stop(self, reason: str) -> str:
         if self.plan_start == 0:
             self._on(ExecutorEvent.STOP, "stopped before it began")
             return f"plan {self._run.plan.id} had not begun"
         brakes = self.state is ExecutorState.STOPPING
-        self._on(ExecutorEvent.STOP, "stop requested")
+        self._on(ExecutorEvent.STOP, reason)
         if brakes:
             return f"plan {self._run.plan.id} is braking already"
         stopping = self.state is ExecutorState.STOPPING

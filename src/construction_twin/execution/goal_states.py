@@ -61,7 +61,7 @@ class Action(Enum):
     REPLACE = "the goal ends: recalled or preempted; the new one waits"
     WITHDRAW = "the plan is rejected in the client's name"
     WITHDRAW_FOR_NEXT = "the plan is rejected in the client's name; the new goal waits"
-    ACCEPT = "the goal is active: its status says that it waits for a person"
+    ACCEPT = "the goal is active: its status says that it waits for approval"
     REFUSE = "the goal is rejected: INVALID_GOAL, with the planner's sentence"
     RECALL = "the goal ends: recalled"
     PREEMPT = "the goal ends: preempted"
@@ -69,9 +69,10 @@ class Action(Enum):
     ABORT_PATH = "the goal is aborted: PATH_TOLERANCE_VIOLATED where the gate closed, else GOAL_TOLERANCE_VIOLATED"
     ABORT_GOAL = "the goal is aborted: GOAL_TOLERANCE_VIOLATED"
     END_STOPPED = "the goal ends: preempted, or aborted with PATH_TOLERANCE_VIOLATED, after what it braked for"
-    BRAKE = "the executor's `stop` is called"
-    BRAKE_FOR_NEXT = "the executor's `stop` is called; the new goal waits"
-    BRAKE_OFF_PATH = "the executor's `stop` is called, because a joint is off the path"
+    GIVE_UP = "the same, and a goal that waits is recalled"
+    BRAKE = "the executor's `stop_plan` is called"
+    BRAKE_FOR_NEXT = "the executor's `stop_plan` is called; the new goal waits"
+    BRAKE_OFF_PATH = "the executor's `stop_plan` is called, because a joint is off the path"
     SAY_MOVING = "the status says that it moves"
     SUCCEED = "the goal succeeds"
 
@@ -132,11 +133,13 @@ TABLE: tuple[Row, ...] = (
     _row(_S.BRAKING, _E.GOAL, _A.LINE_UP, _S.BRAKING),
     # the executor sends no more of the path; a next plan begins where the twin comes to rest
     _row(_S.STOPPED, _E.STILL, _A.END_STOPPED, _S.FREE),
+    _row(_S.STOPPED, _E.TOO_LATE, _A.GIVE_UP, _S.FREE),
     _row(_S.STOPPED, _E.GOAL, _A.TURN_AWAY, _S.STOPPED, _G.STRANGER),
     _row(_S.STOPPED, _E.GOAL, _A.LINE_UP, _S.STOPPED),
     # the path was played to its end; the arm may still be on its way
     _row(_S.SETTLING, _E.AT_GOAL, _A.SUCCEED, _S.FREE),
     _row(_S.SETTLING, _E.TOO_LATE, _A.ABORT_GOAL, _S.FREE),
+    _row(_S.SETTLING, _E.LOST, _A.ABORT_GOAL, _S.FREE),
     _row(_S.SETTLING, _E.CANCEL, _A.PREEMPT, _S.FREE),
     _row(_S.SETTLING, _E.GOAL, _A.TURN_AWAY, _S.SETTLING, _G.STRANGER),
     _row(_S.SETTLING, _E.GOAL, _A.REPLACE, _S.STOPPED),

@@ -63,7 +63,7 @@ class Tolerances:
         ----------
         robot : RobotModel
         asked : iterable of AskedTolerance
-            Joints in any order; those that are missing keep their default. The last word on a joint counts.
+            Joints in any order; those that are missing keep their default.
         name : str
             Of the field, for messages.
 
@@ -72,13 +72,17 @@ class Tolerances:
         GoalJointsError
             Naming a joint that is none of the robot's.
         GoalError
-            Naming joint and value that is not a number.
+            Naming a joint that comes twice, or joint and value that is not a number.
         """
         columns = {quantity: list(getattr(self, quantity)) for quantity in QUANTITIES}
+        named: set[str] = set()
         for one in asked:
             if one.joint not in robot.joint_names:
                 known = ", ".join(robot.joint_names)
                 raise GoalJointsError(f"{name} names the joint {one.joint!r}; expected only {known}")
+            if one.joint in named:
+                raise GoalError(f"{name} names {one.joint} twice; expected once")
+            named.add(one.joint)
             index = robot.joint_names.index(one.joint)
             for quantity, column in columns.items():
                 value = getattr(one, quantity)

@@ -57,6 +57,24 @@ class Sample:
         return self.actual.minus(self.desired)
 
 
+@dataclass(frozen=True, slots=True)
+class _ArmPose:
+    """A measured pose, the stamp of its command, 0 for unknown, and the twin's newest stamp when it came [ns]."""
+
+    q: tuple[float, ...]
+    command_stamp: int
+    twin_stamp: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Where the arm should be and where it is, and the stamp of the setpoint that both belong to [ns]."""
+
+    stamp: int
+    desired: tuple[float, ...]
+    actual: tuple[float, ...]
+
+
 class Tracking:
     """Keeps what twin and arm report, and answers with one Sample each time it is asked.
 
@@ -73,32 +91,56 @@ class Tracking:
         self._has_arm = has_arm
         self._twin = TwinHistory()
         self._still_since = 0
-        self._arm: tuple[int, tuple[float, ...]] | None = None
+        self._arm: _ArmPose | None = None
         self._last: Sample | None = None
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take a pose of the twin with the stamp of the command that it executes [ns]."""
+        """Take a pose of the twin with the stamp of the command that it executes [ns].
+
+        A stamp that is not newer is of a twin that was started anew: nothing that came before can be compared with it.
+        """
         latest = self._twin.latest
+        if latest == (stamp, q):
+            return
+        if latest is not None and stamp <= latest[0]:
+            self._twin, self._arm, self._last, latest = TwinHistory(), None, None, None
         if latest is None or latest[1] != q:
             self._still_since = stamp
         self._twin.add(stamp, q)
 
     def on_arm(self, q: tuple[float, ...], command_stamp: int) -> None:
         """Take a measured pose, and the stamp of the command that it answers to [ns]; 0: not known."""
-        self._arm = command_stamp, q
+        latest = self._twin.latest
+        self._arm = _ArmPose(q, command_stamp, latest[0] if latest else 0)
 
     @property
     def at_rest(self) -> bool:
         """Whether the twin has stood still for `REST`."""
         latest = self._twin.latest
-        return latest is not None and latest[0] - self._still_since >= REST
+        return latest is not None and self._rests_at(latest[0])
+
+    @property
+    def settled(self) -> bool:
+        """Whether the twin is at rest and the arm's pose answers to a command since then: what it shows is where it was sent.
+
+        A pose of which the command is not known counts when it came after the twin was seen at rest.
+        """
+        if not self._has_arm or not self.at_rest:
+            return self.at_rest
+        arm = self._arm
+        if arm is None:
+            return False
+        return arm.command_stamp >= self._still_since if arm.command_stamp else self._rests_at(arm.twin_stamp)
+
+    def _rests_at(self, stamp: int) -> bool:
+        return stamp - self._still_since >= REST
 
     def sample(self) -> Sample | None:
         """Return the newest desired and actual motion; None while one of them is not known."""
         pair = self._pair()
         if pair is None:
             return None
-        stamp, desired, actual = pair
+        stamp, desired, actual = pair.stamp, pair.desired, pair.actual
         last = self._last
         if last is not None and stamp <= last.stamp:
             return last
@@ -110,18 +152,18 @@ class Tracking:
             self._last = Sample(stamp, _moved(last.desired, desired, seconds), _moved(last.actual, actual, seconds))
         return self._last
 
-    def _pair(self) -> tuple[int, tuple[float, ...], tuple[float, ...]] | None:
+    def _pair(self) -> _Pair | None:
         latest = self._twin.latest
         if latest is None:
             return None
         if not self._has_arm:
-            return latest[0], latest[1], latest[1]
+            return _Pair(latest[0], latest[1], latest[1])
         if self._arm is None:
             return None
-        command_stamp, actual = self._arm
-        found = self._twin.at(command_stamp) if command_stamp else None
+        stamp = self._arm.command_stamp
+        found = self._twin.at(stamp) if stamp else None
         # at rest the gateway goes on playing stamps that the twin has left behind, or not reached
-        return (command_stamp, found[0], actual) if found else (latest[0], latest[1], actual)
+        return _Pair(stamp, found[0], self._arm.q) if found else _Pair(latest[0], latest[1], self._arm.q)
 
 
 def _moved(before: Motion, q: tuple[float, ...], seconds: float) -> Motion:

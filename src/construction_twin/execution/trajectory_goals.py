@@ -17,14 +17,19 @@ from construction_twin.execution.tracking import Sample
 from construction_twin.review.queue import EXECUTOR
 from construction_twin.robot.description import RobotModel
 
-#: A call that failed, of `stop` or `review_plan`, is made again after this time [ns].
+#: A call that failed, of `stop_plan` or `review_plan`, is made again after this time [ns].
 RETRY = NANOSECONDS // 5
 #: A plan that is withdrawn counts as gone when the executor has not said so for this long [ns].
 WITHDRAWAL = 5 * NANOSECONDS
+#: A goal ends this long after the executor's stop when the twin is not seen at rest [ns].
+STOPPED = 10 * NANOSECONDS
 #: A plan that takes this much longer than asked is said to [s].
 NOTABLE = 0.001
-#: States in which the executor plays the goal's plan.
-PLAYED = (GoalState.MOVING, GoalState.BRAKING)
+#: Plans that were turned down are known for as many more, should the planner's answer be slower than the verdict.
+VERDICTS = 20
+UNKNOWN_REST = "the twin is not known to be at rest"
+#: States in which the executor plays the goal's plan, or has just played it to its end.
+PLAYED = (GoalState.MOVING, GoalState.BRAKING, GoalState.SETTLING)
 
 
 class ResultCode(IntEnum):
@@ -139,6 +144,7 @@ class _Heard:
     state: ExecutorState = ExecutorState.WAITING
     outcome: str = ""
     reason: str = ""
+    start: int = 0
 
 
 class TrajectoryGoals:
@@ -170,13 +176,18 @@ class TrajectoryGoals:
         self._off_path = False
         self._retry_at = self._since = self._now = 0
         self._heard = _Heard()
-        self._verdict: tuple[str, str] = ("", "")
+        self._turned_down: dict[str, str] = {}
         self._effects: list[Effect] = []
 
     @property
     def plan(self) -> GoalPlan | None:
         """The plan of the goal that has the arm; None before the planner has answered."""
         return self._plan
+
+    @property
+    def plan_start(self) -> int:
+        """Stamp of the first setpoint of the goal's plan [ns]; 0: it has not begun, or the executor plays another one."""
+        return self._heard.start if self._plan is not None and self._plan.id == self._heard.plan_id else 0
 
     def take_effects(self) -> list[Effect]:
         """Return what has to be done since the last call, in this order."""
@@ -231,8 +242,8 @@ class TrajectoryGoals:
         self._plan = plan
         self._on(GoalEvent.PLANNED, now)
         # verdict and execution travel on connections of their own and may have been faster
-        if self._verdict[0] == plan.id:
-            self._on(GoalEvent.TURNED_DOWN, now, self._verdict[1])
+        if plan.id in self._turned_down:
+            self._on(GoalEvent.TURNED_DOWN, now, self._turned_down[plan.id])
         if self._heard.plan_id == plan.id:
             self._follow_execution(now)
 
@@ -250,13 +261,15 @@ class TrajectoryGoals:
             return
         what = f"withdrawn by the {EXECUTOR}" if reviewer == EXECUTOR else f"rejected by {reviewer}"
         sentence = f"plan {plan_id} was {what}{': ' if reason else ''}{reason}"
-        self._verdict = plan_id, sentence
+        self._turned_down[plan_id] = sentence
+        if len(self._turned_down) > VERDICTS:
+            del self._turned_down[next(iter(self._turned_down))]
         if self._plan is not None and plan_id == self._plan.id:
             self._on(GoalEvent.TURNED_DOWN, now, sentence)
 
-    def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, now: int) -> None:
-        """Take what the executor does, with the plan that it plays or played last."""
-        before, self._heard = self._heard, _Heard(plan_id, state, outcome, reason)
+    def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, start: int, now: int) -> None:
+        """Take what the executor does, with the plan that it plays or played last, and the stamp at which that began [ns]."""
+        before, self._heard = self._heard, _Heard(plan_id, state, outcome, reason, start)
         if self._plan is None:
             return
         if plan_id == self._plan.id:
@@ -268,13 +281,13 @@ class TrajectoryGoals:
             self._on(GoalEvent.LOST, now, f"the executor no longer plays plan {self._plan.id}: {reason}")
 
     def on_call_failed(self, now: int) -> None:
-        """Take that a call of `stop` or `review_plan` did not do what it was for: it is made again, while it is still needed."""
+        """Take that a call of `stop_plan` or `review_plan` did nothing: it is made again, while it is still needed."""
         self._retry_at = now + RETRY
 
     # -- what time and poses bring
 
-    def tick(self, now: int, sample: Sample | None, at_rest: bool) -> None:
-        """Take the time, where the arm is, and whether the twin is at rest.
+    def tick(self, now: int, sample: Sample | None, at_rest: bool, settled: bool) -> None:
+        """Take the time, where the arm is, and whether the twin, and then the arm, is at rest.
 
         Parameters
         ----------
@@ -283,6 +296,9 @@ class TrajectoryGoals:
         sample : Sample or None
             The newest one; None: not known.
         at_rest : bool
+            The twin is.
+        settled : bool
+            And the arm's pose answers to a command since then; see `Tracking.settled`.
         """
         self._now = now
         if self._retry_at and now >= self._retry_at:
@@ -293,10 +309,12 @@ class TrajectoryGoals:
             self._on(GoalEvent.TOO_LATE, now)
         if at_rest:
             self._on(GoalEvent.STILL, now)
+        elif self.state is GoalState.STOPPED and now - self._since > STOPPED:
+            self._on(GoalEvent.TOO_LATE, now)
         if self.state is GoalState.MOVING and sample is not None:
             self._check_path(sample, now)
         if self.state is GoalState.SETTLING:
-            self._check_goal(sample if at_rest else None, now)
+            self._check_goal(sample if settled else None, now)
         if self.state is GoalState.FREE and self._next is not None and at_rest:
             self._coming, self._next = self._next, None
             self._on(GoalEvent.GOAL, now)
@@ -312,7 +330,7 @@ class TrajectoryGoals:
         assert self.goal is not None  # it settles
         problem = "twin and arm are not known to be at rest"
         if sample is not None:
-            # the twin rests at the path's end: what it shows is the goal
+            # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
             error = sample.error
             problem = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
         if not problem:
@@ -407,8 +425,8 @@ class TrajectoryGoals:
         plan = self._planned
         late = plan.asked and plan.duration > plan.asked + NOTABLE
         instead = f" instead of {plan.asked:.3f} s, which would break a limit of the arm," if late else ""
-        decides = f"a person, who approves or rejects it by {self._reviewed_by}"
-        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for {decides}"
+        decides = f"a person gives or refuses it by {self._reviewed_by}"
+        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for approval; {decides}"
         self._effects.append(Accept(self.goal.id, waits))
 
     def _refuse(self, reason: str) -> None:
@@ -432,7 +450,18 @@ class TrajectoryGoals:
         self._finish(Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, reason)
 
     def _end_stopped(self, _reason: str) -> None:
-        where = f"the arm is at rest on its path; {self._heard.reason}" if self._heard.reason else "the arm is at rest"
+        self._end_where("the arm is at rest on its path" if self._heard.reason else "the arm is at rest")
+
+    def _give_up(self, _reason: str) -> None:
+        self._end_where(UNKNOWN_REST)
+        if self._next is not None:
+            after = f"{STOPPED // NANOSECONDS} s after the stop {UNKNOWN_REST}"
+            sentence = f"not planned: {after}; see whether it runs, and send the goal again"
+            self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
+            self._next = None
+
+    def _end_where(self, where: str) -> None:
+        where = f"{where}; {self._heard.reason}" if self._heard.reason else where
         if self._off_path:
             self._finish(Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{self._why}; {where}")
         else:

@@ -86,6 +86,24 @@ class TestStop:
         bench.run(2)
         assert bench.executor.outcome == "stopped" and within_acceleration(bench.outputs)
 
+    def test_of_one_plan_leaves_the_others_alone(self, bench):
+        bench.approve(make_plan())
+        bench.run(250)
+        waiting = make_plan("waiting")
+        bench.executor.offer(waiting)
+        with pytest.raises(ExecutionError, match="plan 'waiting' is not played: the executor plays plan p"):
+            bench.executor.stop_plan("waiting", "cancelled")
+        assert bench.state is ExecutorState.PLAYING
+        assert bench.executor.stop_plan("p", "cancelled by /client") == "braking plan p"
+        assert bench.state is ExecutorState.STOPPING and bench.executor.reason == "cancelled by /client"
+        assert bench.executor.stop_plan("p", "again") == "plan p is braking already"
+        bench.run_until_idle()
+        assert bench.executor.outcome == "stopped" and bench.executor.queue.plan is waiting
+        # what was asked for before is not void either
+        bench.executor.offer(make_plan("coming"))
+        with pytest.raises(ExecutionError, match=r"plan 'p' is not played: the executor is IDLE \(cancelled by"):
+            bench.executor.stop_plan("p", "too late")
+
     @settings(max_examples=40, deadline=None)
     @given(st.integers(0, 2**32), st.integers(2, 6), st.sampled_from([0.01, 0.1, 1.0]), st.floats(0.0, 1.01))
     def test_brakes_inside_the_acceleration_limits_wherever_it_is_asked_to(self, seed, waypoints, span, fraction):

@@ -62,6 +62,13 @@ def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
         DEFAULT.asked(ROBOT, [AskedTolerance("joint_a1", 0.1, math.nan)], "goal_tolerance")
 
 
+@pytest.mark.parametrize("second", [0.2, 0.1])
+def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
+    asked = [AskedTolerance("joint_a1", 0.1), AskedTolerance("joint_a1", second)]
+    with pytest.raises(GoalError, match="path_tolerance names joint_a1 twice; expected once"):
+        DEFAULT.asked(ROBOT, asked, "path_tolerance")
+
+
 @pytest.mark.parametrize(
     ("names", "problem"),
     [

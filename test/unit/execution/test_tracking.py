@@ -72,3 +72,67 @@ def test_the_twin_is_at_rest_when_its_pose_has_stayed_the_same():
         tracking.on_twin(cycle * CYCLE_NS, twin_at(10 * CYCLE_NS))
     assert tracking.at_rest
     assert not Tracking(True).at_rest
+
+
+def resting(since: int, cycles: int) -> Tracking:
+    """A twin that moves, and rests from the cycle `since` on."""
+    tracking = moving(since)
+    for cycle in range(since + 1, since + cycles + 1):
+        tracking.on_twin(cycle * CYCLE_NS, twin_at(since * CYCLE_NS))
+    return tracking
+
+
+def test_an_arm_that_still_answers_to_the_motion_is_not_settled():
+    tracking = resting(50, 10)
+    assert tracking.at_rest and not tracking.settled
+    # 100 ms before the end: the arm is where the twin was, and that is no success
+    tracking.on_arm(twin_at(25 * CYCLE_NS), 25 * CYCLE_NS)
+    assert tracking.sample().error.position == (0.0, 0.0) and not tracking.settled
+    tracking.on_arm(twin_at(49 * CYCLE_NS), 49 * CYCLE_NS)
+    assert not tracking.settled
+    tracking.on_arm(twin_at(50 * CYCLE_NS), 50 * CYCLE_NS)
+    assert tracking.settled
+
+
+def test_a_twin_that_moves_is_not_settled():
+    tracking = moving(50)
+    tracking.on_arm(twin_at(50 * CYCLE_NS), 50 * CYCLE_NS)
+    assert not tracking.settled
+
+
+def test_a_pose_that_answers_to_no_command_counts_when_it_came_after_the_twin_was_at_rest():
+    tracking = resting(50, 3)
+    tracking.on_arm(twin_at(50 * CYCLE_NS), 0)
+    for cycle in range(54, 60):
+        tracking.on_twin(cycle * CYCLE_NS, twin_at(50 * CYCLE_NS))
+    assert tracking.at_rest and not tracking.settled
+    tracking.on_arm(twin_at(50 * CYCLE_NS), 0)
+    assert tracking.settled
+
+
+def test_without_an_arm_the_twin_alone_settles():
+    tracking = Tracking(False)
+    for cycle in range(1, 11):
+        assert tracking.settled == tracking.at_rest
+        tracking.on_twin(cycle * CYCLE_NS, twin_at(0))
+    assert tracking.settled
+
+
+def test_a_twin_whose_stamps_begin_anew_is_followed_anew():
+    tracking = resting(50, 10)
+    tracking.on_arm(twin_at(50 * CYCLE_NS), 50 * CYCLE_NS)
+    assert tracking.sample().stamp == 50 * CYCLE_NS and tracking.settled
+    tracking.on_twin(CYCLE_NS, (2.0, 0.5))
+    assert not tracking.at_rest and not tracking.settled and tracking.sample() is None
+    tracking.on_arm((2.0, 0.5), CYCLE_NS)
+    sample = tracking.sample()
+    assert (sample.stamp, sample.desired.position, sample.actual.velocity) == (CYCLE_NS, (2.0, 0.5), (0.0, 0.0))
+    for cycle in range(2, 8):
+        tracking.on_twin(cycle * CYCLE_NS, (2.0, 0.5))
+    assert tracking.at_rest and tracking.settled
+
+
+def test_a_pose_that_is_heard_twice_changes_nothing():
+    tracking = resting(50, 10)
+    tracking.on_twin(60 * CYCLE_NS, twin_at(50 * CYCLE_NS))
+    assert tracking.at_rest

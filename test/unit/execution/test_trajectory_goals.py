@@ -14,6 +14,8 @@ from construction_twin.execution.joint_tolerances import AskedTolerance, Toleran
 from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import (
     RETRY,
+    STOPPED,
+    VERDICTS,
     WITHDRAWAL,
     Accept,
     Ask,
@@ -51,7 +53,7 @@ class Desk:
     def __init__(self):
         self.goals = TrajectoryGoals(ROBOT, "/kr120/review_plan")
         self.now = NANOSECONDS
-        self.goals.on_execution("", ExecutorState.IDLE, "", "agree", self.now)
+        self.goals.on_execution("", ExecutorState.IDLE, "", "agree", 0, self.now)
 
     @property
     def state(self) -> GoalState:
@@ -74,18 +76,21 @@ class Desk:
         return self
 
     def executes(
-        self, state: ExecutorState, outcome: str = "", reason: str = "as approved", plan: str = PLAN.id
+        self, state: ExecutorState, outcome: str = "", reason: str = "as approved", plan: str = PLAN.id, start: int = 0
     ) -> Desk:
-        self.goals.on_execution(plan, state, outcome, reason, self.now)
+        self.goals.on_execution(plan, state, outcome, reason, start, self.now)
         return self
 
     def rejects(self, reviewer: str = "Anna", reason: str = "too close to the wall", plan: str = PLAN.id) -> Desk:
         self.goals.on_verdict(plan, False, reviewer, reason, self.now)
         return self
 
-    def after(self, seconds: float, sample: Sample | None = None, at_rest: bool = False) -> Desk:
+    def after(
+        self, seconds: float, sample: Sample | None = None, at_rest: bool = False, settled: bool | None = None
+    ) -> Desk:
+        """Let time pass; where the twin rests, the arm's pose answers to a command since then, unless `settled` is given."""
         self.now += int(seconds * NANOSECONDS)
-        self.goals.tick(self.now, sample, at_rest)
+        self.goals.tick(self.now, sample, at_rest, at_rest if settled is None else settled)
         return self
 
     def under_review(self, path: Tolerances = FREE) -> Desk:
@@ -116,7 +121,7 @@ class TestToTheGoal:
         assert desk.send(goal()).effects() == [Ask(goal())]
         (accepted,) = desk.planned().effects()
         assert accepted == Accept(
-            "a", "plan plan-1 of 2.500 s waits for a person, who approves or rejects it by /kr120/review_plan"
+            "a", "plan plan-1 of 2.500 s waits for approval; a person gives or refuses it by /kr120/review_plan"
         )
         desk.goals.on_verdict(PLAN.id, True, "Anna", "", desk.now)
         assert desk.effects() == [Status("a", "plan plan-1 was approved by Anna")]
@@ -134,10 +139,10 @@ class TestToTheGoal:
     def test_a_motion_that_takes_longer_than_asked_says_so(self, desk):
         (accepted,) = desk.send(goal()).planned(GoalPlan("p", "h", 3.5, 2.5)).effects(Accept)
         assert accepted.text.startswith(
-            "plan p of 3.500 s instead of 2.500 s, which would break a limit of the arm, waits for a"
+            "plan p of 3.500 s instead of 2.500 s, which would break a limit of the arm, waits for approval"
         )
         desk = Desk().send(goal()).planned(GoalPlan("p", "h", 2.5000001, 2.5))
-        assert desk.effects(Accept)[0].text.startswith("plan p of 2.500 s waits for a person")
+        assert desk.effects(Accept)[0].text.startswith("plan p of 2.500 s waits for approval; a")
 
     def test_what_the_planner_refuses_is_an_invalid_goal_in_its_words(self, desk):
         desk.send(goal()).effects()
@@ -168,6 +173,24 @@ class TestToTheGoal:
         desk = Desk().send(goal()).rejects().planned()
         assert desk.end().code is ResultCode.INVALID_GOAL and desk.state is GoalState.FREE
 
+    def test_the_start_that_is_heard_before_the_planner_s_answer_is_kept(self):
+        desk = Desk().send(goal()).executes(ExecutorState.PLAYING, start=7)
+        assert desk.goals.plan_start == 0
+        assert desk.planned().goals.plan_start == 7
+        desk.executes(ExecutorState.PLAYING, plan="other", start=9)
+        assert desk.goals.plan_start == 0
+
+    def test_verdicts_on_other_plans_do_not_cover_the_one_that_is_heard_too_early(self):
+        desk = Desk().send(goal()).rejects()
+        for other in range(VERDICTS - 1):
+            desk.rejects(plan=f"other-{other}")
+        end = desk.planned().end()
+        assert end.code is ResultCode.INVALID_GOAL and "rejected by Anna" in end.sentence
+        desk = Desk().send(goal()).rejects()
+        for other in range(VERDICTS):
+            desk.rejects(plan=f"other-{other}")
+        assert desk.planned().state is GoalState.REVIEW
+
     @pytest.mark.parametrize(
         ("outcome", "code"),
         [
@@ -185,6 +208,13 @@ class TestToTheGoal:
         end = desk.moving().executes(ExecutorState.WAITING, reason="started", plan="").end()
         assert end.code is ResultCode.GOAL_TOLERANCE_VIOLATED
         assert end.sentence == "the executor no longer plays plan plan-1: started"
+
+    def test_another_plan_that_begins_while_the_arm_settles_ends_the_goal(self, desk):
+        desk.moving().executes(ExecutorState.IDLE, "finished").effects()
+        end = desk.executes(ExecutorState.PLAYING, reason="approved by Anna", plan="plan-2").end()
+        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
+        assert end.sentence == "the executor no longer plays plan plan-1: approved by Anna"
+        assert desk.state is GoalState.FREE
 
     def test_a_pause_is_told_and_ends_nothing(self, desk):
         told = desk.moving().executes(ExecutorState.PAUSED, reason="pause requested").effects()
@@ -221,6 +251,18 @@ class TestTolerances:
     def test_an_arm_that_comes_late_but_in_time_succeeds(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished").after(1.5, off_by(0.5), at_rest=True)
         assert desk.after(0.4, off_by(0.0), at_rest=True).end().ending is Ending.SUCCEEDED
+
+    def test_an_arm_that_still_answers_to_the_motion_is_not_at_the_goal(self, desk):
+        desk.moving().executes(ExecutorState.IDLE, "finished")
+        assert desk.after(0.1, off_by(0.0), at_rest=True, settled=False).effects() == []
+        assert desk.state is GoalState.SETTLING
+        assert desk.after(0.1, off_by(0.0), at_rest=True).end().ending is Ending.SUCCEEDED
+
+    def test_an_arm_that_never_answers_is_aborted(self, desk):
+        desk.moving().executes(ExecutorState.IDLE, "finished")
+        end = desk.after(2.1, off_by(0.0), at_rest=True, settled=False).end()
+        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
+        assert end.sentence == "2 s after the plan's end twin and arm are not known to be at rest"
 
     def test_a_pose_that_is_not_known_is_no_success(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished")
@@ -277,6 +319,24 @@ class TestCancel:
         desk.send(goal()).cancel().effects()
         desk.goals.on_not_planned("no path", desk.now)
         assert desk.after(0.02, at_rest=True).effects() == [] and desk.state is GoalState.FREE
+
+    def test_a_twin_that_is_never_seen_at_rest_holds_nobody_up_for_ever(self, desk):
+        desk.moving().cancel().send(goal("b")).executes(ExecutorState.IDLE, "stopped").effects()
+        assert desk.after(STOPPED / NANOSECONDS - 0.1).effects() == [] and desk.state is GoalState.STOPPED
+        first, waiting = desk.after(0.2).effects(End)
+        assert (first.goal_id, first.ending) == ("a", Ending.CANCELED)
+        assert first.sentence == "cancelled by its client; the twin is not known to be at rest; as approved"
+        assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
+        assert waiting.sentence == (
+            "not planned: 10 s after the stop the twin is not known to be at rest; see whether it runs, and send the goal again"
+        )
+        assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
+
+    def test_nor_does_one_that_braked_off_its_path(self, desk):
+        desk.moving(CLOSE).after(0.02, off_by(1.0)).executes(ExecutorState.IDLE, "stopped").effects()
+        end = desk.after(STOPPED / NANOSECONDS + 0.1).end()
+        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
+        assert "; the twin is not known to be at rest" in end.sentence
 
     def test_of_a_goal_that_has_ended_changes_nothing(self, desk):
         assert desk.moving().cancel("other").effects() == [] and desk.state is GoalState.MOVING

@@ -11,12 +11,12 @@ import pydantic
 import pytest
 import rospy
 from construction_twin.msg import Conflict, Link, Scene, SpeedLimit, Sync
-from construction_twin.srv import ReviewPlanRequest
+from construction_twin.srv import ReviewPlanRequest, StopPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
-from construction_twin.execution.executor import Executor
+from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.speed_limit import SpeedLimit as SpeedLimitState
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.messages.convert import plan_to_msg
@@ -173,6 +173,25 @@ class TestCycle:
         world.node.work_off(True)
         assert [line for _, line in world.logged] == ["speed limit 0.5 by /sensor: somebody is near"]
         assert world.executor.reason.startswith("approved by Ada; at 69% of the planned speed: speed limit 0.69")
+
+
+def stop_plan(world, plan_id: str):
+    request = StopPlanRequest(plan_id=plan_id)
+    request._connection_header = {"callerid": "/client"}
+    return world.node.on_stop_plan(request)
+
+
+def test_a_stop_of_one_plan_names_who_asked_for_it_and_no_other_is_stopped(world):
+    world.playing()
+    answer = stop_plan(world, "another")
+    assert not answer.success and answer.message == "plan 'another' is not played: the executor plays plan p"
+    assert world.run(1).executor.state is ExecutorState.PLAYING
+    answer = stop_plan(world, "p")
+    assert answer.success and answer.message == "braking plan p"
+    assert world.run(1).executor.reason == "stop requested by /client"
+    # a plan that somebody asked for before is not void
+    world.executor.offer(make_plan("q", created_ns=world.wall - NANOSECONDS // 100))
+    assert world.executor.queue.plan.id == "q"
 
 
 class TestClocks:

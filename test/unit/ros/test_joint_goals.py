@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 import math
+import re
 import struct
 import sys
 from pathlib import Path
@@ -170,6 +171,16 @@ def test_foreign_joints_and_tolerances_that_are_no_numbers_are_refused():
     with pytest.raises(GoalError, match="is nan"):
         goal = goal_of(path_tolerance=[MESSAGES.JointTolerance("joint_a1", math.nan, 0.0, 0.0)])
         trajectory_goal(goal, "g", "/client", ROBOT, DEFAULTS)
+
+
+@pytest.mark.parametrize("seconds", [-1, 601, 2_000_000_000])
+def test_a_time_tolerance_outside_of_its_range_is_refused(seconds):
+    with pytest.raises(
+        GoalError, match=re.escape(f"goal_time_tolerance is {seconds:g} s; expected 0 (the default) to 600")
+    ):
+        trajectory_goal(goal_of(goal_time_tolerance=genpy.Duration(seconds)), "g", "/client", ROBOT, DEFAULTS)
+    longest = goal_of(goal_time_tolerance=genpy.Duration(600))
+    assert trajectory_goal(longest, "g", "/client", ROBOT, DEFAULTS).time_tolerance == 600.0
 
 
 def test_without_control_msgs_one_sentence_says_what_to_do(monkeypatch):

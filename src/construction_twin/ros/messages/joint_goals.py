@@ -14,13 +14,15 @@ from types import ModuleType
 import genpy
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, GoalError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.joint_tolerances import AskedTolerance, Tolerances, check_joint_names
 from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import TrajectoryGoal
 from construction_twin.robot.description import RobotModel
 
+#: How much later than planned an arm may be allowed to reach its goal [s].
+LONGEST = 600.0
 #: md5 sums of control_msgs 1.5 of ROS Noetic: of what every client in the field speaks.
 OFFICIAL_MD5 = {
     "FollowJointTrajectoryAction": "bc4f9b743838566551c0390c65f1a248",
@@ -84,16 +86,18 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
     GoalJointsError
         When it does not name each joint of the robot once, or a tolerance names another one.
     GoalError
-        When a tolerance is no number.
+        When a tolerance is no number, or the time's not from 0 to `LONGEST`.
     """
     check_joint_names(robot, goal.trajectory.joint_names)
     seconds = goal.goal_time_tolerance.to_nsec() / NANOSECONDS
+    if not 0.0 <= seconds <= LONGEST:
+        raise GoalError(f"goal_time_tolerance is {seconds:g} s; expected 0 (the default) to {LONGEST:g}")
     return TrajectoryGoal(
         goal_id,
         client,
         defaults.path.asked(robot, _asked(goal.path_tolerance), "path_tolerance"),
         defaults.goal.asked(robot, _asked(goal.goal_tolerance), "goal_tolerance"),
-        seconds if seconds > 0.0 else defaults.time_tolerance,
+        seconds or defaults.time_tolerance,
     )
 
 

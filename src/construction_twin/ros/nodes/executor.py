@@ -1,4 +1,4 @@
-"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, `stop`, `pause` and `resume`."""
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pydantic
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
-from construction_twin.core.errors import ConstructionTwinError, PayloadError, RecordError, ReviewError
+from construction_twin.core.errors import ConstructionTwinError, ExecutionError, PayloadError, RecordError, ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
@@ -38,7 +38,14 @@ from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import JointPublisher, JointSubscriber, from_time, now_ns, to_time
 from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
-from construction_twin.srv import ReviewPlan, ReviewPlanRequest, ReviewPlanResponse
+from construction_twin.srv import (
+    ReviewPlan,
+    ReviewPlanRequest,
+    ReviewPlanResponse,
+    StopPlan,
+    StopPlanRequest,
+    StopPlanResponse,
+)
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
 SYNC_TIMEOUT = NANOSECONDS // 2
@@ -268,6 +275,17 @@ class ExecutorNode:
         self._said.add(rospy.logwarn, "stop: %s", sentence)
         return TriggerResponse(True, sentence)
 
+    def on_stop_plan(self, request: StopPlanRequest) -> StopPlanResponse:
+        """Brake one plan on its path; what waits is left alone."""
+        try:
+            with self._lock:
+                sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller_of(request)}")
+        except ExecutionError as error:
+            self._said.add(rospy.logwarn, "stop_plan refused: %s", error)
+            return StopPlanResponse(False, str(error))
+        self._said.add(rospy.logwarn, "stop_plan: %s", sentence)
+        return StopPlanResponse(True, sentence)
+
     def on_pause(self, _request) -> TriggerResponse:
         """Brake on the path and keep the plan."""
         return self._on_trigger("pause", lambda: self._executor.pause(now_ns()))
@@ -443,6 +461,7 @@ def start() -> ExecutorNode:
         Subscriber("link", Link, node.on_link, refuse, queue_size=5)
     Service("review_plan", ReviewPlan, node.on_review)
     Service("stop", Trigger, node.on_stop)
+    Service("stop_plan", StopPlan, node.on_stop_plan)
     Service("pause", Trigger, node.on_pause)
     Service("resume", Trigger, node.on_resume)
     rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), lambda _: node.work_off(scene.get_num_connections() > 0))

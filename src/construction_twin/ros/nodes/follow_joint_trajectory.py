@@ -18,7 +18,6 @@ import pydantic
 import rospy
 from actionlib import ServerGoalHandle
 from rospy.exceptions import TransportException
-from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.execution.executor import ExecutorState
@@ -41,6 +40,7 @@ from construction_twin.execution.trajectory_goals import (
 )
 from construction_twin.msg import Execution, Feedback, Review
 from construction_twin.ros.messages.joint_goals import (
+    LONGEST,
     GoalDefaults,
     asked_duration,
     control_messages,
@@ -53,16 +53,18 @@ from construction_twin.ros.shared.params import read_parameters, robot_from_para
 from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
-from construction_twin.srv import PlanTrajectory, ReviewPlan
+from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
 
 #: Time between two looks at poses and clock while a goal has the arm, and while none has [s].
 PERIOD, IDLE_PERIOD = 0.02, 0.2
 #: Between two feedbacks while nothing moves [s].
 WAITING_FEEDBACK = 0.5
-#: How long the streams are not read while no goal has the arm [s]; then only the newest pose is.
+#: How long the streams are not read while no plan of a goal is played [s]; then only the newest pose is.
 PAUSE = 0.1
 #: A plan of the goal is, or may be, played.
 IN_MOTION = (GoalState.MOVING, GoalState.BRAKING, GoalState.STOPPED, GoalState.SETTLING)
+#: The streams are read in full then: a plan may begin at any moment of WITHDRAWING. REVIEW lasts minutes.
+FOLLOWED = (GoalState.WITHDRAWING, *IN_MOTION)
 #: The errors of a call whose node is not there, or goes away.
 NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
 
@@ -82,7 +84,7 @@ class Settings(pydantic.BaseModel):
     path_tolerance_linear: Tolerance
     goal_tolerance: Tolerance
     goal_tolerance_linear: Tolerance
-    goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+    goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=LONGEST)]
     retime: bool
     planner_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
 
@@ -117,7 +119,6 @@ class FollowJointTrajectoryNode:
         self._poses = threading.Lock()
         self._tracking = Tracking(settings.arm != "none")
         self._needs_poses = threading.Event()
-        self._plan_start = 0
         self._fed_back = 0.0
         self._taken = 0
         self._last = self._described = "no goal yet"
@@ -138,6 +139,7 @@ class FollowJointTrajectoryNode:
             lambda handle: self._inbox.put(functools.partial(self._take_goal, server, handle)),
             lambda handle: self._inbox.put(functools.partial(self._take_cancel, server, handle)),
             self._diagnostics.refuse,
+            functools.partial(self._result, ResultCode.GOAL_TOLERANCE_VIOLATED),
         )
         server.start()
         return server
@@ -157,20 +159,22 @@ class FollowJointTrajectoryNode:
                     continue
             self._carry_out()
             self._described = self._goals.describe()
-            if self._is_busy():
+            if self._goals.state in FOLLOWED:
                 self._needs_poses.set()
-                looks = min(looks, time.monotonic() + PERIOD)
             else:
                 self._needs_poses.clear()
+            if self._is_busy():
+                looks = min(looks, time.monotonic() + PERIOD)
 
     def _is_busy(self) -> bool:
         return self._goals.state is not GoalState.FREE or bool(self._clients)
 
     def _look(self) -> None:
         with self._poses:
-            sample, at_rest = self._tracking.sample(), self._tracking.at_rest
+            tracking = self._tracking
+            sample, at_rest, settled = tracking.sample(), tracking.at_rest, tracking.settled
         now = time.monotonic()
-        self._goals.tick(time.monotonic_ns(), sample, at_rest)
+        self._goals.tick(time.monotonic_ns(), sample, at_rest, settled)
         goal = self._goals.goal
         if goal is None or sample is None or goal.id not in self._clients:
             return
@@ -180,7 +184,7 @@ class FollowJointTrajectoryNode:
             feedback = self._messages.FollowJointTrajectoryFeedback()
             feedback.header.stamp = rospy.Time.now()
             feedback.joint_names = [self._robot.joint_names[index] for index in client.order]
-            fill_feedback(feedback, sample, self._plan_start, client.order)
+            fill_feedback(feedback, sample, self._goals.plan_start, client.order)
             client.handle.publish_feedback(feedback)
 
     # -- subscriptions and actions: other threads
@@ -241,10 +245,8 @@ class FollowJointTrajectoryNode:
             sentence = f"execution state {message.state} is unknown; expected one of Execution.msg"
             self._diagnostics.refuse("execution", sentence)
             return
-        plan = self._goals.plan
-        self._plan_start = from_time(message.plan_start) if plan is not None and plan.id == message.plan_id else 0
-        state, now = ExecutorState(message.state), time.monotonic_ns()
-        self._goals.on_execution(message.plan_id, state, message.outcome, message.reason, now)
+        state, start, now = ExecutorState(message.state), from_time(message.plan_start), time.monotonic_ns()
+        self._goals.on_execution(message.plan_id, state, message.outcome, message.reason, start, now)
 
     # -- effects
 
@@ -322,7 +324,15 @@ class FollowJointTrajectoryNode:
     def _withdraw(self, effect: Withdraw) -> None:
         try:
             review = rospy.ServiceProxy("review_plan", ReviewPlan)
-            answer = review(effect.plan_id, effect.plan_hash, False, f"client {effect.client}", effect.reason)
+            answer = review(
+                plan_id=effect.plan_id,
+                plan_hash=effect.plan_hash,
+                approve=False,
+                reviewer=f"client {effect.client}",
+                reason=effect.reason,
+            )
+        except rospy.ROSInterruptException:
+            return
         except NO_ANSWER as error:
             self._failed("review_plan", error)
             return
@@ -330,11 +340,17 @@ class FollowJointTrajectoryNode:
             # the plan has not reached the executor yet, or a verdict has just been taken, which will be heard of
             self._put(self._goals.on_call_failed)
 
-    def _brake(self, _effect: Brake) -> None:
+    def _brake(self, effect: Brake) -> None:
         try:
-            rospy.ServiceProxy("stop", Trigger)()
+            answer = rospy.ServiceProxy("stop_plan", StopPlan)(plan_id=effect.plan_id)
+        except rospy.ROSInterruptException:
+            return
         except NO_ANSWER as error:
-            self._failed("stop", error)
+            self._failed("stop_plan", error)
+            return
+        if not answer.success:
+            # the plan has ended, or its approval and the start have just crossed this, which will be heard of
+            self._put(self._goals.on_call_failed)
 
     def _failed(self, service: str, error: Exception) -> None:
         if not rospy.core.is_shutdown_requested():

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import genpy
 import rospy
 from actionlib import ActionServer, ServerGoalHandle
-from actionlib_msgs.msg import GoalID, GoalStatusArray
+from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 
 from construction_twin.ros.transport.publisher import Publisher
-from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 
 #: Messages kept for a client, and of clients, that are busy.
 QUEUE = 50
@@ -33,6 +34,8 @@ class GoalServer(ActionServer):
         Take the goal's handle; in rospy's threads, with the server's lock held.
     refused : callable
         See `Subscriber`.
+    recalled : callable
+        Returns the result of a goal that was cancelled before it came, from a sentence.
     """
 
     def __init__(
@@ -42,9 +45,10 @@ class GoalServer(ActionServer):
         on_goal: Callable[[ServerGoalHandle], None],
         on_cancel: Callable[[ServerGoalHandle], None],
         refused: Callable[[str, str], None],
+        recalled: Callable[[str], genpy.Message],
     ):
         super().__init__(name, kind, on_goal, on_cancel, auto_start=False)
-        self._refused = refused
+        self._refused, self._recalled = refused, recalled
 
     def initialize(self) -> None:
         """Connect to the five topics; called by `start`."""
@@ -62,9 +66,29 @@ class GoalServer(ActionServer):
         actionlib goes on to drop every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would
         lock everybody else out for an hour, without a word. Here a cancel is about goals that are there, and nothing that comes.
         """
-        super().internal_cancel_callback(goal_id)
+        # in one: a goal that comes between the two would be dropped
         with self.lock:
+            super().internal_cancel_callback(goal_id)
             self.last_cancel = rospy.Time()
+
+    def internal_goal_callback(self, goal) -> None:
+        """Take a goal; one whose id is there already is refused and counted.
+
+        actionlib drops it without a word; and where its cancel came first, the result that it sends has no error code, which is the
+        code of success. The goal is then recalled with `recalled`.
+        """
+        with self.lock:
+            there = [each for each in self.status_list if each.status.goal_id.id == goal.goal_id.id]
+            if self.started and there:
+                status = there[0].status
+                if status.status == GoalStatus.RECALLING:
+                    sentence = "cancelled before it came"
+                    status.status, status.text = GoalStatus.RECALLED, sentence
+                    self.publish_result(status, self._recalled(sentence))
+                else:
+                    sentence = "its id is that of a goal that is there; expected a new one for each goal"
+                self._refused("repeated goal", f"goal {goal.goal_id.id!r} of {caller_of(goal)} dropped: {sentence}")
+            super().internal_goal_callback(goal)
 
     def _hear(self, topic: str, kind: type, callback: Callable) -> Subscriber:
         return Subscriber(f"{self.ns}/{topic}", kind, callback, self._refused, queue_size=QUEUE, tcp_nodelay=True)
