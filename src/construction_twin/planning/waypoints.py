@@ -249,6 +249,8 @@ def retime_waypoints(
     WaypointsError, PlanSizeError, PlanningError
         As `plan_waypoints` without times.
     """
+    if len(waypoints.positions) == 1:
+        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
     untimed = replace(waypoints, times=None, velocities=None, accelerations=None)
     fastest = plan_waypoints(untimed, present, robot, speed_scale, acceleration_scale, bounds)
     if waypoints.times is None:

@@ -263,6 +263,24 @@ def test_times_that_are_replaced_are_never_made_shorter():
     assert retime_waypoints(points, HOME, ROBOT).duration == pytest.approx(times[-1], abs=1e-6)
 
 
+def test_a_single_point_is_retimed_to_no_less_than_its_time():
+    slowly = np.full((1, len(HOME)), 0.01)
+    point = from_points(ROBOT, NAMES, [HOME + 0.1], np.zeros_like(slowly), slowly, [60.0])
+    with pytest.raises(WaypointTimesError, match="at rest"):
+        plan_waypoints(point, HOME, ROBOT)
+    assert retime_waypoints(point, HOME, ROBOT).duration == 60.0
+
+
+def test_a_single_point_whose_time_needs_too_much_jerk_is_retimed_to_no_less_than_its_time():
+    way = 0.01
+    # a quintic from rest to rest has its largest jerk, 60 times its way per time cubed, at both ends
+    asked = float(np.max(np.cbrt(60.0 * way / (1.2 * np.array(ROBOT.jerk)))))
+    point = from_points(ROBOT, NAMES, [HOME + way], times=[asked])
+    with pytest.raises(WaypointTimesError, match="a jerk of"):
+        plan_waypoints(point, HOME, ROBOT)
+    assert retime_waypoints(point, HOME, ROBOT).duration >= asked
+
+
 def trapezoid(speed: float, acceleration: float, step: float) -> dict[str, np.ndarray]:
     """What MoveIt's time parameterization makes of a straight line: constant acceleration, speed, deceleration, sampled evenly.
 
