@@ -314,7 +314,7 @@ class FollowJointTrajectoryNode:
         if answer.success:
             self._put(
                 self._goals.on_planned,
-                GoalPlan(answer.plan_id, answer.plan_hash, answer.duration, asked_duration(trajectory)),
+                GoalPlan(answer.plan_id, answer.plan_hash, answer.duration, asked_duration(trajectory), answer.retimed),
             )
         else:
             self._put(self._goals.on_not_planned, answer.message)
