@@ -17,7 +17,6 @@ from typing import Annotated, Literal
 import pydantic
 import rospy
 from actionlib import ServerGoalHandle
-from rospy.exceptions import TransportException
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import GoalError, GoalJointsError
@@ -52,6 +51,7 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
+from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan
 
@@ -63,8 +63,6 @@ WAITING_FEEDBACK = 0.5
 PAUSE = 0.1
 #: A plan of the goal is, or may be, played.
 IN_MOTION = (GoalState.MOVING, GoalState.BRAKING, GoalState.STOPPED, GoalState.SETTLING)
-#: The errors of a call whose node is not there, or goes away.
-NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
 
 Tolerance = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
