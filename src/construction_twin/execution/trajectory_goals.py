@@ -128,12 +128,16 @@ Effect = Ask | Withdraw | Brake | Accept | Status | End
 
 @dataclass(frozen=True)
 class GoalPlan:
-    """The plan of a goal, as the planner answered: id, hash, duration [s], and the duration that was asked for [s], 0 for none."""
+    """The plan of a goal, as the planner answered: id, hash and duration [s].
+
+    `asked` is the duration that was asked for [s], 0 for none; `retimed` why the times were replaced, empty where they were kept.
+    """
 
     id: str
     hash: str
     duration: float
     asked: float = 0.0
+    retimed: str = ""
 
 
 @dataclass(frozen=True)
@@ -424,9 +428,10 @@ class TrajectoryGoals:
         assert self.goal is not None  # it was planned
         plan = self._planned
         late = plan.asked and plan.duration > plan.asked + NOTABLE
-        instead = f" instead of {plan.asked:.3f} s, which would break a limit of the arm," if late else ""
+        instead = f" instead of {plan.asked:.3f} s" if late else ""
+        why = f"; timed anew, because {plan.retimed}" if plan.retimed else ""
         decides = f"a person gives or refuses it by {self._reviewed_by}"
-        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for approval; {decides}"
+        waits = f"plan {plan.id} of {plan.duration:.3f} s{instead} waits for approval; {decides}{why}"
         self._effects.append(Accept(self.goal.id, waits))
 
     def _refuse(self, reason: str) -> None:

@@ -55,6 +55,30 @@ _ACCOUNT = re.compile(r"[A-Za-z0-9_-]{1,100}")
 Values = tuple[float, ...]
 
 
+class SenderPace:
+    """How often one sender's motions are taken.
+
+    Parameters
+    ----------
+    shortest : float
+        Time between two of them [s].
+    """
+
+    def __init__(self, shortest: float):
+        self._shortest = shortest
+        self._taken: dict[str, float] = {}
+
+    def wait(self, sender: str, now: float) -> float:
+        """Return how long a sender has to wait until a motion is taken from it [s], 0 for not at all; `now` is monotonic [s]."""
+        # anybody may call himself something new where a broker knows no accounts
+        self._taken = {name: at for name, at in self._taken.items() if now - at < self._shortest}
+        return self._shortest - (now - self._taken[sender]) if sender in self._taken else 0.0
+
+    def take(self, sender: str, now: float) -> None:
+        """Note that a motion was taken."""
+        self._taken[sender] = now
+
+
 @dataclass(frozen=True)
 class Joints:
     """The robot's joints, base to tip: `names`, and which of them are prismatic."""
@@ -227,9 +251,9 @@ def _plain_request(document: Mapping[str, Any], joints: Joints) -> TrajectoryReq
             raise PayloadError("values", f"point {index} has no positions; expected one for each joint")
         time_ns = _seconds(point.get("time_from_start", 0.0), index)
         points.append(TrajectoryPoint(values[0], values[1], values[2], time_ns))
-    _all_or_none(points)
+    _check_points(points)
     _check_timed(points)
-    return TrajectoryRequest(*_envelope(document), tuple(points))
+    return _request(document, tuple(points))
 
 
 def _factors(units: object) -> dict[str, float]:
@@ -259,6 +283,15 @@ def _all_or_none(points: Sequence[TrajectoryPoint]) -> None:
             )
 
 
+def _check_points(points: Sequence[TrajectoryPoint]) -> None:
+    if len(points) < 2:
+        raise PayloadError(
+            "values",
+            f"{len(points)} points; expected at least two, the first where the twin is: a goal alone does not say from where",
+        )
+    _all_or_none(points)
+
+
 def _is_timed(points: Sequence[TrajectoryPoint]) -> bool:
     return any(point.time_ns for point in points)
 
@@ -286,18 +319,19 @@ def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], jo
     names = _compas_names(data["joint_names"], rows)
     order = _order(names, joints)
     points = tuple(_compas_point(point, index, names, order, joints) for index, point in enumerate(rows))
+    _check_points(points)
     notes = []
     for name in ("velocities", "accelerations"):
         # compas_fab cannot say "none": it fills in zeros
-        if points and not any(any(getattr(point, name)) for point in points):
-            if _is_timed(points):
+        if not any(any(getattr(point, name)) for point in points):
+            if _is_timed(points) and getattr(points[0], name):
                 notes.append(ZEROS.format(name))
             points = tuple(_without(point, name) for point in points)
     _check_timed(points)
     if envelope is document:
         name = _text(document.get("name", ""), "name")
         return TrajectoryRequest(request_id(document), name, 0.0, 0.0, points, tuple(notes))
-    return TrajectoryRequest(*_envelope(envelope), points, tuple(notes))
+    return _request(envelope, points, tuple(notes))
 
 
 def _check_fraction(fraction: object) -> None:
@@ -348,9 +382,7 @@ def _compas_point(
         raise PayloadError("values", f"point {index} has no joint_values; expected one for each joint")
     if any(values[3]):
         raise PayloadError("values", f"point {index} has efforts; the arm takes positions only: leave them out, or 0")
-    return TrajectoryPoint(
-        values[0], values[1] or (0.0,) * len(order), values[2] or (0.0,) * len(order), _duration(point, index)
-    )
+    return TrajectoryPoint(values[0], values[1], values[2], _duration(point, index))
 
 
 def _duration(point: Mapping[str, Any], index: int) -> int:
@@ -373,6 +405,17 @@ def _without(point: TrajectoryPoint, name: str) -> TrajectoryPoint:
 
 
 # -- parts of both
+
+
+def _request(
+    envelope: Mapping[str, Any], points: tuple[TrajectoryPoint, ...], notes: tuple[str, ...] = ()
+) -> TrajectoryRequest:
+    """Return the request; a scale of a motion that brings its times would have no effect, and is refused."""
+    name, source, speed_scale, acceleration_scale = _envelope(envelope)
+    for key, scale in (("speed_scale", speed_scale), ("acceleration_scale", acceleration_scale)):
+        if scale and _is_timed(points):
+            raise PayloadError("values", f"{key} is for a motion without times; leave it out, or time_from_start")
+    return TrajectoryRequest(name, source, speed_scale, acceleration_scale, points, notes)
 
 
 def _envelope(document: Mapping[str, Any]) -> tuple[str, str, float, float]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -171,15 +172,16 @@ class PlanningPipeline:
                 waypoints, present, self._robot, speed, request.acceleration_scale, self._settings.bounds
             )
 
-        def plan(world: CollisionWorld) -> Plan:
+        def checked(world: CollisionWorld) -> Plan:
             try:
                 return self._checked(make, "waypoints", request, world)
             except WaypointTimesError as error:
                 if not retime:
                     raise
-                return self._checked(retimed, f"waypoints, timed anew ({error})", request, world)
+                plan = self._checked(retimed, f"waypoints, timed anew ({error})", request, world)
+                return replace(plan, retimed=str(error))
 
-        return self._in_scene(plan)
+        return self._in_scene(checked)
 
     def _scales(self, request: PlanRequest) -> tuple[float, float | None]:
         speed_scale = self._settings.speed_scale if request.speed_scale is None else request.speed_scale

@@ -100,9 +100,14 @@ def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
         raise TrajectoryError(f"point {row} of the path: {name} is {path[row, joint]}, not a finite number")
     for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
         robot.check_range(point)
-    apart = np.max(np.abs(np.diff(path, axis=0)), axis=1) > SAME_POINT
-    if not np.any(apart):
+    apart = distinct(path)
+    if not np.any(apart[1:]):
         raise TrajectoryError("the arm is already there: the path's points are all the same; nothing to plan")
-    kept = path[np.concatenate(([True], apart))]
+    kept = path[apart]
     kept[-1] = path[-1]
     return kept
+
+
+def distinct(path: np.ndarray) -> np.ndarray:
+    """Return which points of a path, shape (m, n), are not the same as the one before: an array of bool, shape (m,)."""
+    return np.concatenate(([True], np.max(np.abs(np.diff(path, axis=0)), axis=1) > SAME_POINT))

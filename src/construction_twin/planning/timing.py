@@ -9,7 +9,7 @@ leaves the straight line.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from construction_twin.core.motion_errors import DurationError, JointRangeError,
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
 from construction_twin.planning.limit_usage import check_range, sampled_usage
-from construction_twin.planning.request_limits import PlanBounds, check_path, check_request
+from construction_twin.planning.request_limits import PlanBounds, check_path, check_request, distinct
 from construction_twin.planning.time_scaling import (
     JERK_FRACTION,
     MotionLimits,
@@ -49,6 +49,12 @@ LOCAL_ROUNDS = 2
 #: The same for `time_curve`, where slowing the whole motion would also slow the parts that run at the tool's speed.
 CURVE_SLOWING = 1.002
 CURVE_ROUNDS = 8
+#: The same where no part may be passed faster than asked: the rest of the excess slows the whole motion, by at most this factor.
+PACE_SLOWING = 1.01
+PACE_ROUNDS = 12
+#: Samples of a motion for each point, to find when it passes them.
+PASSING_SAMPLES = 200
+LARGEST_REST = 4.0
 #: Inner points of a path keep this distance from the ends of the range [rad] or [m]: the quintics between the waypoints
 #: overshoot the curve by less. About half of the last decimal of the joint string.
 EDGE = 1e-5
@@ -63,6 +69,7 @@ def time_path(
     waypoints: int | None = None,
     corner_fraction: float | None = None,
     bounds: PlanBounds = PlanBounds(),
+    times: np.ndarray | None = None,
 ) -> Trajectory:
     """Time a joint path.
 
@@ -91,6 +98,8 @@ def time_path(
         `curves.monotone` where that would leave the range).
     bounds : PlanBounds, optional
         Largest duration and number of waypoints. Default: any.
+    times : array, shape (m,), optional
+        Increasing [s]: from one point to the next the motion takes no less time than these do. Not with `corner_fraction`.
 
     Returns
     -------
@@ -111,6 +120,7 @@ def time_path(
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(duration, speed_scale, acceleration_scale, waypoints, corner_fraction)
+    asked = None if times is None else _asked_times(np.asarray(times, dtype=float), distinct(np.asarray(path)))
     path = check_path(path, robot)
     fractions = LIMIT_FRACTION * speed_scale, LIMIT_FRACTION * acceleration_scale
     request = _Request(robot, duration, *fractions, waypoints, bounds)
@@ -118,12 +128,18 @@ def time_path(
     if corner_fraction is not None:
         return request.run(rounded(inside, pace, corner_fraction), ends)
     # a cubic spline overshoots its points by a fraction of their distance, so closer points may keep it in range
-    for points in (path, with_midpoints(path)):
+    slow = (
+        request
+        if asked is None
+        else replace(request, asked=asked, local_slowing=PACE_SLOWING, local_rounds=PACE_ROUNDS)
+    )
+    between = slow if asked is None else replace(slow, asked=with_midpoints(asked[:, None])[:, 0])
+    for way, points in ((slow, path), (between, with_midpoints(path))):
         try:
-            return request.run(interpolated(points, pace), ends)
+            return way.run(interpolated(points, pace), ends)
         except JointRangeError:
             continue
-    return request.run(monotone(inside, pace), ends)
+    return slow.run(monotone(inside, pace), ends)
 
 
 def time_curve(
@@ -258,6 +274,8 @@ class _Request:
     local_slowing: float = LOCAL_SLOWING
     local_rounds: int = LOCAL_ROUNDS
     whole_cycles: bool = False
+    #: Times of the curve's knots [s]: between two of them the motion takes no less time.
+    asked: np.ndarray | None = None
 
     def run(self, curve: JointCurve, ends: np.ndarray) -> Trajectory:
         """Time a curve; raises `JointRangeError` if the curve or the trajectory leaves the range."""
@@ -277,17 +295,31 @@ class _Request:
             return self._slowed(curve, straight_time_scaling(curve, limits, top_speed), ends)
         check_range(curve(_between(curve.knots)), self.robot)
         search = TimeScalingSearch(curve, limits, top_speed)
-        scaling = search.find()
+        if self.asked is not None:
+            search.slow_down(*_asked_speed(curve.knots, self.asked))
+        scaling, early = search.find(), np.ones(1)
         for rounds_left in range(self.local_rounds, -1, -1):
             self.bounds.check(scaling.duration)
             times = np.linspace(0.0, scaling.duration, math.ceil(scaling.duration / self.spacing) + 1)
             fractions = _motion_usage(times, *_states(curve, scaling, times)[1:], self.robot)
             factor = self._too_fast(*fractions, JERK_FRACTION)
+            if self.asked is not None:
+                passed = _passing_times(scaling, curve.knots)
+                early = np.diff(self.asked) / np.diff(passed)
+                factor = np.maximum(factor, early[np.clip(np.searchsorted(passed, times) - 1, 0, len(early) - 1)])
             if not rounds_left or np.max(factor) <= self.local_slowing:
                 break
             search.slow_down(*_slower(scaling, times, factor))
             scaling = search.find()
-        return self._slowed(curve, scaling, ends, float(np.max(self._too_fast(*fractions))) * (1.0 - STRETCH_STEP))
+        rest = float(np.max(early))
+        if rest > LARGEST_REST:
+            row = int(np.argmax(early)) + 1
+            raise PlanningError(
+                f"the path cannot be timed as slowly as asked on the way to point {row}, it would be passed {rest:.1f} times "
+                "too fast; give more points there, or points without times"
+            )
+        least = float(np.max(self._too_fast(*fractions))) * (1.0 - STRETCH_STEP)
+        return self._slowed(curve, scaling, ends, max(least, rest))
 
     def _slowed(self, curve, scaling: TimeScaling, ends: np.ndarray, least: float = 1.0) -> TimedCurve:
         """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
@@ -369,6 +401,30 @@ def _slower(scaling: TimeScaling, times: np.ndarray, factor: np.ndarray) -> tupl
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
     s, speed = scaling.derivatives[0](times), scaling.derivatives[1](times)
     return s, np.where(around > 1.0, speed / around, math.inf)
+
+
+def _asked_times(times: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return the times of the points that are kept; a pause at one of them belongs to the way to the next."""
+    asked = times[kept]
+    asked[-1] = times[-1]
+    return asked
+
+
+def _asked_speed(knots: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean ds/dt between knots that are passed at these times, over s; at a knot the smaller one of both sides."""
+    speed, margin = np.diff(knots) / np.diff(times), 1e-6 * np.diff(knots)
+    at_knots = np.minimum(np.append(speed, np.inf), np.concatenate(([np.inf], speed)))
+    inside = np.column_stack((knots[:-1], knots[:-1] + margin, knots[1:] - margin)).ravel()
+    values = np.column_stack((at_knots[:-1], speed, speed)).ravel()
+    return np.append(inside, knots[-1]), np.append(values, at_knots[-1])
+
+
+def _passing_times(scaling: TimeScaling, knots: np.ndarray) -> np.ndarray:
+    """Return when a motion passes the knots of its curve [s]."""
+    times = np.linspace(0.0, scaling.duration, PASSING_SAMPLES * len(knots))
+    passed = np.interp(knots, np.maximum.accumulate(scaling.derivatives[0](times)), times)
+    passed[0], passed[-1] = 0.0, scaling.duration
+    return passed
 
 
 def _between(knots: np.ndarray) -> np.ndarray:

@@ -233,7 +233,8 @@ def retime_waypoints(
     acceleration_scale: float | None = None,
     bounds: PlanBounds = PlanBounds(),
 ) -> Trajectory:
-    """Make a trajectory through waypoints whose own times break a limit: the same points, never in less time than they say.
+    """Make a trajectory through waypoints whose own times break a limit: the same points, in no less time from any of them to the
+    next than they say.
 
     For planners that know no jerk limit (MoveIt, and whoever else plans with steps of acceleration): nothing that they time fits.
 
@@ -249,17 +250,23 @@ def retime_waypoints(
     WaypointsError, PlanSizeError, PlanningError
         As `plan_waypoints` without times.
     """
-    untimed = replace(waypoints, times=None, velocities=None, accelerations=None)
-    fastest = plan_waypoints(untimed, present, robot, speed_scale, acceleration_scale, bounds)
+    if len(waypoints.positions) == 1:
+        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
     if waypoints.times is None:
-        return fastest
-    wished = float(waypoints.times[-1] - waypoints.times[0])
-    if fastest.duration >= wished:
-        return fastest
+        return plan_waypoints(waypoints, present, robot, speed_scale, acceleration_scale, bounds)
+    bounds.check(0.0, len(waypoints.rows))
+    robot.check_range(present)
+    _check_ranges(waypoints, robot)
     path = _from_present(waypoints, np.array(present, dtype=float), robot)
-    return time_path(
-        path, robot, duration=wished, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
-    )
+    _check_times(waypoints, waypoints.times)
+    times = waypoints.times - waypoints.times[0]
+
+    def timed(duration: float | None) -> Trajectory:
+        return time_path(path, robot, duration, speed_scale, acceleration_scale, bounds=bounds, times=times)
+
+    fastest = timed(None)
+    wished = float(times[-1])
+    return fastest if fastest.duration >= wished else timed(wished)
 
 
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:

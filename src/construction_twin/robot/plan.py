@@ -86,6 +86,8 @@ class Plan:
         Time spent planning and timing [s], without `PlanReport.recheck_time`.
     trajectory : Trajectory
     report : PlanReport
+    retimed : str, optional
+        Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
 
     Raises
     ------
@@ -102,6 +104,7 @@ class Plan:
     planning_time: float
     trajectory: Trajectory
     report: PlanReport
+    retimed: str = ""
 
     def __post_init__(self):
         if not self.id:

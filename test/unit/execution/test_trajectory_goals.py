@@ -137,10 +137,13 @@ class TestToTheGoal:
         assert desk.state is GoalState.FREE and desk.goals.goal is None
 
     def test_a_motion_that_takes_longer_than_asked_says_so(self, desk):
-        (accepted,) = desk.send(goal()).planned(GoalPlan("p", "h", 3.5, 2.5)).effects(Accept)
-        assert accepted.text.startswith(
-            "plan p of 3.500 s instead of 2.500 s, which would break a limit of the arm, waits for approval"
-        )
+        why = "point 1: joint_a1 has a jerk of 9 rad/s^3; its limit is 5 rad/s^3"
+        (accepted,) = desk.send(goal()).planned(GoalPlan("p", "h", 3.5, 2.5, why)).effects(Accept)
+        assert accepted.text.startswith("plan p of 3.500 s instead of 2.500 s waits for approval")
+        assert accepted.text.endswith(f"; timed anew, because {why}")
+        desk = Desk().send(goal()).planned(GoalPlan("p", "h", 2.5, 2.5, why))
+        (accepted,) = desk.effects(Accept)
+        assert accepted.text.startswith("plan p of 2.500 s waits") and f"timed anew, because {why}" in accepted.text
         desk = Desk().send(goal()).planned(GoalPlan("p", "h", 2.5000001, 2.5))
         assert desk.effects(Accept)[0].text.startswith("plan p of 2.500 s waits for approval; a")
 

@@ -16,6 +16,7 @@ from construction_twin.link.remote_trajectory import (
     LARGEST,
     ZEROS,
     Joints,
+    SenderPace,
     TrajectoryPoint,
     TrajectoryRequest,
     checked_sender,
@@ -224,8 +225,10 @@ def test_a_message_with_other_keys_is_refused_by_name(changes):
 @pytest.mark.parametrize("scale", [-0.1, 1.1, True, "1", None, math.nan])
 @pytest.mark.parametrize("key", ["speed_scale", "acceleration_scale"])
 def test_a_scale_is_a_fraction(key, scale):
-    assert refusal(plain(**{key: scale}))[0] == "values"
-    assert getattr(read(plain(**{key: 0.25})), key) == 0.25
+    points = [{"positions": [0, 0, 0]}, {"positions": [1, 1, 1]}]
+    reason, sentence = refusal(plain(points=points, **{key: scale}))
+    assert reason == "values" and sentence.startswith(key)
+    assert getattr(read(plain(points=points, **{key: 0.25})), key) == 0.25
 
 
 # -- compas_fab's form
@@ -250,14 +253,61 @@ def test_zeros_that_compas_fab_fills_in_count_as_not_given_and_the_sender_is_tol
 
 
 def test_an_envelope_gives_a_compas_trajectory_an_id_of_its_own():
-    request = read({"id": "7", "source": "Ada", "speed_scale": 0.5, "trajectory": compas()})
-    assert (request.id, request.source, request.speed_scale) == ("7", "Ada", 0.5)
+    request = read({"id": "7", "source": "Ada", "trajectory": compas()})
+    assert (request.id, request.source, request.speed_scale) == ("7", "Ada", 0.0)
     assert request.points == read(compas()).points
 
 
 @pytest.mark.parametrize("inner", [None, [], "x", {}, {"joint_names": []}, plain(), {"dtype": 3, "data": {}}])
 def test_an_envelope_holds_a_compas_trajectory_and_nothing_else(inner):
     assert refusal({"id": "7", "trajectory": inner})[0] == "format"
+
+
+@pytest.mark.parametrize("key", ["speed_scale", "acceleration_scale"])
+def test_a_scale_of_a_motion_with_times_is_refused_because_it_would_have_no_effect(key):
+    for document in (plain(**{key: 0.5}), {"id": "7", key: 0.5, "trajectory": compas()}):
+        assert refusal(document) == ("values", f"{key} is for a motion without times; leave it out, or time_from_start")
+    untimed = [compas_point([2.0, 0.5, 1.0]), compas_point([2.5, 1.5, -1.0])]
+    request = read({"id": "7", key: 0.5, "trajectory": compas({"points": untimed})})
+    assert getattr(request, key) == 0.5
+
+
+@pytest.mark.parametrize("key", ["velocities", "accelerations"])
+def test_a_compas_point_without_what_others_have_is_refused_and_not_filled_with_zeros(key):
+    for without in ({key: []}, {}):
+        last = compas_point([2.5, 2.5, -1.0], 2)
+        middle = compas_point([2.5, 1.5, -1.0], 1, **{key: [0.2, 0.1, 0.3]})
+        first = compas_point([2.0, 0.5, 1.0])
+        if not without:
+            del last[key]
+        document = compas({"points": [first, middle, last | without]})
+        assert refusal(document) == (
+            "values", f"point 2 has no {key}, others have; expected them in every point or in none"
+        )  # fmt: skip
+
+
+def test_what_compas_leaves_out_in_all_points_needs_no_note():
+    points = compas()["data"]["points"]
+    for point in points:
+        del point["velocities"], point["accelerations"]
+    assert read(compas({"points": points})).notes == ()
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_motion_has_two_points_because_a_sender_cannot_know_where_the_twin_is(count):
+    short = compas()
+    short["data"]["points"] = short["data"]["points"][:count]
+    for document in (plain(points=plain()["points"][:count]), short):
+        reason, sentence = refusal(document)
+        assert reason == "values" and sentence.startswith(f"{count} points; expected at least two")
+
+
+def test_a_sender_waits_between_two_motions_and_others_do_not():
+    pace = SenderPace(1.0)
+    assert pace.wait("a", 10.0) == 0.0
+    pace.take("a", 10.0)
+    assert pace.wait("a", 10.25) == 0.75 and pace.wait("b", 10.25) == 0.0
+    assert pace.wait("a", 11.0) == 0.0
 
 
 def test_joints_named_by_every_point_alone_are_read():

@@ -240,11 +240,12 @@ def test_times_that_break_a_limit_are_replaced_only_where_that_is_allowed_and_th
     plan = pipeline().through(points, HOME, REQUEST, retime=True)
     assert plan.planner.startswith("waypoints, timed anew (point 1 (on the path to it, ")
     assert "has an acceleration of" in plan.planner and plan.trajectory.duration > 0.2
+    assert plan.planner == f"waypoints, timed anew ({plan.retimed})"
     # what holds its limits is kept
     kept = pipeline().through(
         from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, 30.0]), HOME, REQUEST, retime=True
     )
-    assert (kept.planner, kept.trajectory.duration) == ("waypoints", 30.0)
+    assert (kept.planner, kept.retimed, kept.trajectory.duration) == ("waypoints", "", 30.0)
 
 
 def test_a_place_that_is_wrong_is_refused_whatever_the_times():

@@ -11,7 +11,8 @@ import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Execution, Link, Sync
-from construction_twin.srv import PlanTrajectoryRequest
+from construction_twin.srv import PlanTrajectoryRequest, PlanTrajectoryResponse
+from rospy.exceptions import TransportTerminated
 
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
@@ -19,7 +20,15 @@ from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ViewWriter
 from construction_twin.mqtt.client import Broker
 from construction_twin.ros.nodes import mqtt_planner
-from construction_twin.ros.nodes.mqtt_planner import REPEAT_WINDOW, WAITING, MqttPlanner, Poses, Settings, source_of
+from construction_twin.ros.nodes.mqtt_planner import (
+    REPEAT_WINDOW,
+    SENDER_PAUSE,
+    WAITING,
+    MqttPlanner,
+    Poses,
+    Settings,
+    source_of,
+)
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.latest_pose import StampedPose
 
@@ -28,7 +37,6 @@ TRAJECTORY = {
     "id": "7",
     "source": "Ada",
     "units": {"angle": "deg", "length": "mm", "time": "s"},
-    "speed_scale": 0.5,
     "joint_names": ["track", "joint_a1"],
     "points": [
         {"positions": [0.0, 0.0], "time_from_start": 0.0},
@@ -55,7 +63,7 @@ class Bench:
     resolved_name = "/kr120/plan_trajectory"
 
     def __init__(self, **settings):
-        self.client, self.asked, self.success, self.error = Client(), [], True, None
+        self.client, self.asked, self.success, self.error, self.retimed = Client(), [], True, None, ""
         self.steady, self.wall = 1000.0, 1_764_000_000.0
         self.made = None
         given = {"host": "127.0.0.1", "port": 1, "max_trajectory_bytes": 4096, "view_rate": 25.0, "max_pose_age": 0.25}
@@ -74,9 +82,7 @@ class Bench:
         if self.error is not None:
             raise self.error
         plan = ("p1", "cafe", 2.75) if self.success else ("", "", 0.0)
-        return SimpleNamespace(
-            success=self.success, message="waiting for review", plan_id=plan[0], plan_hash=plan[1], duration=plan[2]
-        )
+        return PlanTrajectoryResponse(self.success, "waiting for review", *plan, self.retimed)
 
     def send(self, sender: str = "", retained: bool = False, **changes) -> None:
         document = copy.deepcopy(TRAJECTORY) | changes
@@ -110,7 +116,7 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
     assert message.joint_names == ["joint_a1", "track"]
     assert list(message.points[1].positions) == pytest.approx([math.pi / 2, 0.5])
     assert message.points[1].time_from_start.to_sec() == 2.75 and message.header.stamp.to_sec() == 0.0
-    assert (asked.speed_scale, asked.acceleration_scale, asked.retime) == (0.5, 0.0, False)
+    assert (asked.speed_scale, asked.acceleration_scale, asked.retime) == (0.0, 0.0, True)
     assert asked.source == "MQTT, on the topic of kr120-planner-ada, which says it is 'Ada'"
     assert bench.answers == [
         {"id": "7", "sender": "kr120-planner-ada", "ok": True, "reason": "waiting for review", "plan_id": "p1",
@@ -146,9 +152,33 @@ def test_a_planner_that_is_gone_is_told_and_the_node_goes_on(bench):
     bench.check()
     assert "/kr120/plan_trajectory does not answer: connection refused" in bench.answers[0]["reason"]
     bench.error = None
+    bench.steady += SENDER_PAUSE
     bench.send(id="8")
     bench.check()
     assert bench.answers[1]["ok"]
+
+
+@pytest.mark.parametrize("error", [TransportTerminated("x"), ConnectionResetError("x"), rospy.ROSException("x")])
+def test_a_planner_that_goes_away_during_the_call_is_told_too(bench, error):
+    bench.error = error
+    bench.send()
+    bench.check()
+    assert "/kr120/plan_trajectory does not answer: x" in bench.answers[0]["reason"]
+
+
+def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(bench):
+    bench.retimed = "point 1: joint_a1 has a jerk of 9 rad/s^3; its limit is 5 rad/s^3"
+    points = copy.deepcopy(TRAJECTORY["points"])
+    points[1]["time_from_start"] = 2.5
+    bench.send(points=points)
+    bench.check()
+    assert bench.answers[0]["notes"] == [f"timed anew: 2.750 s instead of 2.500 s, because {bench.retimed}"]
+
+
+def test_a_motion_without_times_keeps_the_scales_that_were_asked_for(bench):
+    bench.send(points=[{"positions": [0.0, 0.0]}, {"positions": [1.0, 1.0]}], speed_scale=0.5, acceleration_scale=0.25)
+    bench.check()
+    assert (bench.asked[0].speed_scale, bench.asked[0].acceleration_scale) == (0.5, 0.25)
 
 
 @pytest.mark.parametrize(
@@ -174,12 +204,26 @@ def test_what_is_refused_is_counted_and_answered_with_the_id_where_there_is_one(
 
 def test_more_than_may_wait_is_refused_and_can_be_sent_again(bench):
     for number in range(WAITING + 1):
-        bench.send(id=f"n{number}")
+        bench.send(f"account-{number}", id=f"n{number}")
     assert bench.made.refused == {"busy": 1} and [answer["id"] for answer in bench.answers] == [f"n{WAITING}"]
     bench.check()
-    bench.send(id=f"n{WAITING}")
+    bench.send(f"account-{WAITING}", id=f"n{WAITING}")
     bench.check()
     assert len(bench.asked) == WAITING + 1 and bench.answers[-1]["ok"]
+
+
+def test_one_sender_alone_does_not_hold_up_the_others(bench):
+    for number in range(25):
+        bench.send("hasty", id=f"n{number}")
+        bench.check()
+        bench.steady += 0.05
+    assert [asked.source for asked in bench.asked] == [bench.asked[0].source] * 2 and bench.made.refused == {"busy": 23}
+    refused = next(answer for answer in bench.answers if not answer["ok"])
+    assert (refused["id"], refused["sender"]) == ("n1", "hasty")
+    assert refused["reason"] == "one motion in 1 s is taken from a sender; try again in 1.0 s"
+    bench.send("patient")
+    bench.check()
+    assert bench.answers[-1]["ok"]
 
 
 def test_the_same_message_twice_makes_one_plan_and_gets_one_answer_twice(bench):

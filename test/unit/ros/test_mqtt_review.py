@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from bridge_bench import Client, Refusals
+from rospy.exceptions import TransportTerminated
 
 from construction_twin.link.remote_review import RemoteReview
 from construction_twin.mqtt.client import Broker
@@ -30,7 +31,11 @@ class Bench:
 
     resolved_name = "/kr120/review_plan"
 
+    error: Exception | None = None
+
     def __call__(self, *request):
+        if self.error is not None:
+            raise self.error
         return SimpleNamespace(success=True, message="approved")
 
     def verdict(self, plan="p1"):
@@ -52,6 +57,14 @@ def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
         bench.verdict()
     answers = [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("/ack")]
     assert bench.made.refused == {"review": 1, "busy": 2} and [answer["ok"] for answer in answers] == [False] * 3
+
+
+@pytest.mark.parametrize("error", [TransportTerminated("x"), ConnectionResetError("x"), rospy.ServiceException("x")])
+def test_an_executor_that_goes_away_during_the_call_is_told(bench, error):
+    bench.error = error
+    bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", ""))
+    answer = json.loads(bench.client.published[-1][1])
+    assert not answer["ok"] and "/kr120/review_plan does not answer: x" in answer["reason"]
 
 
 def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):

@@ -11,6 +11,7 @@ from planning_cell import HOME, LEFT, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clo
 
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
+from construction_twin.planning.waypoints import from_points
 from construction_twin.ros.shared.request_handler import RequestHandler
 from construction_twin.scene.objects import Scene
 
@@ -56,6 +57,14 @@ def test_what_no_check_foresaw_is_answered_too(error, while_reading):
     assert cell.outcomes == [(False, answer.sentence)] and cell.refused == {type(error).__name__: 1}
     assert cell.handler.answer(cell.plan, REQUEST).success  # and the lock is free
     assert cell.outcomes[1:] == [(True, "made")]
+
+
+def test_an_answer_says_why_times_were_replaced():
+    cell = Cell()
+    points = from_points(ROBOT, ROBOT.joint_names, [HOME, np.add(HOME, 0.1)], times=[0.0, 0.2])
+    answer = cell.handler.answer(lambda asked: cell.pipeline.through(points, HOME, asked, retime=True), REQUEST)
+    assert answer.success and "has an acceleration of" in answer.retimed and answer.duration > 0.2
+    assert cell.handler.answer(cell.plan, REQUEST).retimed == ""
 
 
 def test_reading_holds_nobody_up():

@@ -29,7 +29,7 @@ def plan_request(request, plan_id: str, created_ns: int, source: str = "request"
 
     Parameters
     ----------
-    request : request of PlanToJoints, PlanToPose, PlanCartesian or PlanFromCsv
+    request : request of PlanToJoints, PlanToPose, PlanCartesian, PlanFromCsv or PlanTrajectory
     plan_id : str
         Of the plan to be made.
     created_ns : int

@@ -17,7 +17,6 @@ from typing import Annotated, Literal
 import pydantic
 import rospy
 from actionlib import ServerGoalHandle
-from rospy.exceptions import TransportException
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.execution.executor import ExecutorState
@@ -52,6 +51,7 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.goal_server import GoalServer
 from construction_twin.ros.transport.joint_stream import JointSubscriber, from_time
+from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
 
@@ -65,8 +65,6 @@ PAUSE = 0.1
 IN_MOTION = (GoalState.MOVING, GoalState.BRAKING, GoalState.STOPPED, GoalState.SETTLING)
 #: The streams are read in full then: a plan may begin at any moment of WITHDRAWING. REVIEW lasts minutes.
 FOLLOWED = (GoalState.WITHDRAWING, *IN_MOTION)
-#: The errors of a call whose node is not there, or goes away.
-NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
 
 Tolerance = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
@@ -316,7 +314,7 @@ class FollowJointTrajectoryNode:
         if answer.success:
             self._put(
                 self._goals.on_planned,
-                GoalPlan(answer.plan_id, answer.plan_hash, answer.duration, asked_duration(trajectory)),
+                GoalPlan(answer.plan_id, answer.plan_hash, answer.duration, asked_duration(trajectory), answer.retimed),
             )
         else:
             self._put(self._goals.on_not_planned, answer.message)

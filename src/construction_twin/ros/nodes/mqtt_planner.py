@@ -26,6 +26,7 @@ from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import (
     Joints,
+    SenderPace,
     TrajectoryRequest,
     checked_sender,
     last_level,
@@ -54,13 +55,16 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import PlanTrajectory
+from construction_twin.srv import PlanTrajectory, PlanTrajectoryResponse
 
 #: Motions that may wait while one is checked; a person sends one at a time.
 WAITING = 4
 #: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
 REPEAT_WINDOW = 5.0
+#: Shortest time between two motions of one sender [s]: nobody alone holds up the others.
+SENDER_PAUSE = 1.0
 #: Longest wait for `plan_trajectory` to exist [s].
 SERVICE_TIMEOUT = 1.0
 #: What `sync` and `link` repeat by themselves counts as lost after so long [s].
@@ -137,6 +141,7 @@ class MqttPlanner:
         self._waiting: queue.Queue[_Waiting] = queue.Queue(WAITING)
         #: Digest of a message to its answer and when that was given; b"": it is being checked.
         self._answered: dict[bytes, tuple[bytes, float]] = {}
+        self._pace = SenderPace(SENDER_PAUSE)
         self._counts: Counter[str] = Counter()
         self._sync: tuple[Sync, float] | None = None
         self._link: tuple[Link, float] | None = None
@@ -231,12 +236,20 @@ class MqttPlanner:
         digest = hashlib.sha256(sender.encode() + b"\0" + payload).digest()
         if self._is_repeated(digest, asked.id):
             return
-        try:
-            self._waiting.put_nowait(_Waiting(asked, sender, digest))
-        except queue.Full:
+        now = time.monotonic()
+        wait = self._pace.wait(sender, now)
+        problem = f"one motion in {SENDER_PAUSE:g} s is taken from a sender; try again in {wait:.1f} s" if wait else ""
+        if not problem:
+            try:
+                self._waiting.put_nowait(_Waiting(asked, sender, digest))
+            except queue.Full:
+                problem = f"{WAITING} trajectories are waiting already; try again"
+            else:
+                self._pace.take(sender, now)
+        if problem:
             with self._lock:
                 del self._answered[digest]
-            self._refuse("busy", f"{WAITING} trajectories are waiting already; try again", asked.id, sender)
+            self._refuse("busy", problem, asked.id, sender)
 
     def _is_repeated(self, digest: bytes, request: str) -> bool:
         """Return whether the same message came before; one that was answered is answered alike. If not, note it."""
@@ -271,15 +284,16 @@ class MqttPlanner:
                 trajectory=trajectory_message(asked, self._joints),
                 speed_scale=asked.speed_scale,
                 acceleration_scale=asked.acceleration_scale,
+                retime=True,
                 source=source_of(asked, sender, proven=self._broker.account is not None),
             )
-        except (rospy.ServiceException, rospy.ROSException) as error:
+        except (rospy.ROSException, *NO_ANSWER) as error:
             sentence = f"{self._plan_trajectory.resolved_name} does not answer: {error}; does the planner run?"
             content = trajectory_answer(asked.id, sender, False, sentence)
         else:
             plan = {"plan_id": answer.plan_id, "plan_hash": answer.plan_hash, "duration": answer.duration}
-            notes = {"notes": list(asked.notes)}
-            content = trajectory_answer(asked.id, sender, answer.success, answer.message, **plan, **notes)
+            notes = [*asked.notes, *_timing_notes(asked, answer)]
+            content = trajectory_answer(asked.id, sender, answer.success, answer.message, **plan, notes=notes)
             with self._lock:
                 self._counts["under review" if answer.success else "no plan"] += 1
             rospy.loginfo("trajectory %r from %s: %s", asked.id, sender or "an unknown sender", answer.message)
@@ -400,6 +414,14 @@ def trajectory_message(asked: TrajectoryRequest, joints: Joints) -> JointTraject
         for point in asked.points
     ]
     return JointTrajectory(joint_names=list(joints.names), points=points)
+
+
+def _timing_notes(asked: TrajectoryRequest, answer: PlanTrajectoryResponse) -> list[str]:
+    """Return that the times were replaced, and why, where they were."""
+    if not answer.retimed:
+        return []
+    wished = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS
+    return [f"timed anew: {answer.duration:.3f} s instead of {wished:.3f} s, because {answer.retimed}"]
 
 
 def _pose_view(stream: LatestPose | None, settings: Settings) -> PoseView | None:

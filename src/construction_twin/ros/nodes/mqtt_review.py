@@ -23,6 +23,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, 
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import ReviewPlan
 
@@ -188,7 +189,7 @@ class MqttReview:
                 review.plan_id, review.plan_hash, review.approves, review.reviewer, _reason(review)
             )
             ok, sentence = answer.success, answer.message
-        except (rospy.ServiceException, rospy.ROSException) as error:
+        except (rospy.ROSException, *NO_ANSWER) as error:
             ok, sentence = False, f"{self._review_plan.resolved_name} does not answer: {error}; does the executor run?"
         with self._lock:
             self._verdicts["taken" if ok else "not taken"] += 1

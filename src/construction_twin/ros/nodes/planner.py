@@ -192,7 +192,8 @@ class PlannerNode:
     def _on_plan_trajectory(self, request) -> PlanTrajectoryResponse:
         asked = self._request(request, f"plan_trajectory from {caller_of(request)}")
         read = self._through(request.trajectory, request.retime)
-        return PlanTrajectoryResponse(*self._requests.answer_read(read, asked).fields)
+        answer = self._requests.answer_read(read, asked)
+        return PlanTrajectoryResponse(*answer.fields, answer.retimed)
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
         caller = caller_of(msg)

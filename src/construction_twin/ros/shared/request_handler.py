@@ -33,6 +33,8 @@ class Answer:
         Of the plan [s].
     fraction : float
         Fraction of a tool path that can be followed.
+    retimed : str
+        Why the times that were asked for were replaced; empty: they were kept.
     """
 
     success: bool
@@ -41,6 +43,7 @@ class Answer:
     plan_hash: str = ""
     duration: float = 0.0
     fraction: float = 0.0
+    retimed: str = ""
 
     @property
     def fields(self) -> tuple[bool, str, str, str, float]:
@@ -168,7 +171,7 @@ class RequestHandler:
     def _published(self, plan: Plan, asked: PlanRequest) -> Answer:
         sentence = self._publish(plan)
         self._publish_outcome(True, asked, sentence, plan.id)
-        return Answer(True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0)
+        return Answer(True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0, plan.retimed)
 
     def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> Answer:
         self._diagnostics.count(type(error).__name__, sentence)

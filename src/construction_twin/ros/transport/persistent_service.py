@@ -7,6 +7,9 @@ import threading
 import rospy
 from rospy.exceptions import TransportException
 
+#: The errors of a call whose node is not there, or goes away.
+NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
+
 
 class PersistentService(rospy.ServiceProxy):
     """As a persistent `rospy.ServiceProxy`, for a service without arguments, and from several threads.
@@ -32,11 +35,11 @@ class PersistentService(rospy.ServiceProxy):
     def _call_twice(self):
         try:
             return self.call()
-        except (rospy.ServiceException, TransportException, OSError):
+        except NO_ANSWER:
             self._forget()
         try:
             return self.call()
-        except (rospy.ServiceException, TransportException, OSError) as error:
+        except NO_ANSWER as error:
             self._forget()
             raise rospy.ServiceException(f"no answer twice: {error}") from error
 
