@@ -121,8 +121,8 @@ class Bench:
         ]
         return goal
 
-    def _send(self, goal) -> Callable[[], bool]:
-        """Send a goal; return what tells whether its client has heard that it is active. SystemExit where it was rejected."""
+    def _send(self, goal) -> float:
+        """Send a goal; return when its client heard that it is active [s, monotonic]. SystemExit where it was rejected."""
         heard: list[float] = []
         self._client.send_goal(goal, active_cb=lambda: heard.append(time.monotonic()))
 
@@ -131,14 +131,14 @@ class Bench:
                 sys.exit(f"the goal was refused: {self._client.get_goal_status_text()}")
             return bool(heard)
 
-        return active
+        wait_for(active, PATIENCE, "the plan under review")
+        return heard[0]
 
     def goal_to_review(self, points: int) -> float:
         """Return the time from a goal to its plan under review [ms]; the plan is withdrawn then."""
         goal = self._goal(np.array(WAY), DURATION, points)
         began = time.monotonic()
-        wait_for(self._send(goal), PATIENCE, "the plan under review")
-        taken = (time.monotonic() - began) * 1e3
+        taken = (self._send(goal) - began) * 1e3
         self._client.cancel_goal()
         self._client.wait_for_result(rospy.Duration(PATIENCE))
         return taken
@@ -147,7 +147,7 @@ class Bench:
         """Return the time from a cancel in the middle of a motion until the measured arm is at rest [ms]."""
         wait_for(self._is_ready, PATIENCE, "a pose from which to move")
         direction = np.array([way, *[0.0] * (len(self._names) - 1)])
-        wait_for(self._send(self._goal(direction, CANCELLED_TIME, 50)), PATIENCE, "the plan")
+        self._send(self._goal(direction, CANCELLED_TIME, 50))
         wait_for(lambda: self._execution.state == Execution.PLAYING, PATIENCE, "the motion")
         rospy.sleep(PART * CANCELLED_TIME)
         self._arm.clear()

@@ -93,6 +93,7 @@ class BringupTest(RobotTest):
             run = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
             self.assertEqual(run.returncode, 0, run.stderr)
             self.assertEqual(run.stdout, f"{file}: 1 objects, in base_link\n")
+            self.assertEqual(list(Path(folder).iterdir()), [file])
             lines = file.read_text().splitlines()
         # the floor, with the scene's padding of 20 mm on every side
         self.assertEqual(lines[1:6], ["* floor", "0 0 -0.5", "0 0 0 1", "1", "box"])

@@ -132,8 +132,9 @@ class SiteTest(unittest.TestCase):
         """Check what was seen of a plan that was approved and executed."""
         self.assertEqual({view["retained"] for view in views}, {False})
         self.assertEqual([view["seq"] for view in views], [views[0]["seq"] + k for k in range(len(views))])
-        rate = (len(views) - 1) / (views[-1]["stamp"] - views[0]["stamp"])
-        self.assertTrue(5.0 < rate < 30.0, f"{rate:.1f} views per second")
+        # how far apart they are is in test_view_period.py: here it depends on the machine
+        stamps = [view["stamp"] for view in views]
+        self.assertTrue(all(a < b for a, b in zip(stamps, stamps[1:])), stamps)
         moving = [view for view in views if view["execution"]["state"] == "PLAYING"]
         self.assertEqual({view["execution"]["plan_id"] for view in moving}, {plan_id})
         progress = [view["execution"]["progress"] for view in moving]

@@ -1,7 +1,7 @@
 """A designer at work: runs the components of examples/grasshopper as Grasshopper does, with inputs as globals, outputs read back.
 
-Run by test_grasshopper with the Python of .ws/grasshopper: ``python grasshopper_session.py PORT ACCOUNT URDF SCHEMA``. Prints what
-it saw as JSON. It knows nothing of construction_twin.
+Run by test_grasshopper with the Python of .ws/grasshopper: ``python grasshopper_session.py designer PORT ACCOUNT URDF SCHEMA``.
+Prints what it saw as JSON. It knows nothing of construction_twin.
 """
 
 import json
@@ -47,7 +47,7 @@ def plane(frame):
     return SimpleNamespace(**{key: SimpleNamespace(X=v[0], Y=v[1], Z=v[2]) for key, v in names.items()})
 
 
-def main(port, account, urdf, schema):
+def designer(port, account, urdf, schema):
     validator = jsonschema.Draft202012Validator(json.loads(Path(schema).read_text()))
     where = {"host": "localhost", "port": int(port), "account": account, "robot": "kr120", "prefix": ""}
     connected = until(lambda: component("connect", on=True, **where), lambda seen: seen.text == "connected")
@@ -105,14 +105,15 @@ def main(port, account, urdf, schema):
     print(json.dumps(said))
 
 
-def stranger(port, account):
-    """Try to come in with an account that the broker does not know."""
+def stranger(port, account, log):
+    """Try to come in with an account that the broker does not know, until its log says that it has refused somebody."""
+    before = len(Path(log).read_text())
     where = {"host": "localhost", "port": int(port), "account": account, "robot": "kr120", "prefix": ""}
     first = component("connect", on=True, **where)
-    time.sleep(1.0)
+    broker = until(lambda: Path(log).read_text()[before:], lambda said: "not authorised" in said)
     text = component("connect", on=True, **where).text
     sent = component("send", twin=first.twin, trajectory=JointTrajectory([], []), source="", send=True).text
-    print(json.dumps({"connect": text, "send": sent}))
+    print(json.dumps({"connect": text, "send": sent, "broker": broker}))
 
 
 def patient(port, account, urdf):
@@ -127,4 +128,4 @@ def patient(port, account, urdf):
 
 
 if __name__ == "__main__":
-    {3: stranger, 4: patient, 5: main}[len(sys.argv)](*sys.argv[1:])
+    {run.__name__: run for run in (designer, stranger, patient)}[sys.argv[1]](*sys.argv[2:])

@@ -42,11 +42,14 @@ class SiteBroker:
         settings = {"hosts": HOSTS, "robots": ROBOTS, "plc": True, "certificates": True, "listen": "127.0.0.1"}
         self.site = Site(**(settings | {"port": free_ports(), "folder": str(folder / "broker")} | changes))
         self.said = SiteFolder(folder).make(self.site)
+        #: What the broker says.
+        self.log = folder / "broker.log"
         self._process = None
 
     def start(self) -> None:
         command = [sys.executable, str(ROOT / "nodes/broker"), "--config", str(self.folder / "broker/mosquitto.conf")]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        with open(self.log, "a") as log:
+            self._process = subprocess.Popen(command, stdout=log, stderr=log)
         for port in (self.site.port, self.site.port + 1)[: 1 + self.site.certificates]:
             wait_until(lambda port=port: listens(port), what=f"mosquitto listening on {port}")
 

@@ -37,16 +37,21 @@ def read_file(path: str | Path, most: int) -> bytes:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file in one step: a reader sees the old text or the new one, never a part.
+    """Write a text file in one step: a reader sees the old text or the new one, never a part. Nothing else is left behind.
 
     Raises
     ------
     OSError
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    # not with_name, which refuses "." with another error
+    temporary = path.parent / f"{path.name}.{os.getpid()}.tmp"
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def check_writable(folder: str | Path) -> None:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from construction_twin.core.files import write_whole
 from construction_twin.robot.moveit_config import moveit_files
 from construction_twin.scene.srdf_command import read, robot_parser, run
 
@@ -25,8 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _write(options: argparse.Namespace) -> None:
     files = moveit_files(*read(options))
     folder = Path(options.folder).absolute()
-    folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        write_whole(folder / name, text)
     print(f"{folder}: {', '.join(files)}")
     print(f"start MoveIt with: roslaunch construction_twin move_group.launch config:={folder} robot:=...")

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import write_whole
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.srdf import srdf
 from construction_twin.scene.self_collision_file import parse_pairs, read_pairs_yaml
@@ -55,5 +56,5 @@ def _write(options: argparse.Namespace) -> None:
     if options.output == "-":
         print(text, end="")
         return
-    Path(options.output).write_text(text, encoding="utf-8")
+    write_whole(Path(options.output), text)
     print(f"{Path(options.output).absolute()}: written")

@@ -171,7 +171,7 @@ def session(request, cell, python, tmp_path_factory):
     cell.planner.sources.clear()
     account = cell.site.folder / f"accounts/kr120-planner-ada/{request.param}.json"
     port = cell.site.site.port + (request.param == "certificate")
-    return run(python, port, account, urdf, SCHEMA)
+    return run(python, "designer", port, account, urdf, SCHEMA)
 
 
 def test_the_designer_sees_twin_and_arm(session):
@@ -230,7 +230,7 @@ def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_
     urdf = tmp_path / "kr120.urdf"
     urdf.write_text(expand_xacro(str(XACRO), {}))
     account = cell.site.folder / "accounts/kr120-planner-ada/account.json"
-    command = [python, SESSION, str(cell.site.site.port), str(account), str(urdf)]
+    command = [python, SESSION, "patient", str(cell.site.site.port), str(account), str(urdf)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as session:
         try:
             assert json.loads(session.stdout.readline())["fresh"] is True
@@ -247,7 +247,9 @@ def test_a_stranger_is_not_let_in_and_is_told(cell, python, tmp_path):
     for name in ("ca.crt", "account.json"):
         shutil.copy(cell.site.folder / "accounts/kr120-planner-ada" / name, tmp_path / name)
     (tmp_path / "password").write_text("guessed\n")
-    said = run(python, cell.site.site.port, tmp_path / "account.json")
+    said = run(python, "stranger", cell.site.site.port, tmp_path / "account.json", cell.site.log)
+    # the components say the same where there is no broker
+    assert "not authorised" in said["broker"]
     assert said["connect"].startswith("not let in yet") and said["send"].startswith("not connected")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -64,15 +65,67 @@ class Sent:
         self.messages.append(message)
 
 
+@dataclass
+class Bench:
+    """A node, and what it publishes."""
+
+    node: JointVelocitiesNode
+    messages: list
+
+    @property
+    def last(self):
+        return self.messages[-1]
+
+
+def bench(period: float = 0.02) -> Bench:
+    sent = Sent()
+    return Bench(JointVelocitiesNode(kr120().joint_names, JointVelocities(LARGEST), period, sent), sent.messages)
+
+
+def moving(found: Bench, now: float) -> None:
+    """Publish two poses, the second at `now`."""
+    found.node.on_twin(now - 0.02, 5 * NANOSECONDS, HOME)
+    found.node.on_twin(now, 5 * NANOSECONDS + PERIOD, tuple(value + 0.01 for value in HOME))
+
+
 def test_the_node_publishes_the_twin_s_pose_with_its_own_stamp():
-    robot, sent = kr120(), Sent()
-    node = JointVelocitiesNode(robot.joint_names, JointVelocities(LARGEST), 0.02, sent)
-    assert not node.known and node.report().level != 0
-    first = node.on_twin(5 * NANOSECONDS, HOME)
-    second = node.on_twin(5 * NANOSECONDS + PERIOD, tuple(value + 0.01 for value in HOME))
-    message = sent.messages[-1]
-    assert (message.header.stamp.secs, message.header.stamp.nsecs) == (5, PERIOD)
-    assert tuple(message.name) == robot.joint_names
-    np.testing.assert_allclose(message.position, np.array(HOME) + 0.01)
-    np.testing.assert_allclose(message.velocity, 0.5)
-    assert second == pytest.approx(first + 0.02, abs=1e-9) and node.known and node.report().level == 0
+    found = bench()
+    assert found.node.report().sentence == "the twin has no pose yet" and found.node.report().level != 0
+    first = found.node.on_twin(7.0, 5 * NANOSECONDS, HOME)
+    second = found.node.on_twin(7.001, 5 * NANOSECONDS + PERIOD, tuple(value + 0.01 for value in HOME))
+    assert (found.last.header.stamp.secs, found.last.header.stamp.nsecs) == (5, PERIOD)
+    assert tuple(found.last.name) == kr120().joint_names
+    np.testing.assert_allclose(found.last.position, np.array(HOME) + 0.01)
+    np.testing.assert_allclose(found.last.velocity, 0.5)
+    assert (first, second) == (7.0, pytest.approx(7.02)) and found.node.report().level == 0
+
+
+@pytest.mark.parametrize("period, silence", [(0.02, 0.25), (1.0, 2.0)])
+def test_a_twin_that_falls_silent_in_mid_motion_is_shown_at_rest_once(period, silence):
+    found = bench(period)
+    moving(found, 10.0)
+    assert found.node.watch(10.1) == pytest.approx(silence - 0.1)
+    assert len(found.messages) == 2, "not silent yet"
+    assert found.node.watch(10.0 + silence) == silence
+    assert tuple(found.last.velocity) == (0.0,) * 6
+    assert (found.last.position, found.last.header.stamp) == (
+        found.messages[1].position,
+        found.messages[1].header.stamp,
+    )
+    for later in range(1, 5):
+        assert found.node.watch(10.0 + silence + later) == silence
+    assert len(found.messages) == 3, "once"
+    assert "silent" in found.node.report().sentence and found.node.report().level != 0
+
+
+def test_a_twin_that_was_silent_is_watched_again_once_it_is_back():
+    found = bench()
+    assert found.node.watch(0.0) == 0.25 and not found.messages, "it never had a pose"
+    moving(found, 10.0)
+    found.node.watch(10.3)
+    found.node.on_twin(11.0, 6 * NANOSECONDS, HOME)
+    found.node.on_twin(11.02, 6 * NANOSECONDS + PERIOD, tuple(value + 0.01 for value in HOME))
+    np.testing.assert_allclose(found.last.velocity, 0.5)
+    assert found.node.report().level == 0 and len(found.messages) == 5
+    found.node.watch(11.3)
+    assert tuple(found.last.velocity) == (0.0,) * 6 and len(found.messages) == 6

@@ -475,9 +475,16 @@ def test_a_file_that_is_no_mapping_is_refused_only_where_it_is_loaded(config_fol
         == f"{file}: found [1], expected a mapping: the settings of {name}"
     )
     bare = {"robot": "kr120", "arm": "none"}
-    assert bool(node_files_problem(bare, kr120, config_folder)) is (
-        name in ("planner", "follow_joint_trajectory", "joint_state_publisher", "executor", "pca_monitor")
+    # what bringup starts without an arm, too
+    always = (
+        "planner",
+        "follow_joint_trajectory",
+        "joint_velocities",
+        "joint_state_publisher",
+        "executor",
+        "pca_monitor",
     )
+    assert bool(node_files_problem(bare, kr120, config_folder)) is (name in always)
 
 
 def test_the_start_is_refused_for_them_too(monkeypatch, config_folder):

@@ -93,17 +93,9 @@ class Command:
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
-        text = format_plan(plan, self._robot().linear, options.deg)
-        if options.file == "-":
-            print(text, end="")
-            return Exit.DONE
-        try:
-            write_whole(Path(options.file), text)
-        except OSError as error:
-            raise ConfigurationError(
-                options.file, error.strerror or str(error), "a file that can be written"
-            ) from error
-        print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
+        path = _write(options.file, format_plan(plan, self._robot().linear, options.deg))
+        if path is not None:
+            print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
 
     def _preview(self) -> Exit:
@@ -159,17 +151,10 @@ class Command:
         )
         for remark in remarks:
             print(f"twin: {remark}", file=sys.stderr)
-        if self._options.moveit == "-":
-            print(text, end="")
-            return Exit.DONE
-        path = Path(self._options.moveit).absolute()
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise ConfigurationError("--moveit", str(path), f"a file that can be written ({error.strerror})") from error
-        print(
-            f"{path}: {sum(not item.link for item in scene.objects)} objects, in {parse_urdf(bodies.robot.urdf).get_root()}"
-        )
+        path = _write(self._options.moveit, text)
+        if path is not None:
+            objects = sum(not item.link for item in scene.objects)
+            print(f"{path}: {objects} objects, in {parse_urdf(bodies.robot.urdf).get_root()}")
         return Exit.DONE
 
     # -- what several of them need
@@ -295,6 +280,19 @@ def account_name() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return f"uid {os.getuid()}"
+
+
+def _write(file: str, text: str) -> Path | None:
+    """Write a text into a file, whole, and return its path; None when it was printed, for "-"."""
+    if file == "-":
+        print(text, end="")
+        return None
+    path = Path(file).absolute()
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise ConfigurationError(file, error.strerror or str(error), "a file that can be written") from error
+    return path
 
 
 def _confirmed() -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 
@@ -15,6 +16,9 @@ from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import JointSubscriber, to_time
 from construction_twin.ros.transport.publisher import Publisher, Sink
+
+#: A twin that has published nothing for this time is silent [s]; at a low rate, for two periods.
+SILENCE = 0.25
 
 
 class Settings(pydantic.BaseModel):
@@ -45,28 +49,78 @@ class JointVelocitiesNode:
         self._period = period
         self._publisher = publisher
         self._next = 0.0
-        #: Whether the twin has published a pose.
-        self.known = False
+        self._silence = max(SILENCE, 2 * period)
+        # poses come in a thread of their own: a pose and the end of its motion must not overtake each other
+        self._lock = threading.Lock()
+        self._last: tuple[int, tuple[float, ...]] | None = None
+        self._heard = 0.0
+        self._silent = False
 
     def run(self) -> None:
-        """Wait for shutdown."""
-        rospy.spin()
+        """Watch for silence until shutdown."""
+        while not rospy.is_shutdown():
+            time.sleep(self.watch(time.monotonic()))
 
-    def on_twin(self, stamp: int, q: tuple[float, ...]) -> float:
-        """Publish a pose of the twin [rad] with its own stamp [ns]; return when the next one is of interest [s, monotonic]."""
-        self.known = True
-        message = JointState(name=self._names, position=q, velocity=self._velocities.of(stamp, q))
+    def on_twin(self, now: float, stamp: int, q: tuple[float, ...]) -> float:
+        """Publish a pose of the twin with its own stamp.
+
+        Parameters
+        ----------
+        now : float
+            On the monotonic clock [s].
+        stamp : int
+            Of the pose [ns].
+        q : tuple, shape (n,)
+            [rad], [m]
+
+        Returns
+        -------
+        next : float
+            When the next one is of interest, on the monotonic clock [s].
+        """
+        with self._lock:
+            self._last, self._heard, self._silent = (stamp, q), now, False
+            self._publish(stamp, q, self._velocities.of(stamp, q))
+        # a grid, so that the rate does not depend on how long a message takes; begun anew after a silence
+        self._next = max(self._next + self._period, now)
+        return self._next
+
+    def watch(self, now: float) -> float:
+        """Publish once that a silent twin is at rest, or joint_state_publisher repeats its last velocity with fresh stamps.
+
+        Parameters
+        ----------
+        now : float
+            On the monotonic clock [s].
+
+        Returns
+        -------
+        pause : float
+            When to look again: after this time [s].
+        """
+        with self._lock:
+            if self._last is None or self._silent:
+                return self._silence
+            left = self._heard + self._silence - now
+            if left > 0:
+                return left
+            self._silent = True
+            # the pose is known of its own time only
+            self._publish(*self._last, (0.0,) * len(self._names))
+            return self._silence
+
+    def _publish(self, stamp: int, q: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        message = JointState(name=self._names, position=q, velocity=velocity)
         message.header.stamp = to_time(stamp)
         self._publisher.publish(message)
-        # a grid, so that the rate does not depend on how long a message takes; begun anew after a silence
-        self._next = max(self._next + self._period, time.monotonic())
-        return self._next
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        return (
-            Report(OK, "publishing the twin's velocities") if self.known else Report(WARN, "the twin has no pose yet")
-        )
+        if self._last is None:
+            return Report(WARN, "the twin has no pose yet")
+        if self._silent:
+            return Report(WARN, "the twin is silent: its last pose is shown, at rest")
+        return Report(OK, "publishing the twin's velocities")
 
 
 def start() -> JointVelocitiesNode:
@@ -80,11 +134,11 @@ def start() -> JointVelocitiesNode:
     return node
 
 
-def _paced(take: Callable[[int, tuple[float, ...]], float]) -> Callable[[int, tuple[float, ...]], None]:
+def _paced(take: Callable[[float, int, tuple[float, ...]], float]) -> Callable[[int, tuple[float, ...]], None]:
     """Return a callback that sleeps until the next pose is of interest: rospy then takes the newest of what came meanwhile."""
 
     def callback(stamp: int, q: tuple[float, ...]) -> None:
-        time.sleep(max(0.0, take(stamp, q) - time.monotonic()))
+        time.sleep(max(0.0, take(time.monotonic(), stamp, q) - time.monotonic()))
 
     return callback
 
