@@ -12,14 +12,13 @@ import shutil
 import subprocess
 import threading
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rospy
 from bridge_bench import Refusals
 from construction_twin.msg import Execution, Link, Sync
-from construction_twin.srv import PlanTrajectoryRequest
+from construction_twin.srv import PlanTrajectoryRequest, PlanTrajectoryResponse
 from processes import ROOT, wait_until
 from site_broker import SiteBroker
 
@@ -32,6 +31,7 @@ from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.messages.plan_requests import trajectory_waypoints
+from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import MqttPlanner, Poses, Settings
 from construction_twin.ros.transport.latest_pose import StampedPose
 
@@ -75,12 +75,10 @@ class Planner:
                 waypoints, ROBOT.home, ROBOT, asked.speed_scale or 0.3, asked.acceleration_scale or None
             )
         except ConstructionTwinError as error:
-            return SimpleNamespace(success=False, message=str(error), plan_id="", plan_hash="", duration=0.0)
+            return PlanTrajectoryResponse(success=False, message=str(error))
         self.made.append(trajectory)
         name = f"plan {len(self.made)}"
-        return SimpleNamespace(
-            success=True, message="waiting for review", plan_id=name, plan_hash="cafe", duration=trajectory.duration
-        )
+        return PlanTrajectoryResponse(True, "waiting for review", name, "cafe", trajectory.duration, "")
 
 
 class Stream:
@@ -144,6 +142,8 @@ def cell(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rospy, "wait_for_service", lambda *_: None)
         patch.setattr(rospy, "loginfo", lambda *_: None)
+        # the session sends one motion after the other
+        patch.setattr(mqtt_planner, "SENDER_PAUSE", 0.0)
         cell = Cell(tmp_path_factory.mktemp("cell"))
         yield cell
         cell.close()
