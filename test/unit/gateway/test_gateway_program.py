@@ -127,6 +127,8 @@ def test_ended_in_mid_motion_it_brakes_the_arm_before_it_goes(broker, topics):
         count = len(controller.replies)
         service.stop()
         client.wait_for_status(state="offline", reason="gateway stopped")
+        # the word is quicker than the controller's thread: what came last is known when the next telegram has no answer
+        wait_until(lambda: controller.replies[-1] is None, what="a telegram without an answer")
         replies = [reply for reply in controller.replies[count:] if reply is not None]
     steps = [b[0] - a[0] for a, b in itertools.pairwise(replies)]
     budget = PATIENT.acceleration[0] * CYCLE**2 + 2 * math.radians(2e-6)

@@ -123,6 +123,16 @@ def test_every_unit_test_is_run_once():
     assert {"test_gateway_program", "test_fuzz"} <= {file.stem for file in alone}
 
 
+def test_both_halves_take_about_as_long_and_leave_nothing_out():
+    _, files = run_tests.unit_files()
+    one, other = run_tests.halves(files)
+    assert sorted([*one, *other]) == files and not set(one) & set(other)
+    seconds = [sum(run_tests.LONGEST.get(file.stem, 2) for file in part) for part in (one, other)]
+    assert abs(seconds[0] - seconds[1]) <= 2
+    # a name that no file has would count for nothing
+    assert set(run_tests.LONGEST) <= {file.stem for file in files}
+
+
 def test_what_a_rostest_reports_is_shown(tmp_path):
     file = tmp_path / "rosunit-x.xml"
     file.write_text(
