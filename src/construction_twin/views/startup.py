@@ -191,6 +191,7 @@ class _Beside:
         self._since = 0.0
 
     def update(self, sentence: str, now: float) -> list[str]:
+        """Return what is to be told now: the sentence once it has stood long enough, or that it is gone; `now` in s."""
         news = without_counts(sentence)
         if news != self._sentence:
             self._sentence, self._since = news, now
