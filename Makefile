@@ -1,18 +1,19 @@
 # construction_twin: `make demo` and `make test` do all the set-up they need.
 
-.PHONY: help setup demo test lint bench properties fuzz scenarios soak screenshots clean
+.PHONY: help setup demo build test lint bench properties fuzz scenarios soak screenshots clean
 
 help:
 	@echo "make demo             run the paper's experiment headless and print its Table 1"
 	@echo "make demo ARGS=\"quick:=true decimals:=6 servo:=realistic\"   the same with launch arguments"
+	@echo "make build            build the timber panel of models/ with the mock arm on its track; ARGS=\"quick:=true\" three elements of it"
 	@echo "make test             build and run every test"
 	@echo "make lint             check style, format, order of the folders and types; make test does it too"
-	@echo "make bench            measure inverse kinematics, planning, other planners and link; writes results/bench/*.json; ARGS=ik for one of them"
+	@echo "make bench            measure inverse kinematics, planning, other planners, link, work and console; writes results/bench/*.json; ARGS=ik for one of them"
 	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
 	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
-	@echo "make soak             the whole loop for an hour: memory and late replies per minute"
-	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\""
+	@echo "make soak             the whole loop for an hour: memory and late replies per minute; then the console's page for half an hour"
+	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\", ARGS=console"
 	@echo "make setup            only install and build"
 	@echo "make clean            remove the workspace and the venv (.ws)"
 
@@ -21,6 +22,10 @@ setup:
 
 demo: setup
 	@bash -c 'source .ws/env.bash && exec python scripts/demo.py "$$@"' demo $(ARGS)
+
+build:
+	@bash setup/setup.sh work
+	@bash -c 'source .ws/env.bash && exec python scripts/build.py "$$@"' build $(ARGS)
 
 test:
 	@bash setup/setup.sh tests
@@ -41,11 +46,14 @@ fuzz: setup
 scenarios: setup
 	@bash -c 'source .ws/env.bash && python scripts/scenarios.py $(ARGS)'
 
-soak: setup
-	@bash -c 'source .ws/env.bash && python scripts/soak.py $(ARGS)'
+# the first word may be `console`: that part alone; without a word both
+soak:
+	@bash setup/setup.sh $$(case "$(ARGS)" in ""|console*) echo tests;; esac)
+	@bash -c 'source .ws/env.bash; [ "$$1" = console ] || python scripts/soak.py "$$@" || exit; case "$$1" in ""|console) exec .ws/browser/bin/python scripts/soak_console.py "$${@:2}";; esac' soak $(ARGS)
 
-screenshots: setup
-	@bash -c 'source .ws/env.bash && exec python tools/screenshots.py "$$@"' screenshots $(ARGS)
+screenshots:
+	@bash setup/setup.sh $$(case "$(ARGS)" in ""|console) echo tests;; esac)
+	@bash -c 'source .ws/env.bash; [ "$$1" = console ] || python tools/screenshots.py "$$@" || exit; case "$$1" in ""|console) exec .ws/browser/bin/python tools/console_pictures.py;; esac' screenshots $(ARGS)
 
 clean:
 	rm -rf .ws

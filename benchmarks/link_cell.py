@@ -19,7 +19,14 @@ from construction_twin.core.histogram import percentile
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, read_state_properties
+from construction_twin.mqtt.messages import (
+    CommandProperties,
+    Control,
+    StateProperties,
+    Topics,
+    arm_value,
+    read_state_properties,
+)
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
 
@@ -83,12 +90,23 @@ class Cell:
 
 
 class Commander:
-    """Arms one gateway over MQTT and streams a motion to it: what the bridge sends, without ROS."""
+    """Arms one gateway over MQTT and streams a motion to it: what the bridge sends, without ROS.
 
-    def __init__(self, port: int, config: GatewayConfig, home: tuple[float, ...], prefix: str = "twin"):
+    `on_state`, if given, is called with the properties of each state.
+    """
+
+    def __init__(
+        self,
+        port: int,
+        config: GatewayConfig,
+        home: tuple[float, ...],
+        prefix: str = "twin",
+        on_state: Callable[[StateProperties], None] | None = None,
+    ):
         self._topics = Topics(prefix, config.robot)
         self._config, self._home = config, home
         self._codec = JointStringCodec(len(home), config.decimals)
+        self._on_state = on_state
         self._end = MqttEnd(port, "link-commander", [self._topics.status, self._topics.state])
         self.status: dict = {}
         self.replies = Replies()
@@ -146,6 +164,8 @@ class Commander:
                 if topic == self._topics.state:
                     state = read_state_properties(pairs)
                     self.replies.add(state.seq, state.stamp)
+                    if self._on_state is not None:
+                        self._on_state(state)
                 else:
                     self.status = json.loads(payload)
 

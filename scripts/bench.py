@@ -1,4 +1,4 @@
-"""Runs the benchmarks: `python scripts/bench.py [ik|planning|planners|link] [its options]`; without a name all of them.
+"""Runs the benchmarks: `python scripts/bench.py [NAME] [its options]`; NAME is one of `BENCHMARKS`, without it all of them.
 
 Each writes its figures to results/bench/ and prints them. What they measure against (setup/bench-requirements.txt) is installed
 into the project's venv first, because nothing else needs it.
@@ -13,7 +13,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = ROOT / "setup" / "bench-requirements.txt"
-BENCHMARKS = ("ik", "planning", "planners", "link")
+BENCHMARKS = ("ik", "planning", "planners", "link", "work", "console")
+#: What drives a browser is in a venv of its own.
+BROWSER_PYTHON = ROOT / ".ws" / "browser" / "bin" / "python"
 
 
 def missing(requirements: str) -> list[str]:
@@ -40,8 +42,11 @@ def main(arguments: list[str]) -> int:
         subprocess.run(
             [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted], check=True
         )
+    if "console" in selected and not BROWSER_PYTHON.exists():
+        subprocess.run(["bash", str(ROOT / "setup" / "setup.sh"), "tests"], check=True)
     for name in selected:
-        command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *options]
+        python = str(BROWSER_PYTHON) if name == "console" else sys.executable
+        command = [python, str(ROOT / "benchmarks" / f"{name}.py"), *options]
         code = subprocess.run([*command, "--output", str(ROOT / "results" / "bench" / f"{name}.json")]).returncode
         if code:
             return code

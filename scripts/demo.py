@@ -23,7 +23,7 @@ NOISE = re.compile(
     rb"Press Ctrl-C|Done checking|killing on exit|shutting down processing monitor|^done$"
 )
 #: The experiment ends the launch by ending itself; everything after this is roslaunch cleaning up.
-END = re.compile(rb"REQUIRED process \[.*/experiment-")
+END = re.compile(rb"REQUIRED process \[.*/(experiment|build)-")
 #: How rich begins to draw a bar, and what it must not leave undone: making the cursor visible again.
 BAR = re.compile(rb"\r|\x1b\[\?25l|\x1b\[2K")
 CURSOR = b"\x1b[?25h"
@@ -89,12 +89,17 @@ def results_folder(given: Mapping[str, str]) -> Path:
 
 def newest(results: Path) -> str | None:
     """Return the name of the newest finished run, None when there is none."""
+    return newest_link(results, "summary.json")
+
+
+def newest_link(results: Path, file: str) -> str | None:
+    """Return the name of the newest run if it left a file, None when there is none."""
     latest = results / "latest"
-    return os.readlink(latest) if latest.is_symlink() and (latest / "summary.json").is_file() else None
+    return os.readlink(latest) if latest.is_symlink() and (latest / file).is_file() else None
 
 
-def launch(arguments: list[str]) -> None:
-    """Run the experiment and show its output."""
+def launch(arguments: list[str], name: str = "experiment") -> None:
+    """Run the launch file of a name and show its output."""
     port = os.environ.get("ROS_MASTER_PORT", "11311")
     command = [
         "roslaunch",
@@ -103,7 +108,7 @@ def launch(arguments: list[str]) -> None:
         "--no-summary",
         "--disable-title",
         "construction_twin",
-        "experiment.launch",
+        f"{name}.launch",
         *arguments,
     ]
     variables = environment(os.environ, sys.stdout.isatty())

@@ -1,4 +1,4 @@
-"""Fuzzes codecs and running gateway: `python scripts/fuzz.py [--count 1000000] [--seed 1] [--part codecs|gateway]`.
+"""Fuzzes codecs, the console's page and running gateway: `python scripts/fuzz.py [--count 1000000] [--seed 1] [--part codecs]`.
 
 Same seed, same inputs.
 
@@ -8,7 +8,9 @@ Ends with 0 when nothing crashed, nothing moved, everything was counted and memo
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -65,6 +67,25 @@ def run_codecs(count: int, seed: int) -> list[Row]:
     began = time.monotonic()
     tally = rsi_codecs(packet, count, seed, progress_of("RSI codecs", count))
     return [*rows, Row("RSI codecs", count, tally, time.monotonic() - began)]
+
+
+def run_page(count: int, seed: int) -> list[Row]:
+    """Run the campaign of what the console's page makes of messages; needs node, which the console's page is built with.
+
+    Raises
+    ------
+    Refused
+        When it threw, or kept what it may not.
+    """
+    node = shutil.which("node")
+    if node is None:
+        print("[fuzz] no node here: the page's campaign is left out; `setup/setup.sh console` installs it", flush=True)
+        return []
+    began = time.monotonic()
+    command = [node, str(ROOT / "test/fuzz/fuzz_page.mjs"), str(count), str(seed)]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    demand(ended.returncode == 0, f"the console's page: {ended.stderr[-2000:]}")
+    return [Row("messages, page", count, Counter(json.loads(ended.stdout)), time.monotonic() - began)]
 
 
 def run_gateway(count: int, seed: int, folder: Path) -> list[Row]:
@@ -136,12 +157,13 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="make fuzz", description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000_000, help="inputs per campaign [%(default)s]")
     parser.add_argument("--seed", type=int, default=1, help="of every random choice [%(default)s]")
-    parser.add_argument("--part", choices=["codecs", "gateway"], help="only this half [both]")
+    parser.add_argument("--part", choices=["codecs", "page", "gateway"], help="only this part [all]")
     options = parser.parse_args(arguments)
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     try:
-        rows = [] if options.part == "gateway" else run_codecs(options.count, options.seed)
-        rows += [] if options.part == "codecs" else run_gateway(options.count, options.seed, folder)
+        rows = run_codecs(options.count, options.seed) if options.part in (None, "codecs") else []
+        rows += run_page(options.count, options.seed) if options.part in (None, "page") else []
+        rows += run_gateway(options.count, options.seed, folder) if options.part in (None, "gateway") else []
     except Refused as refused:
         print(f"[fuzz] FAILED with seed {options.seed}: {refused}; log in {folder}", flush=True)
         return 1

@@ -42,6 +42,7 @@ NODES = {
     "pca_monitor": ("construction_twin.ros.nodes.pca_monitor", "pca_monitor"),
     "virtual_robot": ("construction_twin.ros.nodes.virtual_robot", ""),
     "mqtt_bridge": ("construction_twin.ros.nodes.mqtt_bridge", "mqtt_bridge"),
+    "work": ("construction_twin.ros.nodes.work", "work"),
     "mqtt_review": ("construction_twin.ros.nodes.mqtt_review", "mqtt_review"),
     "mqtt_planner": ("construction_twin.ros.nodes.mqtt_planner", "mqtt_planner"),
     "mock_rsi": ("construction_twin.mock.program", "mock_rsi"),
@@ -67,6 +68,10 @@ _EXPLAINED = {
         "static_frames",
         "chain_only",
     ): "of them, where joint states hold the chain alone; frames of other joints come from here",
+    (
+        "*",
+        "private",
+    ): "folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: nothing is written",
     ("startup", "broker"): "address of the broker, HOST:PORT",
     ("startup", "rsi"): "address on which the gateway listens, HOST:PORT",
     ("mock_rsi", "ethernet_xml"): "text of the Ethernet XML: SENTYPE, blocks, channels, HOLDON, ONLYSEND, port",
@@ -80,6 +85,11 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("twin", "nodes/twin", []),
     *((f"twin {name}", "nodes/twin", [name]) for name in ("plan", "home", "preview", "approve", "reject")),
     *((f"twin {name}", "nodes/twin", [name]) for name in ("arm", "status", "scene", "export", "watch")),
+    ("twin work", "nodes/twin", ["work"]),
+    *(
+        (f"twin work {name}", "nodes/twin", ["work", name])
+        for name in ("next", "approve", "skip", "answer", "measured")
+    ),
     ("python -m construction_twin.gateway", "construction_twin.gateway", []),
     ("export_gateway_config", "nodes/export_gateway_config", []),
     ("python -m construction_twin.mock", "construction_twin.mock", []),
@@ -90,6 +100,7 @@ COMMANDS: list[tuple[str, str, list[str]]] = [
     ("moveit_config", "nodes/moveit_config", []),
     ("make_site", "nodes/make_site", []),
     ("broker", "nodes/broker", []),
+    ("console", "nodes/console", []),
     ("evaluate", "nodes/evaluate", []),
     ("scenario", "nodes/scenario", []),
 ]
@@ -372,6 +383,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "executor states": lambda: _state_table("construction_twin.execution.states"),
     "goal states": lambda: _state_table("construction_twin.execution.goal_states"),
     "monitor states": lambda: _state_table("construction_twin.monitor.states"),
+    "work states": lambda: _state_table("construction_twin.work.task_states"),
 }
 
 

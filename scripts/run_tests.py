@@ -1,13 +1,14 @@
-"""Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [lint|unit|integration|NAME...]`.
+"""Runs every test and ends with `N passed, N failed`: `python scripts/run_tests.py [lint|unit|browser|integration|NAME...]`.
 
-Each tool of scripts/lint.py counts as one test. Unit tests run under pytest, each `test/integration/*.test` under rostest with a
-ROS master of its own. A rostest that yields no result counts as one failure.
+Each tool of scripts/lint.py counts as one test. Unit tests run under pytest, those of the console's page (test/browser) under a
+pytest of the venv that drives a browser, each `test/integration/*.test` under rostest with a ROS master of its own. A rostest that
+yields no result counts as one failure.
 
-Lint and the unit tests that need no real time run beside each other. Whatever runs at 250 Hz has the machine to itself, and a probe
-per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as they should, and
-a test that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported, and the test is
-run again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority above the tested
-processes.
+Lint, the unit tests that need no real time and those of the page run beside each other. Whatever runs at 250 Hz has the machine to
+itself, and a probe per core (benchmarks/machine.py) watches it: if the machine runs no process for `HALT`, arm and gateway brake as
+they should, and a test that expects a finished motion fails without a fault of ours. Such a failure shows nothing: it is reported,
+and the test is run again, `AGAIN` times at most. A failure counts if the machine ran meanwhile, or if the probe has no priority
+above the tested processes.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ import lint  # noqa: E402
 from machine import MachineProbe  # noqa: E402
 
 RESULTS = ROOT / ".ws" / "test_results"
+#: The Python that drives a browser; `setup/setup.sh tests` makes it.
+BROWSER_PYTHON = ROOT / ".ws" / "browser" / "bin" / "python"
 #: Longest that one rostest may take [s]; each test in it has a limit of its own.
 TIME_LIMIT = 400
 #: Longest line about a failed test, of the list at the end [characters].
@@ -54,15 +57,22 @@ ALONE = (
     "test_impairment",
     "test_mock_udp",
     "test_other_pc",
+    "test_tool_udp",
 )
 
 
 #: The files of unit tests that take longest [s], as measured in one run; any other counts as 2 s.
 LONGEST = {
-    "test_convex_hulls": 236, "test_launch": 105, "test_pair_sampling": 54, "test_gateway_controller_side": 35,
-    "test_gateway_failure": 34, "test_grasshopper": 32, "test_home": 27, "test_preflight": 26, "test_simulation": 25,
-    "test_bare_plc": 24, "test_twin_cli": 23, "test_timing": 23, "test_moveit": 20, "test_new_arm": 18, "test_old_broker": 18,
-    "test_polled_client": 17, "test_broker_tls": 15, "test_acl": 13, "test_node": 13,
+    "test_launch": 124, "test_pair_sampling": 100, "test_simulation": 67, "test_gateway_failure": 36,
+    "test_gateway_controller_side": 35, "test_work_check": 35, "test_grasshopper": 33, "test_preflight": 27, "test_moveit": 25,
+    "test_twin_cli": 23, "test_make_site": 23, "test_new_arm": 21, "test_simulation_stall": 20, "test_old_broker": 18,
+    "test_polled_client": 17, "test_planning_scene": 16, "test_node": 16, "test_nearest_change": 16, "test_broker_tls": 15,
+    "test_home": 15, "test_console_server": 14, "test_acl": 13, "test_convex_hulls": 13, "test_evaluation_bag": 12,
+    "test_gateway_anything": 12, "test_inverse_rail": 12, "test_meshes": 11, "test_collision_world": 11,
+    "test_inverse_search": 11, "test_ifc_reading": 11, "test_task_planner": 10, "test_fast_client": 10,
+    "test_foreign_packages": 10, "test_neighbour": 10, "test_smoothness": 10, "test_console_delivery": 10,
+    "test_tool_chain": 10, "test_element_bodies": 9, "test_timing": 8, "test_inverse_redundant": 8, "test_near_bodies": 8,
+    "test_conflict": 7,
 }  # fmt: skip
 
 
@@ -127,10 +137,17 @@ def halves(files: list[Path]) -> tuple[list[Path], list[Path]]:
     return sorted(parts[0]), sorted(parts[1])
 
 
-def run_halves() -> list[tuple[int, int]]:
-    """Run the unit tests that need no real time in two processes beside each other; return (passed, failed) of each."""
-    _, files = unit_files()
-    runs = {name: start_pytest(name, part) for name, part in zip(("one_half", "other_half"), halves(files))}
+def run_beside(unit: bool, browser: bool) -> list[tuple[int, int]]:
+    """Run what needs no real time beside each other: the unit tests in two processes, the page's in one.
+
+    Returns (passed, failed) of each.
+    """
+    runs = {}
+    if unit:
+        _, files = unit_files()
+        runs |= {name: start_pytest(name, part) for name, part in zip(("one_half", "other_half"), halves(files))}
+    if browser:
+        runs["browser"] = start_pytest("browser", [ROOT / "test" / "browser"], BROWSER_PYTHON)
     return [end_pytest(name, run) for name, run in runs.items()]
 
 
@@ -163,10 +180,10 @@ def undisturbed(name: str, run: Callable[[], tuple[int, int]], probe: MachinePro
     return passed, failed
 
 
-def start_pytest(name: str, files: list[Path]) -> subprocess.Popen:
+def start_pytest(name: str, files: list[Path], python: Path | str = sys.executable) -> subprocess.Popen:
     """Start pytest on some files; its result goes to ``unit_<name>.xml``."""
-    command = [sys.executable, "-m", "pytest", "-q", "--timeout=300", f"--junitxml={RESULTS / f'unit_{name}.xml'}"]
-    command += ["-p", "no:cacheprovider", *map(str, files)]
+    command = [str(python), "-m", "pytest", "-q", "--timeout=300", f"--junitxml={RESULTS / f'unit_{name}.xml'}"]
+    command += ["-p", "no:cacheprovider", "--durations=10", *map(str, files)]
     with open(RESULTS / f"unit_{name}.log", "wb") as log:
         return subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT)
 
@@ -224,8 +241,7 @@ def main(selection: list[str]) -> int:
     totals = []
     with MachineProbe(REALTIME, PROBE_PERIOD) as probe:
         tools = lint.start() if not selection or "lint" in selection else {}
-        if not selection or "unit" in selection:
-            totals += run_halves()
+        totals += run_beside(unit=not selection or "unit" in selection, browser=not selection or "browser" in selection)
         # before anything runs at 250 Hz
         totals.append(count_lint(lint.end(tools)))
         if not selection or "unit" in selection:

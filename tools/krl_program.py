@@ -37,6 +37,7 @@ def program(variant: Variant, rsi41: bool) -> str:
         "",
         *body,
         "",
+        *_off(variant),
         "ret = RSI_OFF()",
         *_check("ret"),
         "ret = RSI_DELETE(container)",
@@ -57,7 +58,27 @@ def _heading(variant: Variant, rsi41: bool) -> list[str]:
     ]
     if variant.read_only:
         return [*lines, "The controller only reports (ONLYSEND TRUE): nothing on the PC can move the arm."]
-    return [*lines, "The PC moves the arm from RSI_MOVECORR on. First runs: T1, commissioning mode of the gateway."]
+    lines.append("The PC moves the arm from RSI_MOVECORR on. First runs: T1, commissioning mode of the gateway.")
+    return [*lines, *_tool_lines(variant)]
+
+
+def _tool_lines(variant: Variant) -> list[str]:
+    """Return what the heading says of the tool."""
+    if not variant.outputs:
+        return []
+    places = [f"{name} $OUT[{variant.first_out + n}]" for n, name in enumerate(variant.outputs)]
+    places += [f"{name} $IN[{variant.first_in + n}]" for n, name in enumerate(variant.inputs)]
+    return [
+        f"Tool: {', '.join(places)}.",
+        "RSI_ON changes no output: the context sets and resets them on edges only, and only while Set.Enable is 1.",
+        "$LOAD must hold the tool with the heaviest part that it may carry (`load` of the tool file): set it before this program.",
+    ]
+
+
+def _off(variant: Variant) -> list[str]:
+    """Return what switches off the outputs that are off without RSI."""
+    numbers = [variant.first_out + n for n, held in enumerate(variant.outputs.values()) if not held]
+    return [*(f"$OUT[{number}] = FALSE" for number in numbers), *([""] if numbers else [])]
 
 
 def _check(name: str) -> list[str]:

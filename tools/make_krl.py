@@ -6,6 +6,7 @@ Facts: the numbers of objects, parameters and channels are those of KUKA's RSI (
 
 from __future__ import annotations
 
+import argparse
 import sys
 import uuid
 from collections.abc import Iterable
@@ -15,19 +16,33 @@ from pathlib import Path
 from krl_program import program
 from krl_variants import FLAG, PRECISION, SPAN, TIMEOUT, TRACK, VARIANTS, Variant
 
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.robot.tool import read_tool
 from construction_twin.rsi.ethernet_xml_text import NOTICE, ethernet_xml_text
 
 ROOT = Path(__file__).resolve().parents[1]
+#: Objects whose inputs are Boolean.
+LOGIC = ("AND", "NOT", "SETDIGOUT", "RESETDIGOUT")
+
+
+@dataclass(frozen=True)
+class Link:
+    """An object's input: its name and number, and the output of an object that it is connected to."""
+
+    name: str
+    own: int
+    output: int
+    source: str = "ETHERNET1"
 
 
 @dataclass(frozen=True)
 class RsiObject:
-    """An object of the context: inputs as (own input, ETHERNET output), parameters as (name, RSI 3 number, value, public)."""
+    """An object of the context: parameters are (name, RSI 3 number, value, public)."""
 
     kind: str
     number: int
     name: str
-    inputs: tuple[tuple[str, int, int], ...] = ()
+    inputs: tuple[Link, ...] = ()
     parameters: tuple[tuple[str, int, object, bool], ...] = ()
 
 
@@ -42,29 +57,62 @@ def objects(variant: Variant) -> list[RsiObject]:
         ("Flag", 4, FLAG, False),
         ("Precision", 8, PRECISION, False),
     )
-    found = [RsiObject("ETHERNET", 64, "ETHERNET1", (), parameters)]
+    read = _signals(variant)
+    found = [RsiObject("ETHERNET", 64, "ETHERNET1", tuple(link for link, _ in read), parameters)]
     if variant.read_only:
         return found
     lower = tuple((f"LowerLim{a}", i, -s, True) for i, (a, s) in enumerate(SPAN.items(), 1))
     upper = tuple((f"UpperLim{a}", i, s, True) for i, (a, s) in enumerate(SPAN.items(), 13))
-    inputs = tuple((f"CorrA{i}", i, i + 1) for i in range(1, 7))
+    inputs = tuple(Link(f"CorrA{i}", i, i + 1) for i in range(1, 7))
     found.append(RsiObject("AXISCORR", 33, "AXISCORR1", inputs, lower + upper))
     if variant.external:
         lower = tuple((f"LowerLimE{i}", i + 6, -TRACK if i == 1 else -5, True) for i in range(1, 7))
         upper = tuple((f"UpperLimE{i}", i + 18, TRACK if i == 1 else 5, True) for i in range(1, 7))
-        found.append(RsiObject("AXISCORREXT", 33, "AXISCORREXT1", (("CorrE1", 7, 8),), lower + upper))
+        found.append(RsiObject("AXISCORREXT", 33, "AXISCORREXT1", (Link("CorrE1", 7, 8),), lower + upper))
     monitor = [(f"Max{a}", i, s, True) for i, (a, s) in enumerate(SPAN.items(), 1)]
     monitor += [(f"MaxE{i}", i + 6, TRACK if i == 1 and variant.external else 6, True) for i in range(1, 7)]
     found.append(RsiObject("AXISCORRMON", 82, "AXISCORRMON1", (), tuple(monitor)))
     # mode 4, ExitMoveCorr: RSI_MOVECORR ends and the program goes on
-    found.append(RsiObject("STOP", 18, "STOP1", (("In1", 1, 1),), (("Mode", 1, 4, False), ("Channel", 2, 0, False))))
+    found.append(
+        RsiObject("STOP", 18, "STOP1", (Link("In1", 1, 1),), (("Mode", 1, 4, False), ("Channel", 2, 0, False)))
+    )
+    return [*found, *(item for _, item in read), *_switches(variant)]
+
+
+def _signals(variant: Variant) -> list[tuple[Link, RsiObject]]:
+    """Return what reads the tool's outputs and inputs, and the inputs of ETHERNET that they are connected to."""
+    found, wanted = [], [("DIGOUT", 43, variant.first_out, len(variant.outputs))]
+    wanted.append(("DIGIN", 29, variant.first_in, len(variant.inputs)))
+    for kind, number, first, count in wanted:
+        for n in range(count):
+            # a single signal: its number is that of $OUT or $IN
+            parameters = (("Index", 1, first + n, False), ("DataSize", 2, 0, False))
+            item = RsiObject(kind, number, f"{kind}{n + 1}", (), parameters)
+            found.append((Link(f"In{len(found) + 1}", len(found) + 1, 1, item.name), item))
+    return found
+
+
+def _switches(variant: Variant) -> list[RsiObject]:
+    """Return what sets and resets each output, on the rising edge of its channel and of its opposite, while Set.Enable is 1."""
+    found = []
+    channel = {tag: index for tag, _, index, _ in variant.channels}
+    for n, name in enumerate(variant.outputs, 1):
+        enable, wanted = channel["Set.Enable"], channel[f"Set.{name}"]
+        index = (("Index", 1, variant.first_out + n - 1, False),)
+        on, off = f"AND{2 * n - 1}", f"AND{2 * n}"
+        found += [
+            RsiObject("NOT", 10, f"NOT{n}", (Link("In1", 1, wanted),)),
+            RsiObject("AND", 8, on, (Link("In1", 1, enable), Link("In2", 2, wanted))),
+            RsiObject("AND", 8, off, (Link("In1", 1, enable), Link("In2", 2, 1, f"NOT{n}"))),
+            RsiObject("SETDIGOUT", 12, f"SETDIGOUT{n}", (Link("In1", 1, 1, on),), index),
+            RsiObject("RESETDIGOUT", 13, f"RESETDIGOUT{n}", (Link("In1", 1, 1, off),), index),
+        ]
     return found
 
 
 def ethernet_xml(variant: Variant) -> str:
     """Return the Ethernet XML."""
-    axes = [*SPAN, *(["E1"] if variant.external else [])]
-    return ethernet_xml_text(axes, receives=not variant.read_only)
+    return ethernet_xml_text(variant.axes, not variant.read_only, variant.outputs, variant.inputs)
 
 
 # -- RSI 3: .rsi.xml, .rsi, .rsi.diagram ---------------------------------------------------------------------------------
@@ -82,14 +130,16 @@ def rsi_xml(variant: Variant) -> str:
         lines.append(f'  <RSIObject ObjType="{item.kind}" ObjTypeID="{item.number}" ObjID="{item.name}">')
         if item.inputs:
             lines.append("    <Inputs>")
-            for _, own, output in item.inputs:
-                lines.append(f'      <Input InIdx="{own}" OutObjID="ETHERNET1" OutIdx="{output}"/>')
+            for link in item.inputs:
+                lines.append(f'      <Input InIdx="{link.own}" OutObjID="{link.source}" OutIdx="{link.output}"/>')
             lines.append("    </Inputs>")
-        lines.append("    <Parameters>")
-        for name, number, value, public in item.parameters:
-            more = ' IsPublic="true"' if public else ' IsRuntime="false"' if name == "ConfigFile" else ""
-            lines.append(f'      <Parameter Name="{name}" ParamID="{number}" ParamValue="{value}"{more}/>')
-        lines += ["    </Parameters>", "  </RSIObject>"]
+        if item.parameters:
+            lines.append("    <Parameters>")
+            for name, number, value, public in item.parameters:
+                more = ' IsPublic="true"' if public else ' IsRuntime="false"' if name == "ConfigFile" else ""
+                lines.append(f'      <Parameter Name="{name}" ParamID="{number}" ParamValue="{value}"{more}/>')
+            lines.append("    </Parameters>")
+        lines.append("  </RSIObject>")
     return "\n".join([*lines, "</RSIObjects>"]) + "\n"
 
 
@@ -100,7 +150,7 @@ def outputs(variant: Variant, item: RsiObject) -> list[str]:
         "AXISCORR": ["Stat", *SPAN],
         "AXISCORREXT": ["Stat", *(f"E{i}" for i in range(1, 7))],
         "AXISCORRMON": [*SPAN, *(f"E{i}" for i in range(1, 7))],
-    }.get(item.kind, [])
+    }.get(item.kind, ["Out1"] if item.kind in ("AND", "NOT", "DIGIN", "DIGOUT") else [])
 
 
 def rsi_model(variant: Variant) -> str:
@@ -119,23 +169,26 @@ def rsi_model(variant: Variant) -> str:
         )
         if item.inputs:
             lines.append("      <rSIInPorts>")
-            for name, _, output in item.inputs:
-                kind = 'signalType="Bool"' if item.kind == "STOP" else 'mandatory="false"'
+            for link in item.inputs:
+                kind = 'signalType="Bool"' if item.kind in ("STOP", *LOGIC) else 'mandatory="false"'
                 lines += [
-                    f'        <rSIInPort name="{name}" {kind}>',
-                    f'          <source><rSIOutPortMoniker name="//ETHERNET1/Out{output}"/></source>',
+                    f'        <rSIInPort name="{link.name}" {kind}>',
+                    f'          <source><rSIOutPortMoniker name="//{link.source}/Out{link.output}"/></source>',
                     "        </rSIInPort>",
                 ]
             lines.append("      </rSIInPorts>")
         if outputs(variant, item):
             lines.append("      <rSIOutPorts>")
             for name in outputs(variant, item):
-                kind = ' signalType="Int"' if name == "Stat" else ""
+                whole = name == "Stat" or item.kind in ("DIGIN", "DIGOUT")
+                kind = ' signalType="Int"' if whole else ' signalType="Bool"' if item.kind in LOGIC else ""
                 lines.append(f'        <rSIOutPort name="{name}"{kind}/>')
             lines.append("      </rSIOutPorts>")
-        lines.append("      <rSIParameters>")
-        lines += [_model_parameter(*parameter) for parameter in item.parameters]
-        lines += ["      </rSIParameters>", "    </rSIElement>"]
+        if item.parameters:
+            lines.append("      <rSIParameters>")
+            lines += [_model_parameter(*parameter) for parameter in item.parameters]
+            lines.append("      </rSIParameters>")
+        lines.append("    </rSIElement>")
     return "\n".join([*lines, "  </rSIObjects>", "</rSIModel>"]) + "\n"
 
 
@@ -145,15 +198,17 @@ def _model_parameter(name: str, number: int, value: object, public: bool) -> str
         kind, more = "System.FileName", ' isRuntime="false"'
     elif name == "Mode":
         kind, value, more = "KUKA.RSIVisual.RSI_StopType", "ExitMoveCorr", ""
+    elif name == "DataSize":
+        kind, value = "KUKA.RSIVisual.RSI_DataSize", "Bit"
     elif not public:
         kind = "System.Int32"
-        low, high = {"Flag": (-1, 999), "Precision": (1, 32)}.get(name, (0, high))
+        low, high = {"Flag": (-1, 999), "Precision": (1, 32), "Index": (1, 4096)}.get(name, (0, high))
     elif name.startswith("Max"):
         low = 0
     more += ' isPublic="true"' if public else ""
     return (
         f'        <rSIParameter name="{name}" value="{value}" paramType="{kind}" minVal="{low}" maxVal="{high}" '
-        f'isEnum="{str(name == "Mode").lower()}"{more} index="{number}"/>'
+        f'isEnum="{str(name in ("Mode", "DataSize")).lower()}"{more} index="{number}"/>'
     )
 
 
@@ -169,7 +224,7 @@ def rsi_diagram(variant: Variant) -> str:
     top, ids, links = 1.0, {}, []
     for item in objects(variant):
         left = 2.0 if item.kind == "ETHERNET" else 7.0
-        ports = [("In", name) for name, _, _ in item.inputs] + [("Out", name) for name in outputs(variant, item)]
+        ports = [("In", link.name) for link in item.inputs] + [("Out", name) for name in outputs(variant, item)]
         height = 0.5 + 0.4 * max(1, len(ports))
         y = 1.0 if item.kind == "ETHERNET" else top
         shape = _identity(variant, item.name)
@@ -189,14 +244,14 @@ def rsi_diagram(variant: Variant) -> str:
                 f"        </rSI{side}PortShape>",
             ]
         lines += ["      </relativeChildShapes>", "    </rSIElementShape>"]
-        links += [(ids[item.name, name], f"Out{output}") for name, _, output in item.inputs]
+        links += [(ids[item.name, link.name], (link.source, f"Out{link.output}")) for link in item.inputs]
         top += 0.0 if item.kind == "ETHERNET" else height + 0.5
     for target, output in links:
         lines += [
             '    <rSISignalConnector fixedFrom="Algorithm" fixedTo="Algorithm">',
             "      <nodes>",
             f'        <rSIInPortShapeMoniker Id="{target}"/>',
-            f'        <rSIOutPortShapeMoniker Id="{ids["ETHERNET1", output]}"/>',
+            f'        <rSIOutPortShapeMoniker Id="{ids[output]}"/>',
             "      </nodes>",
             "    </rSISignalConnector>",
         ]
@@ -212,8 +267,11 @@ def _identity(variant: Variant, name: str) -> uuid.UUID:
 #: Names of the objects in RSI 4.1; AxisCorrExt is an object of its own there.
 NAMES_41 = {
     "ETHERNET": ("Ethernet", 64), "AXISCORR": ("AxisCorr", 33), "AXISCORREXT": ("AxisCorrExt", 87),
-    "AXISCORRMON": ("AxisCorrMon", 82), "STOP": ("Stop", 18),
+    "AXISCORRMON": ("AxisCorrMon", 82), "STOP": ("Stop", 18), "DIGIN": ("DigIn", 29), "DIGOUT": ("DigOut", 43),
+    "SETDIGOUT": ("SetDigOut", 12), "RESETDIGOUT": ("ResetDigOut", 13), "AND": ("AND", 8), "NOT": ("NOT", 10),
 }  # fmt: skip
+#: Parameters that have another name there.
+PARAMETERS_41 = {"DataSize": "DataType"}
 
 
 def rsix(variant: Variant) -> str:
@@ -227,28 +285,39 @@ def rsix(variant: Variant) -> str:
     ]
     for item in objects(variant):
         kind, number = NAMES_41[item.kind]
-        lines.append(f'    <RsiObject ObjTypeId="{number}" ObjType="{kind}" ObjId="{kind}_1">')
+        lines.append(f'    <RsiObject ObjTypeId="{number}" ObjType="{kind}" ObjId="{_name_41(item.name)}">')
         if item.inputs:
             lines.append("      <Inputs>")
             first = 7 if item.kind == "AXISCORREXT" else 1
-            for _, own, output in item.inputs:
-                lines.append(f'        <Input InIdx="{own - first}" OutObjId="Ethernet_1" OutIdx="{output - 1}"/>')
+            for link in item.inputs:
+                source = _name_41(link.source)
+                lines.append(
+                    f'        <Input InIdx="{link.own - first}" OutObjId="{source}" OutIdx="{link.output - 1}"/>'
+                )
             lines.append("      </Inputs>")
-        lines.append("      <Parameters>")
-        for position, (name, number, value, public) in enumerate(item.parameters):
-            number = position if public else number - 1
-            more = ' IsPublic="true"' if public else ' IsRuntime="false"' if name == "ConfigFile" else ""
-            lines.append(f'        <Parameter{more} Name="{name}" ParamId="{number}" ParamValue="{value}"/>')
-        lines += ["      </Parameters>", "    </RsiObject>"]
+        if item.parameters:
+            lines.append("      <Parameters>")
+            for position, (name, number, value, public) in enumerate(item.parameters):
+                number, name = position if public else number - 1, PARAMETERS_41.get(name, name)
+                more = ' IsPublic="true"' if public else ' IsRuntime="false"' if name == "ConfigFile" else ""
+                lines.append(f'        <Parameter{more} Name="{name}" ParamId="{number}" ParamValue="{value}"/>')
+            lines.append("      </Parameters>")
+        lines.append("    </RsiObject>")
     return "\n".join([*lines, "  </RsiObjects>", "</RsiContext>"]) + "\n"
+
+
+def _name_41(name: str) -> str:
+    """Return an object's name of RSI 3, e.g. ``AND2``, as RSI 4.1 writes it."""
+    kind = name.rstrip("0123456789")
+    return f"{NAMES_41[kind][0]}_{name[len(kind) :]}"
 
 
 # -- files ---------------------------------------------------------------------------------------------------------------
 
 
-def files() -> Iterable[tuple[str, str]]:
+def files(variants: Iterable[Variant] = VARIANTS) -> Iterable[tuple[str, str]]:
     """Yield path under krl/ and text of every file."""
-    for variant in VARIANTS:
+    for variant in variants:
         name = variant.name
         yield f"ethernet/{variant.ethernet}", ethernet_xml(variant)
         yield f"rsi3/SensorInterface/{name}.rsi.xml", rsi_xml(variant)
@@ -259,10 +328,37 @@ def files() -> Iterable[tuple[str, str]]:
         yield f"rsi41/Program/{name}.src", program(variant, rsi41=True)
 
 
-def main() -> int:
+def tool_variants(path: Path, first_out: int, first_in: int) -> list[Variant]:
+    """Return the sets of files for a tool file, with and without track."""
+    tool = read_tool(path).tool
+    outputs = {name: output.on_stop == "keep" for name, output in tool.outputs.items()}
+    numbers = {"first_out": first_out, "first_in": first_in}
+    return [
+        Variant(name, external, outputs=outputs, inputs=tool.inputs, **numbers)
+        for name, external in (("ctwin_tool", False), ("ctwin_e1_tool", True))
+    ]
+
+
+def main(argv: list[str] | None = None) -> int:
     """Write the files; return the exit code."""
-    for name, text in files():
-        path = ROOT / "krl" / name
+    parser = argparse.ArgumentParser(
+        description="Write krl/, or the files of ctwin_tool and ctwin_e1_tool for another tool."
+    )
+    parser.add_argument("--tool", type=Path, help="tool file; without it the files of krl/ are written")
+    parser.add_argument("--to", type=Path, help="folder for the files of --tool")
+    parser.add_argument("--first-out", type=int, default=1, help="number of the first output in $OUT [%(default)s]")
+    parser.add_argument("--first-in", type=int, default=1, help="number of the first input in $IN [%(default)s]")
+    given = parser.parse_args(argv)
+    if (given.tool is None) != (given.to is None):
+        parser.error("--tool and --to belong together")
+    variants, folder = VARIANTS, ROOT / "krl"
+    if given.tool is not None:
+        try:
+            variants, folder = tool_variants(given.tool, given.first_out, given.first_in), given.to
+        except ConfigurationError as error:
+            sys.exit(f"make_krl: {error}")
+    for name, text in files(variants):
+        path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     return 0

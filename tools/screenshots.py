@@ -22,14 +22,15 @@ sys.path.insert(0, str(ROOT / "test" / "integration"))
 
 import numpy as np  # noqa: E402
 import rospy  # noqa: E402
-from construction_twin.msg import Sync  # noqa: E402
-from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PreviewPlan  # noqa: E402
+from construction_twin.msg import Sync, WorkTasks  # noqa: E402
+from construction_twin.srv import PlanToJoints, PlanToJointsResponse, PreviewPlan, WorkPlanTask  # noqa: E402
 from screenshot import VirtualDisplay, bare_view, extent, fraction  # noqa: E402
 from twin_client import Stream, TwinClient, wait  # noqa: E402
 
 from construction_twin.core.errors import ConstructionTwinError  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
+WORK = ROOT / "config" / "work"
 #: Size of a picture [pixels], and the most it may weigh [bytes].
 SIZE, WEIGHT = (1100, 760), 300_000
 #: Longest wait for a state, and for something to be drawn [s].
@@ -45,6 +46,9 @@ NEAR = {"Distance": 4.0, "Focal Point": {"X": 0.65, "Y": 0.0, "Z": 1.05}}
 WITH_TEXT = {"Distance": 5.4, "Focal Point": {"X": 0.5, "Y": 0.0, "Z": 1.55}}
 #: For two texts, one over the other.
 HIGHER = {"X": 0.5, "Y": 0.0, "Z": 1.75}
+#: From above, so that table, racks and arm are in the picture; elements that stand in it.
+OF_THE_PANEL = {"Distance": 5.6, "Pitch": 0.75, "Yaw": 1.9, "Focal Point": {"X": 0.3, "Y": 0.4, "Z": 0.8}}
+PLACED = 2
 #: Joint that stalls, and how far the arm has moved when it does [deg].
 STALLED, MOVED = "joint_a1", 12.0
 
@@ -200,11 +204,52 @@ def shoot_two(camera: Camera) -> None:
     camera.shoot("two_robots", "two_robots", {"orange": 0.02, "pink": 0.0001}, Distance=7.0, Pitch=0.3)
 
 
+def shoot_work(camera: Camera) -> None:
+    """Work from a building model: two elements stand, the ghost carries the third one to its place."""
+    client = ready_client()
+    tasks: list[WorkTasks] = []
+    rospy.Subscriber("work/tasks", WorkTasks, tasks.append)
+    wait(lambda: tasks and tasks[-1].tasks, "the model to be read", READY)
+    rospy.wait_for_service("work/plan", READY)
+    plan_next = rospy.ServiceProxy("work/plan", WorkPlanTask)
+
+    def states() -> dict[str, str]:
+        return {task.id: task.state for task in tasks[-1].tasks}
+
+    while list(states().values()).count("done") < PLACED:
+        answer = plan_next("")
+        assert answer.success, answer.message
+        client.wait(lambda plan_id=answer.plan_id: client.plans and client.plans[-1].id == plan_id, "the plan")
+        verdict = client.review(answer.plan_id, answer.plan_hash)
+        assert verdict.success, verdict.message
+        client.wait_for_outcome(answer.plan_id, "finished", READY)
+        client.wait(lambda task=answer.task: states()[task] == "done", "the task", READY)
+        client.wait_until_ready(READY)
+    answer = plan_next("")
+    assert answer.success, answer.message
+    with Stream("preview/joint_states") as ghost:
+        rospy.ServiceProxy("preview_plan", PreviewPlan)(speed=1.0, loop=True)
+        wait(lambda: ghost.moved(5.0), "the ghost to move", READY)
+    camera.shoot("work", "twin", {"orange": 0.01, "green": 0.02, "pink": 0.0001}, **OF_THE_PANEL)
+
+
 #: Launch file and arguments, namespace, and what is photographed.
 SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     "one": (("bringup.launch",), "kr120", shoot_one),
     "marker": (("bringup.launch", "tool_marker:=true"), "kr120", shoot_marker),
     "track": (("bringup.launch", "track:=true"), "kr120", shoot_track),
+    "work": (
+        (
+            "bringup.launch",
+            "track:=true",
+            f"work_model:={ROOT}/models/timber_panel.ifc",
+            f"work_cell:={WORK}/timber_panel.yaml",
+            f"scene:={WORK}/timber_panel_scene.yaml",
+            f"tool:={ROOT}/config/tools/vacuum_frame.yaml",
+        ),
+        "kr120",
+        shoot_work,
+    ),  # fmt: skip
     # without arms: two whole robots want two cores for themselves, and rviz takes one
     "two_robots": (("two_robots.launch", "arm:=none"), "", shoot_two),
 }

@@ -23,7 +23,7 @@ from compas_eve.mqtt import MqttTransport
 from compas_fab.robots import JointTrajectory, JointTrajectoryPoint
 from compas_robots import Configuration
 
-#: The version of `view` that is read here.
+#: The version of `view` that is read here; a later one says in `compatible` whether its readers can read it too.
 VIEW_VERSION = 1
 #: A view that is older is not shown as the present [s].
 FRESH = 1.0
@@ -193,7 +193,8 @@ class Connection:
         if view is None:
             raise TwinProblem("no view yet: is the robot's name right, and does its bringup run?")
         document, received = view
-        if document.get("version") != VIEW_VERSION:
+        version = document.get("version", 0)
+        if not document.get("compatible", version) <= VIEW_VERSION <= version:
             raise TwinProblem(f"view has version {document.get('version')!r}; this file reads {VIEW_VERSION}")
         if not document["online"]:
             raise TwinProblem(

@@ -12,10 +12,14 @@ from mqtt_mutations import Message, Target, message, mutate
 from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.core.errors import PayloadError, TelegramError
+from construction_twin.link.remote_request import IkRequest, RemoteRequest, parse_ik, parse_plan_request, read_request
 from construction_twin.link.remote_review import parse_review
+from construction_twin.link.remote_trajectory import Joints, checked_sender, parse_trajectory, read_document
 from construction_twin.link.status_values import status_values
+from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, parse_intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
+    account_of,
     parse_control,
     parse_status,
     read_command_properties,
@@ -30,6 +34,21 @@ STATUS = {
     "reply_us": {"bins": [50, 100], "counts": [1, 2, 3], "max": 80},
 }  # fmt: skip
 REVIEW = {"plan_id": "p1", "plan_hash": "0" * 64, "verdict": "approved", "reviewer": "Ada", "reason": ""}
+JOINTS = Joints(tuple(f"joint_a{k}" for k in range(1, 7)), (False,) * 6)
+_POSE = {"position": [1.2, 0.1, 1.4], "orientation": [0.0, 0.7071067811865476, 0.0, 0.7071067811865476]}
+#: What a console asks for, each kind once.
+WISHES = [
+    {"id": "1", "kind": "joints", "joints": dict.fromkeys(JOINTS.names, 0.1), "speed_scale": 0.3},
+    {"id": "2", "kind": "pose", "configuration": "", **_POSE},
+    {"id": "3", "kind": "line", "speed": 0.2, **_POSE},
+    {"id": "4", "kind": "way_back"},
+    {"id": "5", "kind": "work_task", "task": "2IlnvQujnOqPQIJIUQ_fsr"},
+]
+IK = {"id": "6", "seed": dict.fromkeys(JOINTS.names, 0.1), **_POSE}
+MOTION = {
+    "id": "7", "units": {"angle": "rad", "length": "m", "time": "s"}, "joint_names": list(JOINTS.names),
+    "points": [{"positions": [0.0] * 6, "time_from_start": 0.0}, {"positions": [0.1] * 6, "time_from_start": 2.0}],
+}  # fmt: skip
 #: Largest datagram of UDP.
 LARGEST = 65_507
 SENSOR = (
@@ -61,7 +80,19 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
     others = [
         (json.dumps(STATUS).encode(), lambda data: status_values(parse_status(data))),
         (json.dumps(REVIEW).encode(), lambda data: parse_review(data, False)),
+        (json.dumps(REVIEW).encode(), lambda data: parse_review(data, False, "kr120-reviewer-ada")),
+        (b'{"id": "17"}', lambda data: parse_intervention(STOP, "kr120-stopper-bob", data, False)),
+        (b'{"id": "18"}', lambda data: parse_intervention(PAUSE, "kr120-stopper-bob", data, False)),
+        (b'{"id": "19"}', lambda data: parse_intervention(RESUME, "kr120-stopper-bob", data, False)),
+        (json.dumps(IK).encode(), lambda data: _finite(parse_ik(read_request(data, False, "ik"), JOINTS))),
+        (json.dumps(MOTION).encode(), lambda data: parse_trajectory(read_document(data, False, 1 << 20), JOINTS)),
+        (b"kr120-planner-pia", lambda data: checked_sender(data.decode(errors="replace"))),
+        (b"twin/kr120/stop/kr120-stopper-bob", lambda data: account_of(data.decode(errors="replace"))),
     ]
+    others += [(json.dumps(wish).encode(), _wish) for wish in WISHES]
+    for sample, parse in others:
+        # a sample that is refused as it is would fuzz nothing but the refusal
+        parse(sample)
     for done in range(count):
         if rng.random() < 0.2:
             sample, parse = rng.choice(others)
@@ -70,6 +101,22 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
             _read_message(message(rng, target), codec, tally)
         progress(done + 1)
     return tally
+
+
+def _wish(data: bytes) -> object:
+    return _finite(parse_plan_request(read_request(data, False, "plan_request"), JOINTS))
+
+
+def _finite(asked: RemoteRequest | IkRequest) -> object:
+    """What is taken for a wish has only numbers in it that a planner can compute with."""
+    values = [*asked.position, *asked.orientation]
+    values += (
+        [*asked.joints, asked.speed, asked.speed_scale, asked.acceleration_scale]
+        if isinstance(asked, RemoteRequest)
+        else asked.seed
+    )
+    assert all(map(math.isfinite, values)), asked
+    return asked
 
 
 def _read_message(sent: Message, codec: JointStringCodec, tally: Tally) -> None:

@@ -233,9 +233,13 @@ class Mqtt:
         beside = Properties(PacketTypes.PUBLISH) if made.pairs else None
         if beside is not None:
             beside.UserProperty = made.pairs
-        topic = self.topics.command if made.topic == "command" else self.topics.control
+        topics = {
+            "command": self.topics.command,
+            "control": self.topics.control,
+            "stop": self.topics.stop_by("anybody"),
+        }
         self._client.publish(
-            topic, made.payload, qos=int(made.topic == "control"), retain=made.retain, properties=beside
+            topics[made.topic], made.payload, qos=int(made.topic != "command"), retain=made.retain, properties=beside
         )
         self.sent += 1
 
@@ -277,7 +281,7 @@ class Mqtt:
 
     def clean(self) -> None:
         """Take retained messages away."""
-        for topic in ("command", "control"):
+        for topic in ("command", "control", "stop"):
             self.publish(Message(topic, b"", retain=True))
         self.marker()
 

@@ -66,8 +66,11 @@ class Target:
 
 def message(rng: random.Random, target: Target) -> Message:
     """Return the next message."""
-    if rng.random() < 0.7:
+    kind = rng.random()
+    if kind < 0.65:
         made = _command(rng, target)
+    elif kind < 0.75:
+        made = Message("stop", _no_stop(rng, target))
     else:
         made = Message("control", _control(rng, target))
     made.retain = rng.random() < 0.02
@@ -131,6 +134,29 @@ def _control(rng: random.Random, target: Target) -> bytes:
     if rng.random() < 0.05:
         payload = payload.decode().encode(rng.choice(("utf-16", "utf-32", "utf-8-sig")))
     return mutate(rng, payload) if rng.random() < 0.5 else payload
+
+
+def _no_stop(rng: random.Random, target: Target) -> bytes:
+    """Return what is not a stop: a stop is never refused, whoever's topic it is on, so it would be no hostile message."""
+    while True:
+        document = {"id": rng.choice((str(rng.randrange(10**6)), *VALUES))}
+        for _ in range(rng.randint(0, 2)):
+            document[rng.choice(("session", "verb", "account", "ID", "x" * 300))] = rng.choice(
+                (target.session, "arm", *VALUES)
+            )
+        payload = json.dumps(document).encode()
+        if rng.random() < 0.6:
+            payload = mutate(rng, payload)
+        if not _only_an_id(payload):
+            return payload
+
+
+def _only_an_id(payload: bytes) -> bool:
+    try:
+        document = json.loads(payload)
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(document, dict) and set(document) == {"id"} and isinstance(document["id"], str)
 
 
 def mutate(rng: random.Random, data: bytes) -> bytes:

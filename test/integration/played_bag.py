@@ -27,12 +27,16 @@ def excerpt(bag: Path, topic: str) -> Path:
 
 
 def write(folder: Path, topic: str, messages: list[genpy.Message]) -> Path:
-    """Return a bag with messages of one topic, again and again."""
+    """Return a bag with messages of one topic, again and again, the last one at its end.
+
+    Who listens to everybody, as the test's own client does, has then heard last what is still true.
+    """
     assert messages, f"nothing was recorded of {topic}"
     path = folder / f"{topic.strip('/').replace('/', '_')}.bag"
     with rosbag.Bag(str(path), "w") as bag:
-        for number in range(round(DURATION / PERIOD)):
-            bag.write(topic, messages[number % len(messages)], genpy.Time.from_sec(1.0 + number * PERIOD))
+        count = round(DURATION / PERIOD)
+        for number in range(count):
+            bag.write(topic, messages[(number - count) % len(messages)], genpy.Time.from_sec(1.0 + number * PERIOD))
     return path
 
 

@@ -1,8 +1,9 @@
-"""A tablet with an account of its own at a site's broker. For the integration tests."""
+"""A tablet with the account of a reviewer at a site's broker. For the integration tests."""
 
 from __future__ import annotations
 
 import json
+import uuid
 from pathlib import Path
 
 from twin_client import wait
@@ -27,8 +28,13 @@ class Tablet:
 
     def __init__(self, account: Path, port: int, topics: Topics):
         self._topics = topics
-        self.heard: dict[str, list[tuple[bytes, bool]]] = {topics.plan: [], topics.review_ack: []}
-        broker = Broker("localhost", port, account=load_account(account))
+        known = load_account(account)
+        self.account = known.user
+        self._refused: dict[int, bool] = {}
+        self.heard: dict[str, list[tuple[bytes, bool]]] = {
+            topic: [] for topic in (topics.plan, topics.review_ack, topics.stop_ack, topics.pause_ack)
+        }
+        broker = Broker("localhost", port, account=known)
         self.client = make_client(broker, unique_id(topics.robot, "tablet"), "unused")
         self.client.on_connect = lambda client, *_: client.subscribe(
             subscriptions(client, [(t, 1) for t in self.heard])
@@ -36,6 +42,7 @@ class Tablet:
         self.client.on_message = lambda c, u, message: self.heard[message.topic].append(
             (message.payload, message.retain)
         )
+        self.client.on_publish = lambda c, u, mid, reason, p: self._refused.update({mid: reason.is_failure})
         self.client.connect_async(broker.host, broker.port, broker.keepalive)
         self.client.loop_start()
 
@@ -46,14 +53,38 @@ class Tablet:
         return json.loads(heard[-1][0]) if heard and heard[-1][0] else None
 
     def answer(self, payload: bytes, retain: bool = False) -> dict:
-        """Publish on `review`; return the answer."""
+        """Publish on `review/<account>`; return the answer."""
         answers = self.heard[self._topics.review_ack]
         count = len(answers)
-        self.client.publish(self._topics.review, payload, qos=1, retain=retain)
+        self.client.publish(self._topics.review_by(self.account), payload, qos=1, retain=retain)
         wait(lambda: len(answers) > count, "an answer on review/ack")
         return json.loads(answers[count][0])
 
+    def may_publish(self, topic: str, payload: bytes) -> bool:
+        """Publish on any topic; return whether the broker's rules allow it."""
+        info = self.client.publish(topic, payload, qos=1)
+        wait(lambda: info.mid in self._refused, f"the broker's answer on {topic}")
+        return not self._refused.pop(info.mid)
+
+    def press(self, verb: str, by: str = "executor") -> dict:
+        """Publish on `<verb>/<account>`; return the answer of gateway or executor."""
+        topics = self._topics
+        topic, ack = {
+            "stop": (topics.stop_by, topics.stop_ack),
+            "pause": (topics.pause_by, topics.pause_ack),
+            "resume": (topics.resume_by, topics.pause_ack),
+        }[verb]
+        id_ = uuid.uuid4().hex
+        self.client.publish(topic(self.account), json.dumps({"id": id_}), qos=1)
+
+        def answers() -> list[dict]:
+            found = [json.loads(payload) for payload, _ in list(self.heard[ack])]
+            return [answer for answer in found if (answer["id"], answer["by"]) == (id_, by)]
+
+        wait(answers, f"an answer to {verb} by the {by}")
+        return answers()[0]
+
     def verdict(self, plan: dict, verdict: str, **changes) -> dict:
         """Give a verdict on a plan; return the answer."""
-        document = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": verdict, "reviewer": "Anna"}
+        document = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": verdict}
         return self.answer(json.dumps(document | changes).encode())

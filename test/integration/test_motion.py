@@ -16,6 +16,7 @@ from construction_twin.srv import (
     AddObject,
     AttachObject,
     DetachObject,
+    EditScene,
     PlanCartesian,
     PlanFromCsv,
     PlanToPose,
@@ -32,6 +33,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.messages.scene_convert import object_from_msg, scene_from_msg
+from construction_twin.scene.scene_change import SceneChange
 
 #: A wall between RIGHT and LEFT: too long to pass in front of, too high to pass without lifting the arm [m].
 WALL = {"centre": (1.8, 0.0, 0.85), "size": (1.2, 0.1, 1.7)}
@@ -207,6 +210,33 @@ class MotionTest(RobotTest):
         np.testing.assert_allclose(
             (tool.pose.position.x, tool.pose.position.y, tool.pose.position.z), expected, atol=1e-4
         )
+
+    def test_several_objects_change_at_once_or_not_at_all(self):
+        edit = rospy.ServiceProxy("edit_scene", EditScene)
+        before = self.scenes[-1].hash
+        pieces = [
+            SceneObject(
+                name=f"stud/{number}", shape="box", size=(0.06, 0.12, 1.0), pose=pose_at(2.0, 0.3 * number, 1.0)
+            )
+            for number in range(3)
+        ]
+        expected = SceneChange(tuple(map(object_from_msg, pieces))).apply(scene_from_msg(self.scenes[-1])).hash
+        other = edit(before="0" * 64, put=pieces)
+        self.assertFalse(other.success)
+        self.assertIn("plan it anew", other.message)
+        nowhere = edit(
+            before=before, put=[*pieces, SceneObject("stud/3", "sphere", [0.1], "", pose_at(0, 0, 0), 0.0, "hand", [])]
+        )
+        self.assertFalse(nowhere.success)
+        self.assertEqual((other.hash, nowhere.hash), (before, before))
+        answer = edit(before=before, put=pieces, after=expected)
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual(answer.hash, expected)
+        self.assertIn("put 'stud/0' and 2 more", answer.message)
+        wait(lambda: self.scenes[-1].hash == expected, "the scene with the three pieces")
+        back = edit(before=expected, remove=[piece.name for piece in pieces], after=before)
+        self.assertTrue(back.success, back.message)
+        wait(lambda: self.scenes[-1].hash == before, "the scene as it was")
 
     def test_a_plan_of_anybody_but_the_planner_is_refused(self):
         self.client.plan_to(LEFT)

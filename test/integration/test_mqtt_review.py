@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """`plan` and `review` over MQTT: the real node, the site's broker and a tablet's account; the test plays planner and executor."""
 
+import functools
 import json
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ import rostest
 from construction_twin.msg import Link, Plan, Review
 from construction_twin.srv import ReviewPlan, ReviewPlanResponse
 from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger, TriggerResponse
 from tablet import Tablet
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from twin_client import wait
@@ -25,6 +27,7 @@ from construction_twin.mqtt.messages import Topics
 
 PORT = 18846
 TOPICS = Topics("twin", "kr120")
+ACCOUNT = "kr120-reviewer-anna"
 
 
 class MqttReviewTest(unittest.TestCase):
@@ -35,11 +38,14 @@ class MqttReviewTest(unittest.TestCase):
         cls.folder = Path(tempfile.mkdtemp())
         cls.addClassCleanup(shutil.rmtree, cls.folder)
         arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
-        assert make_site([str(cls.folder / "site"), *arguments]) == 0
+        assert make_site([str(cls.folder / "site"), *arguments, "--reviewer", "anna"]) == 0
         cls.plans = rospy.Publisher("plan", Plan, queue_size=5, latch=True)
         cls.verdicts = rospy.Publisher("review", Review, queue_size=5, latch=True)
         cls.links = rospy.Publisher("link", Link, queue_size=5, latch=True)
         cls.service = rospy.Service("review_plan", ReviewPlan, cls._on_review)
+        cls.pressed, cls.triggers = [], []
+        for name in ("stop", "pause", "resume"):
+            cls.triggers.append(rospy.Service(name, Trigger, functools.partial(cls._on_trigger, name)))
         cls.programs = {}
         # planner, executor and bridge are played by this node
         rospy.set_param("publishers", dict.fromkeys(("plan", "review", "link"), rospy.get_name()))
@@ -48,7 +54,7 @@ class MqttReviewTest(unittest.TestCase):
         for name, value in (("host", "localhost"), ("port", PORT), ("account", str(account))):
             rospy.set_param(f"mqtt_review/{name}", value)
         cls._start("mqtt_review", f"__ns:={rospy.get_namespace().rstrip('/')}")
-        cls.tablet = Tablet(cls.folder / "site/accounts/kr120-tablet/account.json", PORT, TOPICS)
+        cls.tablet = Tablet(cls.folder / "site/accounts/kr120-reviewer-anna/account.json", PORT, TOPICS)
         cls.addClassCleanup(cls.tablet.client.disconnect)
         wait(cls.tablet.client.is_connected, "the tablet's connection")
         wait(lambda: cls.plans.get_num_connections() and cls.verdicts.get_num_connections(), "mqtt_review")
@@ -73,9 +79,15 @@ class MqttReviewTest(unittest.TestCase):
         cls.verdicts.publish(Review(plan_id=request.plan_id, approved=request.approve, reviewer=request.reviewer))
         return ReviewPlanResponse(True, "taken")
 
+    @classmethod
+    def _on_trigger(cls, name: str, _request):
+        cls.pressed.append(name)
+        return TriggerResponse(cls.accept, f"{name}: as the executor says")
+
     def setUp(self):
         type(self).accept = True
         self.requests.clear()
+        self.pressed.clear()
 
     def offer(self, name: str) -> dict:
         """Publish a plan; return what the tablet sees of it."""
@@ -110,8 +122,46 @@ class MqttReviewTest(unittest.TestCase):
         self.assertEqual((answer["ok"], answer["plan_id"], answer["reason"]), (True, "approve me", "taken"))
         request = self.requests[-1]
         self.assertEqual((request.plan_id, request.plan_hash), ("approve me", "hash of approve me"))
-        self.assertEqual((request.approve, request.reviewer, request.reason), (True, "Anna", "by MQTT: looks fine"))
+        self.assertEqual((request.approve, request.reviewer, request.reason), (True, ACCOUNT, "by MQTT: looks fine"))
+        self.assertEqual((answer["account"], answer["reviewer"]), (ACCOUNT, ACCOUNT))
         self.wait_until_cleared()
+
+    def test_the_name_on_record_is_the_account_s_whatever_the_tablet_claims(self):
+        self.assertTrue(self.tablet.verdict(self.offer("claimed"), "approved", reviewer="kr120-reviewer-bert")["ok"])
+        request = self.requests[-1]
+        self.assertEqual(request.reviewer, ACCOUNT)
+        self.assertEqual(request.reason, "by MQTT, which says it is 'kr120-reviewer-bert'")
+        self.wait_until_cleared()
+
+    def test_no_verdict_comes_in_another_one_s_name_or_in_none(self):
+        plan = self.offer("not in my name")
+        verdict = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": "approved", "reviewer": "Anna"}
+        payload = json.dumps(verdict).encode()
+        for topic in (TOPICS.review, TOPICS.review_by("kr120-reviewer"), TOPICS.review_by("kr120-bridge")):
+            self.assertFalse(self.tablet.may_publish(topic, payload), topic)
+        # what the broker took behind them has been carried out, so nothing of the others was
+        self.assertFalse(self.tablet.answer(b"{}")["ok"])
+        self.assertEqual((self.requests, self.tablet.plan["id"]), ([], "not in my name"))
+
+    def test_stop_pause_and_resume_reach_the_executor_and_are_answered(self):
+        for verb in ("stop", "pause", "resume"):
+            answer = self.tablet.press(verb)
+            said = {"account": ACCOUNT, "ok": True, "reason": f"{verb}: as the executor says", "by": "executor"}
+            self.assertEqual(answer, said | {"id": answer["id"]})
+        type(self).accept = False
+        self.assertFalse(self.tablet.press("resume")["ok"])
+        self.assertEqual(self.pressed, ["stop", "pause", "resume", "resume"])
+
+    def test_what_is_no_press_or_came_before_reaches_nobody_and_is_counted(self):
+        before = {name: self.refused(name) for name in ("pause", "repeated")}
+        mine = TOPICS.pause_by(ACCOUNT)
+        for payload in (b"", b"pause", b'{"id": 1}', b'{"id": "1", "account": "x"}'):
+            self.assertTrue(self.tablet.may_publish(mine, payload))
+        for _ in range(3):
+            self.assertTrue(self.tablet.may_publish(mine, b'{"id": "the same"}'))
+        wait(lambda: self.refused("repeated") == before["repeated"] + 2, "the counter of repeated pauses")
+        self.assertEqual(self.refused("pause"), before["pause"] + 4)
+        self.assertEqual(self.pressed, ["pause"])
 
     def test_rejection_reaches_review_plan(self):
         answer = self.tablet.verdict(self.offer("reject me"), "rejected")
@@ -128,7 +178,7 @@ class MqttReviewTest(unittest.TestCase):
     def test_bad_verdicts_reach_nobody_and_are_counted(self):
         plan = self.offer("guarded")
         before = self.refused("review"), self.refused("retained")
-        verdict = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": "approved", "reviewer": "Anna"}
+        verdict = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": "approved"}
         bad = [
             b"",
             b"approved",
@@ -139,7 +189,7 @@ class MqttReviewTest(unittest.TestCase):
             self.assertFalse(self.tablet.answer(payload)["ok"])
         retained = self.tablet.answer(json.dumps(verdict).encode(), retain=True)
         self.assertIn("retain", retained["reason"])
-        self.tablet.client.publish(TOPICS.review, b"", qos=1, retain=True)
+        self.tablet.client.publish(TOPICS.review_by(ACCOUNT), b"", qos=1, retain=True)
         self.assertEqual(self.requests, [])
         self.assertEqual(self.tablet.plan["id"], "guarded")
         # the empty retained message that takes the stored one away is refused too

@@ -38,7 +38,7 @@ class SiteTest(unittest.TestCase):
         cls.addClassCleanup(shutil.rmtree, cls.folder)
         site = cls.folder / "site"
         arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
-        assert make_site([str(site), *arguments, "--planner", "ada"]) == 0
+        assert make_site([str(site), *arguments, "--planner", "ada", "--reviewer", "anna"]) == 0
         command = ["roslaunch", "construction_twin", "bringup.launch", f"broker_config:={site}/broker/mosquitto.conf",
                    "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260",
                    f"bridge_account:={site}/accounts/kr120-bridge/account.json",
@@ -57,7 +57,7 @@ class SiteTest(unittest.TestCase):
             raise AssertionError(f"{error}\n{''.join(cls.output)[-3000:]}") from None
         rospy.init_node("test_site")
         cls.client = TwinClient()
-        cls.tablet = Tablet(site / "accounts/kr120-tablet/account.json", PORT, TOPICS)
+        cls.tablet = Tablet(site / "accounts/kr120-reviewer-anna/account.json", PORT, TOPICS)
         cls.addClassCleanup(cls.tablet.client.disconnect)
         cls.planner = RemotePlanner(site / "accounts/kr120-planner-ada/account.json", PORT, TOPICS)
         cls.addClassCleanup(cls.planner.client.disconnect)
@@ -167,6 +167,50 @@ class SiteTest(unittest.TestCase):
         self.assertEqual(values["trajectories no plan"], "1")
         # what the broker kept is taken away, or every start of the node would refuse it again
         self.planner.client.publish(self.planner.topic, b"", retain=True)
+
+    def test_a_stop_by_topic_mid_motion_brakes_the_arm_and_names_who(self):
+        self.client.go_to(HOME)
+        with Stream("physical/joint_states") as arm:
+            planned = self.client.plan_to(LEFT)
+            wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
+            still = arm.positions()[-1]
+            self.assertTrue(self.tablet.verdict(self.tablet.plan, "approved")["ok"])
+            wait(lambda: abs(arm.positions()[-1] - still).max() > 0.02, "motion")
+            answer = self.tablet.press("stop", "gateway")
+            self.assertTrue(answer["ok"], answer)
+            self.assertEqual(answer["account"], "kr120-reviewer-anna")
+            # by the executor, or by the gate that closes when the gateway brakes: whichever is first
+            wait(lambda: self.client.execution.outcome in ("stopped", "held", "dropped"), "the end of the plan")
+            wait(lambda: not self.client.armed(), "the end of the session")
+            wait(lambda: self.client.link.gateway_state == "holding", "the arm at rest")
+            arm.wait_for_more(100)
+            last = arm.positions()[-100:]
+            self.assertTrue((last == last[0]).all(), "the arm moves on after the stop")
+        self.assertIn("kr120-reviewer-anna", self.client.link.reason)
+        self.assertEqual(self.client.gateway_counters()["stop_by"], "kr120-reviewer-anna")
+        # the right to stop is no right to go on: the reset is the bridge's
+        for verb in ("reset", "arm", "speed_limit"):
+            control = Control("1", "any", verb, 1.0).to_json()
+            self.assertFalse(self.tablet.may_publish(TOPICS.control, control), verb)
+        self.assertFalse(self.client.armed())
+        self.client.start_over()
+
+    def test_a_pause_by_topic_holds_the_motion_and_resume_ends_it(self):
+        self.client.go_to(HOME)
+        with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
+            planned = self.client.plan_to(RIGHT)
+            wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
+            still = arm.positions()[-1]
+            self.assertTrue(self.tablet.verdict(self.tablet.plan, "approved")["ok"])
+            wait(lambda: abs(arm.positions()[-1] - still).max() > 0.02, "motion")
+            answer = self.tablet.press("pause")
+            self.assertTrue(answer["ok"], answer)
+            wait(lambda: self.client.execution.state == Execution.PAUSED, "the pause")
+            self.assertTrue(self.client.armed(), self.client.describe())
+            answer = self.tablet.press("resume")
+            self.assertTrue(answer["ok"], answer)
+            self.client.wait_for_outcome(planned.plan_id, "finished")
+            self.client.assert_at(RIGHT, twin, arm)
 
     def test_the_tablet_can_neither_command_nor_control(self):
         before = self.client.gateway_counters()

@@ -102,7 +102,7 @@ class BridgeBench:
     def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **options):
         self.clocks = clocks
         self.client = Client()
-        self.physical, self.links = Published(), Published()
+        self.physical, self.links, self.tools = Published(), Published(), Published()
         settings = Settings(
             host="127.0.0.1",
             port=1,
@@ -120,7 +120,7 @@ class BridgeBench:
             return self._made
 
         self._codec, self._states = codec, 0
-        outputs = Outputs(self.physical, Published(), self.links)
+        outputs = Outputs(self.physical, Published(), self.links, self.tools)
         self.bridge = MqttBridge(
             settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, make, **options
         )

@@ -33,7 +33,8 @@ def make_chain(
 ) -> SimulatedChain:
     """Return a chain that is ready for a plan; `settings` are the gateway's."""
     config = gateway_config(ROBOT, SETTINGS | {"decimals": decimals} | settings)
-    mock = MockSettings(gateway_host="simulated", gateway_port=1, servo=servo, cycle=config.cycle)
+    shared = {name: settings[name] for name in ("ethernet_xml", "tool") if name in settings}
+    mock = MockSettings(gateway_host="simulated", gateway_port=1, servo=servo, cycle=config.cycle, **shared)
     chain = SimulatedChain(ROBOT, config, build_controller(mock, ROBOT), gate, link)
     assert chain.run_until(lambda: chain.ready, 5.0), (
         chain.supervisor.reason,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -58,6 +60,13 @@ def planner(rng_seed: int = 0, clock=None, **changes) -> Planner:
 
 def world(*objects: SceneObject, padding: float = 0.01) -> CollisionWorld:
     return CollisionWorld(ROBOT, Scene(objects, padding), SELF_COLLISION)
+
+
+def standing(held: SceneObject, q) -> SceneObject:
+    """Return an object that the tool carries as it stands where it is gripped, at joint values `q`."""
+    pose = world(held).object_pose(q, held.name)
+    quaternion = pinocchio.Quaternion(pose.rotation).normalized().coeffs()
+    return replace(held, position=tuple(pose.position.tolist()), quaternion=tuple(quaternion.tolist()), link="")
 
 
 def bench_world(name: str) -> CollisionWorld:

@@ -21,10 +21,10 @@ def wait_until(condition, timeout: float = 10.0, what: str = "the condition"):
         time.sleep(0.005)
 
 
-def listens(port: int) -> bool:
-    """Return whether a program accepts TCP connections on this port of the loopback interface."""
+def listens(port: int, host: str = "127.0.0.1") -> bool:
+    """Return whether a program accepts TCP connections on this port of an address of this machine."""
     with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+        return probe.connect_ex((host, port)) == 0
 
 
 class BrokerProcess:

@@ -71,4 +71,8 @@ def ros_master():
     try:
         yield running.uri
     finally:
+        # rosgraph closes the socket below the server's loop, which then runs without end and takes this process's time
+        node = running.master_node
+        node.is_shutdown = True
+        node.server.shutdown()
         running.stop()

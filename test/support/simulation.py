@@ -21,11 +21,14 @@ from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
+from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.tool_report import SwitchReport, SwitchState, ToolReport
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
@@ -36,6 +39,7 @@ from construction_twin.review.queue import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
+from construction_twin.rsi.tool_channels import ToolReader
 from construction_twin.twin.virtual_robot import VirtualRobot
 
 #: Simulated time begins here [ns]: stamps as large as real ones, so that rounding is as real.
@@ -117,6 +121,14 @@ class SimulatedChain:
         self._link = link
         self._decoder = RobotDecoder(config.axes, config.units)
         self._sensor = SensorEncoder.of(config.layout, config.axes, config.units)
+        tool = config.tool
+        self._tool_reader = ToolReader([output.name for output in tool.outputs], tool.inputs) if tool else None
+        self._tool_link = ToolLink(lambda: next(ids))
+        #: What each answered telegram told the tool's outputs: (stamp of the target [ns], values).
+        self.switched: list[tuple[int, tuple[bool, ...]]] = []
+        self._played = 0
+        if tool is not None:
+            self.gateway.trace = lambda ipoc, session, state, stamp, position: setattr(self, "_played", stamp)
         self._session = ""
         self._command_arrival = 0
         self._first_cycle = EPOCH + CYCLE_NS + link.phase
@@ -185,7 +197,13 @@ class SimulatedChain:
         self._at(stamp + CYCLE_NS, self._execute)
         gate = self.gate
         self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
+        keeper = self.executor.engagement
+        if not keeper.settled:
+            # a disk that takes everything at once
+            keeper.on_written(keeper.present)
         theta_next = self.executor.step(stamp, stamp)
+        for order in self.executor.take_orders():
+            self._at(stamp + self._link.command_delay(), lambda order=order: self._switch(order))
         command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
         self._note_transitions()
         if command is not None and self.twin.execute(stamp, command):
@@ -228,13 +246,49 @@ class SimulatedChain:
         if packet is None:
             return
         telegram = self._decoder.parse(packet)
+        tool = self.gateway.tool
+        if tool is not None and self._tool_reader is not None:
+            tool.note(self._tool_reader.read(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.ipoc, correction))
-            self.controller.receive(self._sensor.encode(correction, telegram.ipoc, True if self.gateway.ends else None))
+            stop, switched = True if self.gateway.ends else None, ()
+            if tool is not None:
+                switched = tool.channels(self.gateway.ends)
+                self.switched.append((self._played, switched))
+            self.controller.receive(self._sensor.encode(correction, telegram.ipoc, stop, switched))
+        if tool is not None and self.gateway.take_change():
+            status = self.gateway.status()
+            self._at(self.now + self._link.state_delay(), lambda: self._hear_tool(status))
         message = self.gateway.state_message(self.now)
         if message is not None:
             self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))
+
+    def _switch(self, order: ToolOrder) -> None:
+        """What the bridge makes of an order, and the gateway's answer."""
+        session = self.supervisor.session
+        if order.switch is None:
+            self.gateway.on_control(self._tool_link.void(session), self.now)
+            return
+        armed = "" if self.supervisor.state is LinkState.ARMED else self.supervisor.reason
+        switch = order.switch
+        control = self._tool_link.switch(order.id, switch.output, switch.value, order.stamp, session, armed)
+        if control is not None:
+            answer = self.gateway.on_control(control, self.now)
+            told = {"id": control.id, "verb": control.verb, "ok": answer.ok, "reason": answer.reason}
+            self._tool_link.on_answer(told)
+        self._tell_tool()
+
+    def _hear_tool(self, status: dict) -> None:
+        self._tool_link.on_status(status)
+        self._tell_tool()
+
+    def _tell_tool(self) -> None:
+        report = self._tool_link.report("")
+        switches = {id: SwitchReport(SwitchState(told.value), reason) for id, told, reason in report.switches}
+        names = tuple(name for name, _ in report.outputs)
+        told = ToolReport(report.known, report.tool, names, dict(report.inputs), switches, report.reason)
+        self.executor.on_tool(told, self.now)
 
     def _receive(self, payload: bytes, properties: StateProperties) -> None:
         try:

@@ -96,6 +96,12 @@ class Listener:
         wait_until(lambda: info.mid in self.answers, what=f"the broker's answer to a message on {topic}")
         return self.answers.pop(info.mid)
 
+    def publish_all(self, payloads: dict[str, bytes]) -> list[int]:
+        """Publish a message on each topic; return the broker's answers in their order, as numbers."""
+        sent = [self.client.publish(topic, payload, qos=1).mid for topic, payload in payloads.items()]
+        wait_until(lambda: self.answers.keys() >= set(sent), what="the broker's answers")
+        return [self.answers.pop(mid).value for mid in sent]
+
     def close(self) -> None:
         self.client.disconnect()
         self.client.loop_stop()

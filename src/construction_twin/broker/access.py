@@ -11,9 +11,19 @@ from string import Template
 
 from construction_twin.core.errors import ConfigurationError
 
-#: Roles that every robot has; `planner` and `plc` are made on request.
-ROLES = ("bridge", "gateway", "tablet", "viewer")
-PLANNER, PLC = "planner", "plc"
+#: What a right lets an account do is its template, ``right_<right>.acl``. Each has topics of its own, so the broker alone decides.
+RIGHTS = ("view", "stop", "pause", "plan_request", "trajectory", "review")
+_REVIEWER = ("view", "stop", "pause", "review")
+#: Roles of people, and of programs in their place: lists of rights. `tablet` is the former name of `reviewer`.
+ROLES = {
+    "viewer": ("view",),
+    "stopper": ("view", "stop", "pause"),
+    "planner": ("view", "plan_request", "trajectory"),
+    "reviewer": _REVIEWER,
+    "tablet": _REVIEWER,
+}
+#: Programs of the link, each with rules of its own (``bridge.acl``); `plc` is made on request.
+PROGRAMS, PLC = ("bridge", "gateway"), "plc"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 #: Host names and addresses, IPv6 included: nothing that openssl's configuration could take for something else.
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.:-]{0,251}[A-Za-z0-9])?|::1")
@@ -21,7 +31,7 @@ _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.:-]{0,251}[A-Za-z0-9])?|::1")
 
 @dataclass(frozen=True)
 class SiteAccount:
-    """One account: a role at one robot; `person` is empty, or names the owner of a tablet or a planner."""
+    """One account: a role at one robot; `person` is empty, or names its owner."""
 
     robot: str
     role: str
@@ -43,11 +53,13 @@ class Site:
         Names and addresses under which clients reach the broker.
     robots : tuple of str
     people : tuple of str
-        Each gets a tablet account of its own at every robot; empty: one tablet account per robot.
+        Each gets an account of its own at every robot, in the role `tablet`.
+    reviewers, stoppers, viewers, planners : tuple of str
+        The same in the other roles. Without people and reviewers every robot has one account for all who review.
     shared : tuple of str
-        Robots that have that one tablet account beside those of people, from a run before there were any.
-    planners : tuple of str
-        People or programs that plan elsewhere: each gets an account of its own at every robot.
+        Robots that have that account without a person beside those of people, from a run before there were any.
+    shared_role : str
+        Its role: `reviewer`, or `tablet` on a site from before there were reviewers.
     plc : bool
         Also an account for a PLC that commands in place of the bridge.
     certificates : bool
@@ -56,6 +68,10 @@ class Site:
         TLS port; client certificates use the one above it.
     prefix : str
         First level of the MQTT topics.
+    consoles : tuple of str
+        Names and addresses under which browsers reach the console; empty: no files for one.
+    console_port : int
+        Its TCP port.
     folder : str
         Where the broker finds its files.
     listen : str
@@ -78,13 +94,19 @@ class Site:
     listen: str = ""
     shared: tuple[str, ...] = field(default=())
     planners: tuple[str, ...] = field(default=())
+    reviewers: tuple[str, ...] = field(default=())
+    stoppers: tuple[str, ...] = field(default=())
+    viewers: tuple[str, ...] = field(default=())
+    shared_role: str = "reviewer"
+    consoles: tuple[str, ...] = field(default=())
+    console_port: int = 8480
 
     def __post_init__(self):
         for option, names, pattern in (
             ("--host", self.hosts, _HOST),
             ("--robot", self.robots, _NAME),
-            ("--tablet", self.people, _NAME),
-            ("--planner", self.planners, _NAME),
+            *((f"--{role}", self.named(role), _NAME) for role in ROLES),
+            ("--console", self.consoles, _HOST),
             ("--prefix", (self.prefix,), _NAME),
             ("--listen", (self.listen,) if self.listen else (), _HOST),
         ):
@@ -96,6 +118,10 @@ class Site:
                 raise ConfigurationError(option, "", "at least one")
         if not 0 < self.port < 65535:
             raise ConfigurationError("--port", self.port, "1 to 65534; client certificates use the one above it")
+        if not 0 < self.console_port < 65536:
+            raise ConfigurationError("--console-port", self.console_port, "1 to 65535")
+        if self.shared_role not in ("reviewer", "tablet"):
+            raise ConfigurationError("shared_role of site.json", self.shared_role, "reviewer or tablet")
         if not self.folder or re.search(r"\s", self.folder):
             raise ConfigurationError(
                 "--broker-folder", self.folder, "a path without spaces: mosquitto.conf cannot hold them"
@@ -103,18 +129,34 @@ class Site:
         accounts = [account.name for account in self.accounts()]
         if len(set(accounts)) != len(accounts):
             raise ConfigurationError(
-                "--robot, --tablet and --planner", sorted(accounts), "names that give every account a name of its own"
+                "--robot and the names of people",
+                sorted(accounts),
+                "names that give every account a name of its own",
             )
+
+    def named(self, role: str) -> tuple[str, ...]:
+        """Return who has a role of `ROLES` by name."""
+        return self.people if role == "tablet" else getattr(self, f"{role}s")
+
+    @property
+    def has_named_reviewers(self) -> bool:
+        """Whether anybody reviews in a name of his own."""
+        return bool(self.people or self.reviewers)
 
     def accounts(self) -> list[SiteAccount]:
         """Return every account, in the order of the robots."""
         accounts = []
         for robot in self.robots:
-            tablets = ("",) * (not self.people or robot in self.shared) + self.people
-            for role in ROLES + (PLC,) * self.plc:
-                accounts += [SiteAccount(robot, role, person) for person in (tablets if role == "tablet" else ("",))]
-            accounts += [SiteAccount(robot, PLANNER, person) for person in self.planners]
+            accounts += [SiteAccount(robot, role) for role in PROGRAMS + (PLC,) * self.plc]
+            if robot in self.shared or not self.has_named_reviewers:
+                accounts.append(SiteAccount(robot, self.shared_role))
+            accounts.append(SiteAccount(robot, "viewer"))
+            accounts += [SiteAccount(robot, role, person) for role in ROLES for person in self.named(role)]
         return accounts
+
+    def console_addresses(self) -> list[str]:
+        """Return what a person's browser opens, per name of the console."""
+        return [f"https://{_in_address(host)}:{self.console_port}/" for host in self.consoles]
 
 
 def access_rules(site: Site, template: Callable[[str], str]) -> str:
@@ -128,10 +170,11 @@ def access_rules(site: Site, template: Callable[[str], str]) -> str:
     """
     parts = ["# Who may do what. Made by make_site from config/mosquitto/; it is written anew with every run.\n"]
     for account in site.accounts():
-        text = template(f"{account.role}.acl")
-        parts.append(
-            _filled(f"{account.role}.acl", text, account=account.name, topics=f"{site.prefix}/{account.robot}")
-        )
+        values = {"account": account.name, "topics": f"{site.prefix}/{account.robot}"}
+        rights = ROLES.get(account.role)
+        head = f"# {account.role}: {', '.join(rights)}\nuser {account.name}\n" if rights else ""
+        names = [f"right_{right}.acl" for right in rights] if rights else [f"{account.role}.acl"]
+        parts.append(head + "".join(_filled(name, template(name), **values) for name in names))
     return "\n".join(parts)
 
 
@@ -149,6 +192,10 @@ def _filled(name: str, text: str, **values: object) -> str:
     except (KeyError, ValueError) as error:
         expected = "no other names after $ than " + ", ".join(values)
         raise ConfigurationError(f"template {name}", str(error), expected) from error
+
+
+def _in_address(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
 
 
 def merged(old: Iterable[str], new: Iterable[str]) -> tuple[str, ...]:

@@ -15,18 +15,22 @@ from collections.abc import Callable, Iterable
 from datetime import UTC
 from pathlib import Path
 
-from construction_twin.broker.access import Site, SiteAccount, access_rules, broker_configuration, merged
+from construction_twin.broker.access import ROLES, Site, SiteAccount, access_rules, broker_configuration, merged
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
+from construction_twin.broker.console_files import ConsoleFiles
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, SiteError
 
 _TEMPLATES = Path(__file__).resolve().parents[3] / "config/mosquitto"
+#: Where `site.json` keeps the names of people, by role.
+_FIELDS = {"tablet": "people"} | {role: f"{role}s" for role in ROLES if role != "tablet"}
 _SERVER = "construction_twin broker"
 #: Lifetime of certificates [days]: what most software accepts at most.
 DAYS = 825
 
 
 class SiteFolder:
-    """The files of a site: `ca/`, `broker/` for the broker, `accounts/<name>/` for the holder of that account, `site.json`.
+    """The files of a site: `ca/`, `broker/` for the broker, `console/` for the console, `accounts/<name>/` for the holder of that
+    account, `site.json`.
 
     Parameters
     ----------
@@ -42,6 +46,7 @@ class SiteFolder:
         self._templates = templates
         self._new_password = new_password or (lambda: secrets.token_urlsafe(24))
         self._broker = folder / "broker"
+        self._console = ConsoleFiles(folder / "console")
         self._settings = folder / "site.json"
 
     def load(self) -> dict:
@@ -91,14 +96,15 @@ class SiteFolder:
             authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
             said.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
         said += self._make_passwords(site, authority, replace)
-        if not before.get("people"):
-            kept = [SiteAccount(robot, "tablet").name for robot in site.shared]
+        if not before.get("people") and not before.get("reviewers"):
+            kept = [SiteAccount(robot, site.shared_role).name for robot in site.shared]
             said += [
                 f"kept {name}, an account without a person; --replace shuts out everyone who has its password"
                 for name in kept
             ]
         if site.certificates:
             said += self._make_certificates(site, authority, days, renew, replace)
+        said += self._console.make(site, before.get("consoles", ()), authority, days, renew)
         ca = authority.certificate.read_text(encoding="utf-8")
         write_private(self._broker / "ca.crt", ca)
         write_private(self._broker / "access.acl", rules)
@@ -109,6 +115,7 @@ class SiteFolder:
     def expiries(self) -> list[str]:
         """Return a line per certificate with the day of its end, and a warning when the CA's comes first."""
         found = [self._folder / "ca/ca.crt", self._broker / "server.crt"]
+        found += [self._console.certificate] * self._console.certificate.exists()
         found += sorted((self._folder / "accounts").glob("*/client.crt"))
         ends = [expiry(path).astimezone(UTC) for path in found]
         lines = [f"{path.relative_to(self._folder)} expires {end:%Y-%m-%d}" for path, end in zip(found, ends)]
@@ -191,6 +198,16 @@ def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
     return hashed
 
 
+#: What is said of `--reviewer` and so on.
+_ROLE_HELP = {
+    "reviewer": "an account for a person who approves and rejects plans",
+    "stopper": "an account for a person who may stop and pause",
+    "viewer": "an account for a person who only watches",
+    "planner": "an account for a person or program that plans, on the page or elsewhere, e.g. in Grasshopper",
+    "tablet": "former name of a reviewer, for sites that have some",
+}
+
+
 def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="make_site",
@@ -206,14 +223,17 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         help="name or address of the broker, as clients write it; may be repeated",
     )
     add("--robot", action="append", default=[], help="a robot; may be repeated")
-    add("--tablet", action="append", default=[], metavar="PERSON", help="a tablet account per person; may be repeated")
+    for role, what in _ROLE_HELP.items():
+        rights = ", ".join(ROLES[role])
+        add(f"--{role}", action="append", default=[], metavar="NAME", help=f"{what}; rights: {rights}; may be repeated")
     add(
-        "--planner",
+        "--console",
         action="append",
         default=[],
-        metavar="NAME",
-        help="an account for a person or program that plans elsewhere, e.g. in Grasshopper; may be repeated",
+        metavar="HOST",
+        help="name or address of the console, as tablets write it: makes its certificate, links and QR codes; may be repeated",
     )
+    add("--console-port", type=int, help="TCP port of the console [8480]")
     add("--plc", action="store_true", help="also an account for a PLC that commands in place of the bridge")
     add("--certificates", action="store_true", help="also client certificates, on the port above --port")
     add("--port", type=int, help="TLS port [8883]")
@@ -230,17 +250,22 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 def _site(arguments: argparse.Namespace, before: dict) -> Site:
     if not 1 <= arguments.days <= 36500:
         raise ConfigurationError("--days", arguments.days, "1 to 36500")
-    people = merged(before.get("people", ()), arguments.tablet)
-    # without people every robot has a shared tablet account, which may be in use
-    shared = before.get("shared", ()) if before.get("people") else before.get("robots", ())
+    named = {role: merged(before.get(field, ()), getattr(arguments, role)) for role, field in _FIELDS.items()}
+    # without reviewers by name every robot has an account that they share, which may be in use
+    were_named = before.get("people") or before.get("reviewers")
+    shared = before.get("shared", ()) if were_named else before.get("robots", ())
+    # a site from before there were reviewers calls it tablet
+    shared_role = before.get("shared_role", "tablet" if before else "reviewer")
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),
         "robots": merged(before.get("robots", ()), arguments.robot),
-        "people": people,
-        "shared": shared if people else (),
-        "planners": merged(before.get("planners", ()), arguments.planner),
+        **{field: named[role] for role, field in _FIELDS.items()},
+        "shared": shared if named["tablet"] or named["reviewer"] else (),
+        "shared_role": shared_role,
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
+        "consoles": merged(before.get("consoles", ()), arguments.console),
+        "console_port": arguments.console_port or before.get("console_port", 8480),
         "port": arguments.port or before.get("port", 8883),
         "listen": arguments.listen or before.get("listen", ""),
         "prefix": arguments.prefix or before.get("prefix", "twin"),
@@ -266,6 +291,8 @@ def main(argv: list[str] | None = None) -> int:
     print("\n".join(said))
     print(f"broker: {arguments.folder / 'broker/mosquitto.conf'} expects its files in {site.folder}")
     print(f"clients: port {site.port}, accounts in {arguments.folder / 'accounts'}/<name>/account.json")
+    for address in site.console_addresses():
+        print(f"console: {address} with {arguments.folder / 'console/console.crt'} and console.key")
     if site.certificates:
         print(f"clients with a certificate: port {site.port + 1}, .../certificate.json")
     return 0

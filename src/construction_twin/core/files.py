@@ -36,8 +36,14 @@ def read_file(path: str | Path, most: int) -> bytes:
     return contents
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file in one step: a reader sees the old text or the new one, never a part. Nothing else is left behind.
+def write_whole(path: Path, contents: str | bytes) -> None:
+    """Write a file in one step: a reader sees the old contents or the new ones, never a part. Nothing else is left behind.
+
+    Parameters
+    ----------
+    path : Path
+    contents : str or bytes
+        A text is written in UTF-8.
 
     Raises
     ------
@@ -47,7 +53,7 @@ def write_whole(path: Path, text: str) -> None:
     # not with_name, which refuses "." with another error
     temporary = path.parent / f"{path.name}.{os.getpid()}.tmp"
     try:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(contents.encode() if isinstance(contents, str) else contents)
         os.replace(temporary, path)
     except OSError:
         temporary.unlink(missing_ok=True)

@@ -346,6 +346,41 @@ class CartesianPathError(PlanningError):
         )
 
 
+class SegmentError(PlanningError):
+    """A segment of a work plan cannot be used, and so neither can the plan.
+
+    Attributes
+    ----------
+    number : int
+        Of the segment, from 0.
+    name : str
+    cause : ConstructionTwinError
+        What is wrong with it, with its own data.
+    """
+
+    def __init__(self, number: int, name: str, cause: ConstructionTwinError):
+        self.number, self.name, self.cause = number, name, cause
+        super().__init__(f"segment {number} ({name[:80]!r}): {cause}")
+
+
+class EngagedError(PlanningError):
+    """The arm was left inside an engaged segment of a work plan: only the way back along the executed path can be planned.
+
+    Attributes
+    ----------
+    task, segment : str
+        Which task, and in which of its segments the arm was left.
+    """
+
+    def __init__(self, task: str, segment: str, reason: str):
+        self.task, self.segment = task, segment
+        super().__init__(
+            f"the arm was left in {segment!r} of task {task}{f' ({reason})' if reason else ''}: only the way back along the path "
+            "that it executed can be planned, with plan_way_back (twin back), until it has come to its end, or a person says with "
+            "release_engagement that the arm is free"
+        )
+
+
 class WaypointsError(PlanningError):
     """Waypoints from elsewhere cannot be used.
 

@@ -26,6 +26,7 @@ PATTERNS = {
     r"^(now|motion|rest|(sync|link|execution) [A-Z_]+)$": "now, motion, rest, or a state such as `sync HOLDING`",
     r"^(fault|call|sync|execution) \S+$": "fault, call, sync or execution, and a name: `fault stall`",
     r"^/?[A-Za-z]\w*(/\w+)*$": "a name of ROS: words of letters, digits and _, with / between them",
+    r"^[^.]+\.[^.]+$": "a property set and a property, with a point between them: `Pset_Robot.Side`",
     r"^[A-Z_]+\??$": "the name of a state in capitals, with ? when it may be left out",
 }
 _KINDS = {
@@ -163,7 +164,8 @@ def _inner(node: Schema, step: str | int, root: Schema) -> Schema | None:
         return found if isinstance(found, Mapping) else None
     if step in node.get("properties", {}):
         return node["properties"][step]
-    free = node.get("additionalProperties")
+    # keys of a certain form stand under their pattern
+    free = next(iter(node.get("patternProperties", {}).values()), node.get("additionalProperties"))
     return free if isinstance(free, Mapping) and not step.startswith("[") else None
 
 

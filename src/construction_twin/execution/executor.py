@@ -11,8 +11,11 @@ from dataclasses import dataclass
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS, for_people
+from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
+from construction_twin.execution.engagement import Engagement, EngagementKeeper
 from construction_twin.execution.playback import Braking, Playback
+from construction_twin.execution.segment_run import SegmentRun
 from construction_twin.execution.speed_limit import PlayRate
 from construction_twin.execution.states import (
     ACTIVE,
@@ -26,11 +29,14 @@ from construction_twin.execution.states import (
     Row,
 )
 from construction_twin.execution.stopping import distance_along
+from construction_twin.execution.tool_report import ToolReport
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
 from construction_twin.review.queue import EXECUTOR, WITHDRAWN, Ending, ReviewQueue, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
+#: What is done where one segment ends and the next begins.
+_AT_BOUNDARIES = (Action.ARRIVE, Action.ENTER, Action.VOID, Action.REARM)
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
 #: A plan may start this far from the present pose [rad]; rounding, not motion.
@@ -76,6 +82,11 @@ class Executor:
     neighbour : ConflictVerdicts
         Says whether another arm blocks the path of a plan; by default there is none.
     limit : PlayRate, set by `limit_rate`
+    engagement : EngagementKeeper
+        Whether the arm was left inside an engaged segment, and what of it must be on the disk.
+    tool : ToolReport, set by `on_tool`
+    work : SegmentRun or None
+        The present or last execution of a work plan; None when the plan played last is none.
     cause, reason : str
         Why the state was entered; and the same with what the speed limit makes of it now.
     """
@@ -92,6 +103,12 @@ class Executor:
         self._approved: Plan | None = None
         self._paused = False
         self.limit = PlayRate()
+        self.engagement = EngagementKeeper()
+        self.tool = ToolReport()
+        self.work: SegmentRun | None = None
+        self._orders: list[ToolOrder] = []
+        self._way_back: tuple[str, Engagement] | None = None
+        self._now = 0
         self._stopping: list[tuple[float, ...]] = []
         self._events: list[Verdict | Ending] = []
         self._sync = SyncState.WAITING
@@ -149,12 +166,13 @@ class Executor:
         self._sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
         if self.state not in ACTIVE:
             return
+        reason = f"the gate holds ({state.name})"
         if state is SyncState.IN_SYNC:
             self._on(ExecutorEvent.GATE_OPENS)
         elif policy != RESUME or state not in SURVIVED:
-            self._on(ExecutorEvent.GATE_ENDS, f"the gate holds ({state.name})")
+            self._on(ExecutorEvent.GATE_ENDS, reason)
         else:
-            self._on(ExecutorEvent.GATE_HOLDS, f"the gate holds ({state.name})")
+            self._on(ExecutorEvent.GATE_HOLDS, reason)
 
     def on_link(self, armed: bool, reason: str) -> None:
         """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played."""
@@ -167,8 +185,25 @@ class Executor:
         before = self.queue.scene
         reason = f"the scene changed from {before[:12] or 'none'} to {scene[:12]}"
         self.turn_down(self.queue.on_scene(scene), f"{reason}; plan again")
-        if self.state in ACTIVE and scene != self._run.plan.scene:
+        if self.state not in ACTIVE:
+            return
+        if self.work is not None:
+            if not self.work.expects(scene):
+                self._on(ExecutorEvent.LOST, f"{reason}, which was not planned {self.work.where}")
+        elif scene != self._run.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
+
+    def on_tool(self, report: ToolReport, now: int) -> None:
+        """Take what is known of the tool, and the time of reception [ns]; a work plan that needs something else is stopped."""
+        self.tool = report
+        if self.work is not None and self.state in ACTIVE:
+            if problem := self.work.problem(report, now):
+                self._on(ExecutorEvent.LOST, problem)
+
+    def take_orders(self) -> list[ToolOrder]:
+        """Return what is to be asked of the tool since the last call, in this order."""
+        orders, self._orders = self._orders, []
+        return orders if self.work is None else orders + self.work.take_orders()
 
     def limit_rate(self, factor: float, reason: str = "") -> None:
         """Play at most at this fraction of the planned speed from now on; 0 stands still until it is raised. The path stays.
@@ -201,9 +236,64 @@ class Executor:
 
     # -- review, and the start of a plan
 
-    def offer(self, plan: Plan) -> None:
-        """Put a plan under review in place of the one before; ReviewError when it cannot be reviewed."""
+    def offer(self, plan: Plan, way_back: Engagement | None = None) -> None:
+        """Put a plan under review in place of the one before.
+
+        Parameters
+        ----------
+        plan : Plan
+        way_back : Engagement, optional
+            The engagement that `check_way_back` has found this plan to be the way back out of.
+
+        Raises
+        ------
+        ReviewError
+            When it cannot be reviewed.
+        """
+        present = self.engagement.present
+        if self.engagement.engaged and present is not way_back:
+            raise ReviewError(f"plan {plan.id} cannot be reviewed: {self.engaged()}")
         self.turn_down(self.queue.offer(plan), f"replaced by plan {plan.id}")
+        self._way_back = None if way_back is None else (plan.id, way_back)
+
+    def engaged(self) -> str:
+        """Return where the arm was left and what to do, as a sentence; only for an arm that is engaged."""
+        present = self.engagement.present
+        assert present is not None  # an arm that is engaged is so somewhere
+        return (
+            f"the arm was left in engaged segment {present.segment!r} of plan {present.plan_id} ({present.reason}); plan the way "
+            "back with plan_way_back, or free it by hand and call release_engagement"
+        )
+
+    def _is_way_back(self, plan: Plan) -> bool:
+        return self.engagement.engaged and self._way_back == (plan.id, self.engagement.present)
+
+    def release(self, left: Engagement) -> None:
+        """End an engagement: a person has freed the arm, and that was recorded.
+
+        Raises
+        ------
+        ExecutionError
+            See `check_release`; also when the engagement is another one.
+        """
+        if self.check_release() is not left:
+            raise ExecutionError("the arm was left inside another engaged segment meanwhile; look at it again")
+        self.engagement.end()
+
+    def check_release(self) -> Engagement:
+        """Return the engagement that could be ended now.
+
+        Raises
+        ------
+        ExecutionError
+            When the arm is not engaged, or moves.
+        """
+        present = self.engagement.present
+        if not self.engagement.engaged or present is None:
+            raise ExecutionError("the arm is not engaged; there is nothing to release")
+        if self.state in ACTIVE:
+            raise ExecutionError(f"plan {self._run.plan.id} is {self.state.name}; release the arm when it is at rest")
+        return present
 
     def check_start(self, plan: Plan) -> None:
         """Check that the plan under review may start now.
@@ -221,15 +311,29 @@ class Executor:
             raise ReviewError(f"the arm is not armed ({self._unarmed}); approve when it is")
         if problem := self.neighbour.problem(plan.id):
             raise ReviewError(f"plan {plan.id} may not start: {problem}")
+        if self.engagement.engaged and not self._is_way_back(plan):
+            raise ReviewError(f"plan {plan.id} may not start: {self.engaged()}")
+        if plan.segments:
+            problem = self.tool.lacks(plan) or self.tool.problem(plan.segments[0].requires)
+            present = self.engagement.present
+            if not problem and self._is_way_back(plan) and present is not None:
+                if set(plan.segments[0].requires) != set(present.requires(self.tool)):
+                    problem = (
+                        "the tool reads something else than when the way back was planned; call plan_way_back again"
+                    )
+            if problem:
+                raise ReviewError(f"plan {plan.id} may not start: {problem}")
         self.queue.check_scene()
         assert self._setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, self._setpoint, self._robot)
 
     def is_ready(self) -> bool:
-        """Return whether a plan is under review and neither state nor missing scene is against approving it."""
+        """Return whether a plan is under review and nothing that passes by itself is against approving it."""
         ready = self.state is ExecutorState.IDLE and self._sync is SyncState.IN_SYNC and not self._unarmed
         plan = self.queue.plan
         if not ready or plan is None or not self.queue.scene or not self.queue.scene_alive:
+            return False
+        if self.tool.awaited(plan):
             return False
         return not self.neighbour.problem(plan.id)
 
@@ -306,9 +410,12 @@ class Executor:
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
             raise ExecutionError(f"nothing to pause: the executor is {self.state.name} ({self.reason})")
         before = self.state
-        if before is ExecutorState.PLAYING:
+        if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
             self.queue.void_coming(now)
+        where = f" {self.work.where}" if self.work is not None and before is ExecutorState.AT_BOUNDARY else ""
         self._on(ExecutorEvent.PAUSE, "pause requested")
+        if where:
+            return f"plan {self._run.plan.id} rests{where}; resume goes on"
         if before is ExecutorState.HELD:
             return (
                 f"plan {self._run.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
@@ -341,7 +448,7 @@ class Executor:
 
     def step(self, stamp: int, now: int) -> tuple[float, ...] | None:
         """Return the setpoint for the cycle with nominal stamp `stamp` [ns], or None when nothing may be sent."""
-        self.neighbour.now = now
+        self.neighbour.now = self._now = now
         if self.state in ACTIVE and self.state is not ExecutorState.STOPPING:
             if problem := self.neighbour.problem(self._run.plan.id):
                 self._on(ExecutorEvent.STOP, problem)
@@ -349,6 +456,8 @@ class Executor:
             self._on(ExecutorEvent.AGREED, "twin and physical arm agree")
         if self.state is ExecutorState.WAITING:
             return None
+        if self.state is ExecutorState.AT_BOUNDARY:
+            self._wait_at_boundary(stamp, now)
         if self.state is ExecutorState.IDLE:
             return self._repeat_twin(stamp, now)
         return self._advance(stamp)
@@ -366,6 +475,19 @@ class Executor:
             self._setpoint = twin.q
         return self._setpoint
 
+    def _wait_at_boundary(self, stamp: int, now: int) -> None:
+        work = self.work
+        assert work is not None  # only a work plan has boundaries
+        scene = self.queue.scene if self.queue.scene_alive else ""
+        said = work.update(stamp, now, self.tool, scene, self.limit.fraction > 0.0)
+        if said is not None:
+            self._on(said.event, said.reason)
+        else:
+            cause = f"stands {work.where}, {work.waits_for()}"
+            if cause != self.cause:
+                self.cause = cause
+                self._say()
+
     def _advance(self, stamp: int) -> tuple[float, ...]:
         playback = self._run
         if self.state is ExecutorState.STOPPING:
@@ -375,7 +497,9 @@ class Executor:
             rate = self.limit.fraction if self.state is ExecutorState.PLAYING else 0.0
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
-        if playback.goal_stamp and self.state is not ExecutorState.HELD:
+        if self.work is not None and playback.goal_stamp:
+            self._on(ExecutorEvent.SEGMENT_END, f"stopped {self.work.where}")
+        elif playback.goal_stamp and self.state is not ExecutorState.HELD:
             # a hold may still come that takes back the last setpoints: then the plan must be there to go on
             if self._policy != RESUME or self._passed >= playback.goal_stamp:
                 self._on(ExecutorEvent.GOAL, "goal reached")
@@ -403,6 +527,12 @@ class Executor:
             return self.plan_start != 0
         if guard is Guard.KNOWN:
             return self._run.knows(self._passed)
+        if guard is Guard.WORK:
+            # `begin` has set it before the event
+            plan = self._approved if self.state is ExecutorState.IDLE else self._run.plan
+            return plan is not None and bool(plan.segments)
+        if guard is Guard.BOUNDARY:
+            return self.work is not None and self.work.at_boundary
         return self._paused if guard is Guard.PAUSED else True
 
     def _follow(self, row: Row, reason: str) -> None:
@@ -410,11 +540,16 @@ class Executor:
         if action is Action.START_FROM_TWIN:
             assert self._twin is not None  # the event says that its pose is known
             self._setpoint, self._setpoint_stamp = self._twin.q, 0
+            self.engagement.see(self._twin.q)
         elif action is Action.FORGET_TWIN:
             self._twin, self._agreed, self._setpoint = None, False, None
         elif action is Action.PLAY:
             assert self._approved is not None  # `begin` has set it
             self._playback, self.outcome = Playback(self._approved, self._robot), ""
+            self._orders += [] if self.work is None else self.work.take_orders()
+            self.work = None
+            if self._approved.segments:
+                self.work = SegmentRun(self._approved, self.engagement, self._is_way_back(self._approved))
         elif action is Action.BRAKE:
             assert self._setpoint is not None  # the row's guard: one was sent
             self._stopping = [self._setpoint]
@@ -423,13 +558,46 @@ class Executor:
             self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
         elif action is Action.NOTE_PAUSE:
             self._paused = True
+        elif action in _AT_BOUNDARIES:
+            self._go_through_boundary(action)
         sentence = self._sentence(row, reason)
         if action in OUTCOMES:
             self.outcome = OUTCOMES[action]
+            sentence = self._end_work(action, sentence)
             self._events.append(Ending(self._run.plan, self.outcome, sentence))
         # a restart is told although the state stays
         if row.target is not row.state or action is Action.FORGET_TWIN:
             self._enter(row.target or row.state, sentence)
+
+    def _go_through_boundary(self, action: Action) -> None:
+        work = self.work
+        assert work is not None  # only a work plan has boundaries
+        if action is Action.ARRIVE:
+            self._run.arrive()
+            work.arrive()
+        elif action is Action.ENTER:
+            self._run.enter(work.enter())
+        elif action is Action.VOID:
+            work.pause()
+        else:
+            work.resume(self._now)
+
+    def _end_work(self, action: Action, sentence: str) -> str:
+        """End the execution of a work plan, if it was one; return the sentence for its end."""
+        work = self.work
+        if work is None:
+            return sentence
+        if action is not Action.FINISH:
+            sentence = f"{sentence}; {work.where} the rest is dropped"
+        was_engaged = self.engagement.engaged
+        self._orders += work.end(action is Action.FINISH, self._run.elapsed, sentence)
+        if self.engagement.engaged and not was_engaged:
+            self.turn_down(self.queue.clear(), f"not the way back: {self.engaged()}")
+        if action is Action.FINISH:
+            return sentence
+        if self.engagement.engaged:
+            return f"{sentence}; the arm is engaged: plan the way back, or free it by hand and call release_engagement"
+        return f"{sentence}: look at arm and tool, then plan the task again from where things are"
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""
@@ -440,11 +608,21 @@ class Executor:
                 return f"{reason} at a setpoint that is not known to be of plan {self._run.plan.id}"
             where = f"{self._run.elapsed:.3f} s into the plan"
             return f"{reason} {where}; goes on by itself when twin and arm agree again"
+        if row.target is ExecutorState.AT_BOUNDARY:
+            assert self.work is not None  # only a work plan has boundaries
+            return (
+                f"{reason}; stands {self.work.where}"
+                if row.event is ExecutorEvent.APPROVED
+                else f"stands {self.work.where}"
+            )
         if row.target is ExecutorState.PAUSED:
             return f"at rest {self._run.elapsed:.3f} s into the plan; resume goes on"
         if row.event is ExecutorEvent.GATE_OPENS:
             return "twin and arm agree again; the same approval covers the rest"
-        if row.event is ExecutorEvent.AT_REST:
+        if row.event is ExecutorEvent.NEXT_SEGMENT:
+            assert self.work is not None and self.work.segment is not None  # it was entered
+            return f"segment {self.work.number} ({self.work.segment.name!r})"
+        if row.event in (ExecutorEvent.AT_REST, ExecutorEvent.SEGMENT_END) and row.state is ExecutorState.STOPPING:
             return f"{self.cause}; at rest after {distance_along(self._stopping).text(self._robot)}"
         return reason
 

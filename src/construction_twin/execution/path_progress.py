@@ -59,6 +59,8 @@ class Progress:
 
     def __init__(self, trajectory: Trajectory, acceleration: Sequence[float], jerk: Sequence[float]):
         self.trajectory = trajectory
+        #: Time along the trajectory that is not passed [s].
+        self._bound = trajectory.duration
         self._difference_limit = np.array(acceleration) * CYCLE**2
         self._jerk_limit = np.array(jerk) * CYCLE**3
         # in nanoseconds, because whole cycles of them are exact
@@ -73,7 +75,7 @@ class Progress:
     @property
     def elapsed(self) -> float:
         """Time along the trajectory [s]."""
-        return min(self._elapsed / NANOSECONDS, self.trajectory.duration)
+        return min(self._elapsed / NANOSECONDS, self._bound)
 
     @property
     def at_rest(self) -> bool:
@@ -82,8 +84,8 @@ class Progress:
 
     @property
     def finished(self) -> bool:
-        """True when the end of the trajectory is reached."""
-        return self.elapsed >= self.trajectory.duration
+        """True when the end of the trajectory is reached, or the time before it that may not be passed."""
+        return self.elapsed >= self._bound
 
     @property
     def elapsed_ns(self) -> float:
@@ -113,8 +115,17 @@ class Progress:
         pose = self._ahead(0.0)
         self._poses = (pose, pose, pose)
 
+    def stand(self) -> None:
+        """Stand still from the next setpoint on; for a time at which the trajectory rests."""
+        self._now, self._goal = _RampStep(0.0, 0.0, 0.0), 0.0
+        self._ramp.clear()
+
+    def bound(self, time: float) -> None:
+        """Pass no later time along the trajectory than this one [s] from now on; for an execution that stands, see `begin`."""
+        self._elapsed, self._bound = self.elapsed * NANOSECONDS, time
+
     def begin(self, rate: float) -> tuple[float, ...]:
-        """Return the trajectory's first setpoint [rad]; it goes on at `rate`, without a ramp, as it begins at rest."""
+        """Return the present setpoint [rad], at rest; it goes on at `rate`, without a ramp, as the trajectory rests there."""
         self._goal, self._now = rate, _RampStep(rate * CYCLE_NS, rate, 0.0)
         return tuple(self._poses[2].tolist())
 
@@ -164,7 +175,7 @@ class Progress:
 
     def _ahead(self, step: float) -> np.ndarray:
         elapsed = (self._elapsed + step) / NANOSECONDS
-        return self.trajectory.sample(min(elapsed, self.trajectory.duration))[0]
+        return self.trajectory.sample(min(elapsed, self._bound))[0]
 
     # -- single steps
 
@@ -234,7 +245,7 @@ class Progress:
     def _smooth(self, steps: np.ndarray) -> bool:
         """Tell whether the setpoints that these steps [ns] lead to stay inside the limits, from the last three on."""
         elapsed = (self._elapsed + np.cumsum(steps)) / NANOSECONDS
-        poses = np.vstack((*self._poses, self.trajectory.sample_many(np.minimum(elapsed, self.trajectory.duration))[0]))
+        poses = np.vstack((*self._poses, self.trajectory.sample_many(np.minimum(elapsed, self._bound))[0]))
         differences = np.diff(poses, 2, axis=0)[1:]
         if (np.abs(differences) > ACCELERATION_FRACTION * self._difference_limit).any():
             return False

@@ -34,7 +34,7 @@ class Playback:
     start : int
         Nominal stamp of the first setpoint [ns]; 0 before it.
     goal_stamp : int
-        Nominal stamp of the setpoint that reached the end of the trajectory [ns]; 0 before it.
+        Nominal stamp of the setpoint that reached the end of the trajectory [ns], or of the present segment; 0 before it.
     """
 
     def __init__(self, plan: Plan, robot: RobotModel):
@@ -42,6 +42,10 @@ class Playback:
         self.start = 0
         self.goal_stamp = 0
         self._progress = Progress(plan.trajectory, robot.acceleration, robot.jerk)
+        self._begins = True
+        if plan.segments:
+            # it stands at its beginning until the first segment is entered
+            self._progress.bound(0.0)
         #: Stamp and time along the trajectory of the last setpoints [ns].
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY)
 
@@ -67,13 +71,23 @@ class Playback:
 
     def advance(self, stamp: int, rate: float) -> tuple[float, ...]:
         """Return the setpoint [rad] for a cycle; the rate changes smoothly to `rate`, see `Progress.advance`."""
-        if self.start == 0:
-            self.start = stamp
+        if self._begins:
+            self.start = self.start or stamp
+            self._begins = False
             setpoint = self._progress.begin(rate)
         else:
             setpoint = self._progress.advance(rate)
         self._remember(stamp)
         return setpoint
+
+    def arrive(self) -> None:
+        """Rest at the end of a segment, which was reached."""
+        self._progress.stand()
+
+    def enter(self, end: float) -> None:
+        """Go on with the next setpoint, from rest, until the time along the trajectory at which the next segment ends [s]."""
+        self._progress.bound(end)
+        self.goal_stamp, self._begins = 0, True
 
     def brake(self, stamp: int) -> tuple[float, ...]:
         """Return the setpoint [rad] for a cycle in which it brakes as hard as the acceleration limits allow."""

@@ -22,6 +22,7 @@ class ExecutorState(Enum):
     PAUSING = 4
     PAUSED = 5
     HELD = 6
+    AT_BOUNDARY = 7
 
 
 class ExecutorEvent(Enum):
@@ -41,6 +42,11 @@ class ExecutorEvent(Enum):
     STALLED = "stalled"
     AT_REST = "at_rest"
     GOAL = "goal"
+    SEGMENT_END = "segment_end"
+    NEXT_SEGMENT = "next_segment"
+    TIMEOUT = "timeout"
+    REFUSED = "refused"
+    LOST = "lost"
 
 
 class Guard(Enum):
@@ -50,6 +56,8 @@ class Guard(Enum):
     BEGUN = "a setpoint of the plan was sent"
     KNOWN = "the last setpoint that passed the gate is one of this plan"
     PAUSED = "it was pausing or paused before, or `pause` was called meanwhile"
+    WORK = "the plan is a work plan"
+    BOUNDARY = "it stands at the end of a segment"
 
 
 class Action(Enum):
@@ -62,6 +70,10 @@ class Action(Enum):
     BRAKE = "brakes along the path as hard as the acceleration limits allow"
     STAND = "stands where the last setpoint that passed the gate was"
     NOTE_PAUSE = "stays PAUSED when the gate opens"
+    ARRIVE = "rests at the end of the segment"
+    ENTER = "the next segment begins with the next cycle"
+    VOID = "switches that are armed and have not fired are void"
+    REARM = "switches that the gateway reports as void are armed anew"
     FINISH = "the plan ends: `finished`"
     STOP = "the plan ends: `stopped`"
     LOSE = "the plan ends: `held`"
@@ -77,7 +89,7 @@ Row = state_table.Row[ExecutorState, ExecutorEvent, Guard, Action]
 #: The setpoints may change from cycle to cycle.
 MOVING = (ExecutorState.PLAYING, ExecutorState.STOPPING, ExecutorState.PAUSING)
 #: A plan stands at rest on its path.
-RESTING = (ExecutorState.PAUSED, ExecutorState.HELD)
+RESTING = (ExecutorState.PAUSED, ExecutorState.HELD, ExecutorState.AT_BOUNDARY)
 #: An approved plan is not at its end.
 ACTIVE = (*MOVING, *RESTING)
 #: States of the gate that a plan survives under the policy `resume`.
@@ -104,6 +116,7 @@ TABLE: tuple[Row, ...] = (
     *_rows([_S.WAITING, _S.IDLE], _E.NEW_SESSION, Action.FORGET_TWIN, _S.WAITING),
     # it is in IDLE for a moment: there the event is taken again
     *_rows(ACTIVE, _E.NEW_SESSION, Action.DROP, _S.IDLE),
+    *_rows([_S.IDLE], _E.APPROVED, Action.PLAY, _S.AT_BOUNDARY, Guard.WORK),
     *_rows([_S.IDLE], _E.APPROVED, Action.PLAY, _S.PLAYING),
     # a stop, by a person, a changed scene, or another arm on the path
     *_rows([_S.PLAYING, _S.PAUSING], _E.STOP, Action.BRAKE, _S.STOPPING, Guard.BEGUN),
@@ -114,10 +127,14 @@ TABLE: tuple[Row, ...] = (
     *_rows([_S.PLAYING], _E.PAUSE, Action.NOTHING, _S.PAUSING),
     *_rows([_S.PAUSING, _S.PAUSED], _E.PAUSE, Action.NOTHING),
     *_rows([_S.HELD], _E.PAUSE, Action.NOTE_PAUSE),
+    *_rows([_S.AT_BOUNDARY], _E.PAUSE, Action.VOID, _S.PAUSED),
+    *_rows([_S.PAUSED], _E.RESUME, Action.REARM, _S.AT_BOUNDARY, Guard.BOUNDARY),
     *_rows([_S.PAUSING, _S.PAUSED], _E.RESUME, Action.NOTHING, _S.PLAYING),
     # the gate has closed, and the plan survives it
+    # of a work plan none survives: tool and scene may be in between, so the rest is planned anew
+    *_rows([_S.PLAYING, _S.PAUSING, _S.PAUSED], _E.GATE_HOLDS, Action.LOSE, _S.IDLE, Guard.WORK),
     *_rows([_S.PLAYING, _S.PAUSING, _S.PAUSED], _E.GATE_HOLDS, Action.STAND, _S.HELD, Guard.KNOWN),
-    *_rows([_S.PLAYING, _S.PAUSING, _S.PAUSED], _E.GATE_HOLDS, Action.LOSE, _S.IDLE),
+    *_rows([_S.PLAYING, _S.PAUSING, _S.PAUSED, _S.AT_BOUNDARY], _E.GATE_HOLDS, Action.LOSE, _S.IDLE),
     *_rows([_S.STOPPING], _E.GATE_HOLDS, Action.STOP, _S.IDLE),
     # it has closed, and the plan does not
     *_rows(ACTIVE, _E.GATE_ENDS, Action.LOSE, _S.IDLE),
@@ -127,7 +144,16 @@ TABLE: tuple[Row, ...] = (
     *_rows(MOVING, _E.STALLED, Action.DROP, _S.IDLE),
     *_rows([_S.STOPPING], _E.AT_REST, Action.STOP, _S.IDLE),
     *_rows([_S.PAUSING], _E.AT_REST, Action.NOTHING, _S.PAUSED),
-    *_rows([_S.PLAYING, _S.STOPPING, _S.PAUSING, _S.PAUSED], _E.GOAL, Action.FINISH, _S.IDLE),
+    *_rows([_S.PLAYING, _S.STOPPING, _S.PAUSING, _S.PAUSED, _S.AT_BOUNDARY], _E.GOAL, Action.FINISH, _S.IDLE),
+    # a work plan: nothing passes the end of a segment before tool and scene are as planned
+    *_rows([_S.PLAYING], _E.SEGMENT_END, Action.ARRIVE, _S.AT_BOUNDARY),
+    *_rows([_S.PAUSING], _E.SEGMENT_END, Action.ARRIVE, _S.PAUSED),
+    *_rows([_S.STOPPING], _E.SEGMENT_END, Action.STOP, _S.IDLE),
+    *_rows([_S.AT_BOUNDARY], _E.NEXT_SEGMENT, Action.ENTER, _S.PLAYING),
+    *_rows([_S.AT_BOUNDARY], _E.TIMEOUT, Action.STOP, _S.IDLE),
+    *_rows([_S.AT_BOUNDARY], _E.REFUSED, Action.STOP, _S.IDLE),
+    *_rows([_S.PLAYING, _S.PAUSING], _E.LOST, Action.BRAKE, _S.STOPPING),
+    *_rows([_S.PAUSED, _S.AT_BOUNDARY], _E.LOST, Action.STOP, _S.IDLE),
 )
 
 ROWS = state_table.by_cause(TABLE)

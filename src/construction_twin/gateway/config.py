@@ -15,6 +15,7 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
+from construction_twin.gateway.tool_config import GatewayTool, check_tool
 from construction_twin.rsi.ethernet_xml import check_gateway
 from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
@@ -22,6 +23,8 @@ from construction_twin.rsi.layout import AxisUnit, RsiLayout
 CYCLES_MS = (4, 12)
 #: Written into the file; another number means another meaning of its keys.
 FORMAT = 2
+#: Keys of the layout that only an arm with a tool has.
+_OF_TOOLS = ("switched", "switched_holdon")
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,8 @@ class GatewayConfig:
         Those of `axes` that are linear: m in place of rad, mm on the wire.
     layout : RsiLayout
         The controller's telegrams, from its Ethernet XML; not given: `RsiLayout.plain`.
+    tool : GatewayTool or None
+        The tool whose outputs the gateway switches; None: no tool, or one that the Ethernet XML has no channels for.
     """
 
     robot: str
@@ -113,6 +118,7 @@ class GatewayConfig:
     e1_correction_scale: float = 1.0
     linear: tuple[str, ...] = ()
     layout: RsiLayout = None  # type: ignore[assignment]  # `__post_init__` puts the plain layout of the axes in its place
+    tool: GatewayTool | None = None
 
     def __post_init__(self):
         count = len(self.axes)
@@ -177,6 +183,7 @@ class GatewayConfig:
         if self.layout is None:
             object.__setattr__(self, "layout", RsiLayout.plain(self.axes))
         check_gateway(self.layout, self.axes, "Ethernet XML")
+        check_tool(self.tool, self.layout, "Ethernet XML")
 
     @property
     def period(self) -> float:
@@ -208,11 +215,20 @@ class GatewayConfig:
     @property
     def hash(self) -> str:
         """SHA-256 over the whole configuration, independent of the file's layout."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(self._document(), sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> str:
         """Return the file's text."""
-        return json.dumps({"format": FORMAT, "hash": self.hash, "motion": asdict(self)}, indent=2) + "\n"
+        return json.dumps({"format": FORMAT, "hash": self.hash, "motion": self._document()}, indent=2) + "\n"
+
+    def _document(self) -> dict:
+        """Return what file and hash hold: of an arm without a tool, what they held before there were tools."""
+        document = asdict(self)
+        if self.tool is None:
+            del document["tool"]
+        if not self.layout.switched:
+            document["layout"] = {key: value for key, value in document["layout"].items() if key not in _OF_TOOLS}
+        return document
 
 
 def parse_config(text: str, where: str) -> GatewayConfig:
@@ -237,13 +253,15 @@ def parse_config(text: str, where: str) -> GatewayConfig:
     try:
         document = json.loads(text)
         motion = _with_tuples(document["motion"])
-        known = {field.name for field in fields(GatewayConfig)}
+        known = {field.name for field in fields(GatewayConfig)} - ({"tool"} - set(motion))
         if document["format"] != FORMAT:
             raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
         if set(motion) != known:
             difference = sorted(set(motion) ^ known)
             raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
-        config = GatewayConfig(**motion | {"layout": RsiLayout(**_with_tuples(motion["layout"]))})
+        layout = RsiLayout(**_with_tuples(motion["layout"]))
+        tool = GatewayTool.of_document(motion["tool"]) if "tool" in motion else None
+        config = GatewayConfig(**motion | {"layout": layout, "tool": tool})
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
     if document.get("hash") != config.hash:

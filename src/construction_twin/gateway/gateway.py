@@ -27,6 +27,8 @@ from construction_twin.gateway.speed_limit import SpeedLimit
 from construction_twin.gateway.states import CAUSES, NOTES, Action, Event, Guard, Machine, Mode, Occasion, State
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
+from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
+from construction_twin.mqtt.interventions import AnswerPace, Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, StateProperties, is_session
 from construction_twin.rsi.gateway_codec import RobotTelegram
@@ -41,13 +43,17 @@ HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 DISPLACED = 2.0
 #: What could not be read is told until nothing more of it has come for this long [s].
 UNREAD_QUIET = 10.0
+#: Messages on `stop/<account>` are answered with this time between them [ns], and so many at once.
+STOP_PERIOD, STOPS_AT_ONCE = NANOSECONDS // 10, 10
+#: Why no switch is armed, and armed ones are void.
+_SPEED_0 = "the speed limit is 0"
 #: Figures in a sentence about the clock that are measured.
 _MEASURED = re.compile(r"\d+\.\d+")
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer to a `control` message; goes into `control/ack`.
+    """The answer to a `control` message, or to a person's stop; goes into `control/ack` or `stop/ack`.
 
     Attributes
     ----------
@@ -104,11 +110,14 @@ class Gateway:
         self._unread_count = self._unread_since = 0
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
+        self._stop_pace = AnswerPace(STOP_PERIOD, STOPS_AT_ONCE)
         self._player = Player(config, self.counters)
         self._stream = CommandIntake(config, self.codec, self._player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
         self.speed = SpeedLimit(config)
         self._stopping = StopReport(config.limits.linear)
+        #: The tool's outputs; None without a tool.
+        self.tool = ToolSwitches(config.tool, config.layout, config.cycle_ns, self.counters) if config.tool else None
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
         self._cycle = config.cycle_ns
@@ -190,6 +199,10 @@ class Gateway:
             self._begin_session(telegram)
             elapsed = self.config.cycle_ns
         state = machine.state
+        if self.tool is not None:
+            missed = elapsed > self._cycle or controller.counts_missed(telegram)
+            unanswered = f"this RSI session is not answered: {machine.reason}" if state is State.JOINED else ""
+            self.tool.hear(unanswered, missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
             if state is not State.JOINED and telegram.measured is not None:
@@ -215,6 +228,8 @@ class Gateway:
             position = self._move_in_parts(follower, elapsed)
         else:
             position = self._move(follower, elapsed)
+        if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
+            self.tool.play(player.stamp)
         if self.trace is not None:
             self.trace(telegram.ipoc, self.counters["rsi_sessions"], machine.state, player.stamp, position)
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
@@ -338,7 +353,9 @@ class Gateway:
 
     def _on_session_began(self, event: Event, occasion: Occasion) -> None:
         self._player.remove()
-        self._disarm()
+        if self.tool is not None:
+            self.tool.begin_session()
+        self._disarm(occasion.reason)
         self._ending = False
         self.correction = ()
         self.clock.restart()
@@ -350,7 +367,9 @@ class Gateway:
         self.clock.restart()
         self._said = ControllerStatus()
         self._player.remove()
-        self._disarm()
+        if self.tool is not None:
+            self.tool.end_session(occasion.reason)
+        self._disarm(occasion.reason)
 
     def _find_origin(self, telegram: RobotTelegram) -> None:
         refusal = self._controller.find_origin(telegram)
@@ -410,8 +429,8 @@ class Gateway:
             return position
         return follower.position
 
-    def _brake(self, event: Event, reason: str) -> None:
-        self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}"))
+    def _brake(self, event: Event, reason: str, account: str = "") -> None:
+        self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}", account=account))
 
     def _on_brake(self, event: Event, occasion: Occasion) -> None:
         cause, state, follower = CAUSES[event], self._machine.state, self._player.follower
@@ -421,8 +440,8 @@ class Gateway:
             # command
             begun = self._player.braking if cause == "silence" else None
             follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
-            self._stopping.begin(cause, follower, self._controller.measured if follows else (), begun)
-        self._disarm()
+            self._stopping.begin(cause, follower, self._controller.measured if follows else (), begun, occasion.account)
+        self._disarm(occasion.reason)
 
     def _on_brake_to_fault(self, event: Event, occasion: Occasion) -> None:
         self._on_fault(event, occasion)
@@ -507,7 +526,15 @@ class Gateway:
         """Carry out a `control` message that came at `now` [ns]."""
         if control.verb == "speed_limit":
             return self._limit_speed(control, now)
-        verbs = {"arm": self._arm, "stop": self._stop, "reset": self._reset, "end": self._end}
+        if control.verb == "void":
+            return self._void(control)
+        verbs = {
+            "arm": self._arm,
+            "stop": self._stop,
+            "reset": self._reset,
+            "end": self._end,
+            "switch": lambda switch: self._switch(switch, now),
+        }
         if control.verb not in verbs:
             return self._refuse("verb", f"unknown verb {control.verb!r}")
         if self._owners.is_repeated(control) and control.verb != "stop":
@@ -543,6 +570,9 @@ class Gateway:
             self._machine.changed = True
         if self.speed.fraction != self._player.fraction:
             self._player.limit(self.speed.fraction)
+        if self.tool is not None and not self.speed.given:
+            # at once: the grace is for motion that has begun
+            self.tool.void(_SPEED_0)
 
     def _arm(self, control: Control) -> Answer:
         another = self._refusal_of_value(control.value)
@@ -602,13 +632,52 @@ class Gateway:
     def _refusal_without_origin(self, occasion: Occasion) -> str:
         return f"gateway is {self.state.value}: {self.reason}" if self._player.follower is None else ""
 
+    def _switch(self, control: Control, now: int) -> Answer:
+        if self.tool is None:
+            return Answer(False, "tool: the configuration has none: no switch is possible")
+        stamp, waited = stamp_of(control.value), now - self._controller.heard_at
+        lead = None if stamp is None else self._player.lead(stamp) - waited / NANOSECONDS
+        refusal = self.tool.arm(control.value, lead, self._obstacle_of_switch(control.session))
+        return Answer(not refusal, refusal or "armed")
+
+    def _obstacle_of_switch(self, session: str) -> str:
+        """Return why nothing may be switched now; "" for nothing."""
+        if self.state is not State.FOLLOWING:
+            return f"no stream is followed, the gateway is {self.state.value}: {self.reason}"
+        if session != self.session:
+            return f"session {session} does not command, session {self.session} does"
+        if self.mode is Mode.COMMISSIONING:
+            return "commissioning mode: nothing is switched, as nothing moves"
+        return "" if self.speed.given else _SPEED_0
+
+    def _void(self, control: Control) -> Answer:
+        count = self.tool.void("asked for by " + (control.session or "somebody without a session")) if self.tool else 0
+        return Answer(True, f"{count} armed switch{'es are' if count != 1 else ' is'} void")
+
     def _stop(self, control: Control) -> Answer:
         self.stop(f"asked for {f'by {control.session}' if control.session else 'without a session'}")
         return Answer(True, f"gateway is {self.state.value}")
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: str, account: str = "") -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
-        self._brake(Event.STOP, reason)
+        self._brake(Event.STOP, reason, account)
+
+    def on_stop(self, stop: Intervention, now: int) -> Answer:
+        """Carry out a person's stop that came at `now` [ns]; it needs no session, and nothing that arming needs.
+
+        It is never refused. One that can change nothing any more, because the arm is stopped until a `reset` and the same account
+        was just answered several times, is only counted (``stops_repeated``): its answer has no reason.
+        """
+        if not self._stop_pace.take(stop.account, now) and self.fault:
+            self.counters["stops_repeated"] += 1
+            return Answer(True, "")
+        self.stop(f"asked for by account {stop.account}", stop.account)
+        return Answer(True, f"gateway is {self.state.value}")
+
+    def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
+        """Count a message on `stop/<account>` that is no stop; the answer has no reason where none is due."""
+        self.refusals.message(error.reason, error)
+        return Answer(False, str(error) if self._stop_pace.take(account, now) else "")
 
     def _end(self, control: Control) -> Answer:
         if not self.config.layout.stop:
@@ -645,7 +714,7 @@ class Gateway:
         return self._refusal_of_reset(occasion)
 
     def _on_reset(self, event: Event, occasion: Occasion) -> None:
-        self._disarm()
+        self._disarm("reset")
         self.fault = self._ending = False
         self.refusals.forgive()
         if self.mode is Mode.COMMISSIONING or not any(self.correction):
@@ -653,7 +722,9 @@ class Gateway:
             self._controller.renew_origin()
             self._player.place(self._controller.origin)
 
-    def _disarm(self) -> None:
+    def _disarm(self, why: str) -> None:
+        if self.tool is not None:
+            self.tool.void(why)
         self._stream.begin("")
         self._answered_stamp = 0
         self._player.clear()
@@ -663,30 +734,35 @@ class Gateway:
     def take_change(self) -> bool:
         """Return whether the state changed since the last call."""
         changed, self._machine.changed = self._machine.changed, False
-        return changed
+        return self.tool.take_change() or changed if self.tool is not None else changed
 
     def status(self) -> dict:
         """Return the content of the `status` topic."""
         config, owners = self.config, self._owners
-        return Status(
-            state=self.state.value,
-            reason=self.reason,
-            session=self.session,
-            fault=self.fault,
-            mode=self.mode.value,
-            correction=list(self.correction),
-            controller=self._said.report(),
-            last_ipoc_jump_ms=self._controller.jump_ms,
-            cycle=self.clock.report(),
-            run=self.run,
-            hash=config.hash,
-            decimals=config.decimals,
-            properties=config.properties,
-            playout=self._player.report(),
-            speed_limit=self.speed.report(),
-            stop=self._stopping.report(),
-            intruder={"session": owners.intruder, "count": owners.intrusions},
-            last_refusal=self.refusals.last,
-            later_refusal=self.refusals.later,
-            counters=dict(self.counters),
-        ).to_dict()
+        failure = self.reason if self.state is State.FAILED else ""
+        tool = {"tool": self.tool.report(failure)} if self.tool is not None else {}
+        return (
+            tool
+            | Status(
+                state=self.state.value,
+                reason=self.reason,
+                session=self.session,
+                fault=self.fault,
+                mode=self.mode.value,
+                correction=list(self.correction),
+                controller=self._said.report(),
+                last_ipoc_jump_ms=self._controller.jump_ms,
+                cycle=self.clock.report(),
+                run=self.run,
+                hash=config.hash,
+                decimals=config.decimals,
+                properties=config.properties,
+                playout=self._player.report(),
+                speed_limit=self.speed.report(),
+                stop=self._stopping.report(),
+                intruder={"session": owners.intruder, "count": owners.intrusions},
+                last_refusal=self.refusals.last,
+                later_refusal=self.refusals.later,
+                counters=dict(self.counters),
+            ).to_dict()
+        )

@@ -11,6 +11,7 @@ from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.rsi_session import IPOC_NS
 from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram
 from construction_twin.rsi.status_channels import StatusReader, status_channels
+from construction_twin.rsi.tool_channels import ToolReader
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
 DRAIN_LIMIT = 64
@@ -63,6 +64,8 @@ class TelegramInbox:
         self._decoder = RobotDecoder(gateway.config.axes, gateway.config.units)
         channels = status_channels(gateway.config.layout.send)
         self._status = StatusReader(channels) if channels else None
+        tool = gateway.config.tool
+        self._tool = ToolReader([output.name for output in tool.outputs], tool.inputs) if tool else None
         self._timeout = round(gateway.config.timeout * NANOSECONDS)
 
     def newest(self) -> Arrival | None:
@@ -95,6 +98,8 @@ class TelegramInbox:
                     continue
                 counters["telegrams_skipped"] += 1
             newest = Arrival(telegram, source, arrived)
+            if self._tool is not None and self._gateway.tool is not None:
+                self._gateway.tool.note(self._tool.read(data))
         return newest
 
     def _read(self, data: bytes, source: tuple) -> RobotTelegram | None:

@@ -61,6 +61,10 @@ class LastResort:
         self._before, self._before_ipoc = self.correction, self.ipoc
         self.correction, self.ipoc, self._source = correction, ipoc, source
 
+    def hold(self, holding: bytes, ending: bytes) -> None:
+        """Take the texts of replies that leave a tool's outputs as they were sent last: with `Stop` 0, and with 1."""
+        self._texts = {None: holding, True: ending}
+
     def take_over(self) -> None:
         """Begin to answer: with the step between the last two corrections, if they followed one another."""
         if 0 < self.ipoc - self._before_ipoc <= self._standstill and len(self._before) == len(self.correction):

@@ -163,6 +163,10 @@ class ControllerSession:
         self.origin = telegram.setpoint if self._config.reference == "ASPos" else telegram.measured
         return ""
 
+    def counts_missed(self, telegram: RobotTelegram) -> bool:
+        """Return whether the controller has counted more late replies than in the last telegram that was noted."""
+        return telegram.delay is not None and telegram.delay > self._last_delay
+
     def note(self, telegram: RobotTelegram) -> bool:
         """Take a telegram's poses and its count of late replies; return whether its ASPos is no longer the origin."""
         delay = telegram.delay

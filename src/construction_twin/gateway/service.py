@@ -36,7 +36,15 @@ from construction_twin.mqtt.client import (
     unique_id,
 )
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.messages import VERBS, CommandProperties, Topics, parse_control, read_command_properties
+from construction_twin.mqtt.interventions import GATEWAY, STOP, intervention_answer, parse_intervention
+from construction_twin.mqtt.messages import (
+    VERBS,
+    CommandProperties,
+    Topics,
+    account_of,
+    parse_control,
+    read_command_properties,
+)
 from construction_twin.mqtt.polled_client import PolledClient
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.udp import receive
@@ -110,12 +118,14 @@ class GatewayService:
         client.on_disconnect = partial(self.guarded, self._on_disconnect)
         client.on_stream(self._topics.command, partial(self.guarded, self._on_command))
         client.message_callback_add(self._topics.control, partial(self.guarded, self._on_control))
+        client.message_callback_add(self._topics.stop_by("+"), partial(self.guarded, self._on_stop))
         client.connect_async(broker.host, broker.port, broker.keepalive)
         self._mqtt = PolledClient(client, self._selector, self._connection.failed)
         self._state_properties = broker.protocol == "5"
         self._status = StatusClock(_STATUS_PERIOD)
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
+        self._held_channels: tuple[bool, ...] = ()
         self._said: tuple = (None, "", False, False)
         self._running = True
 
@@ -315,11 +325,22 @@ class GatewayService:
         correction = self.gateway.on_telegram(telegram, source, time.monotonic_ns())
         if correction is not None and self._encoder is not None:
             stop = True if self.gateway.ends else None
-            self._answer(self._encoder.encode(correction, telegram.ipoc, stop), source)
+            switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
+            self._answer(self._encoder.encode(correction, telegram.ipoc, stop, switched), source)
             self._last_resort.sent(telegram.ipoc, source, correction)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True
+
+    def _switched(self, encoder: SensorEncoder) -> tuple[bool, ...]:
+        """Return what a reply tells the tool's outputs; the last resort goes on with it."""
+        assert self.gateway.tool is not None
+        holding = self.gateway.tool.channels()
+        if holding is not self._held_channels:
+            self._held_channels = holding
+            ending = encoder.template(True, self.gateway.tool.channels(ending=True))
+            self._last_resort.hold(encoder.template(None, holding), ending)
+        return self.gateway.tool.channels(ending=True) if self.gateway.ends else holding
 
     def _answer(self, reply: bytes, source: tuple) -> None:
         try:
@@ -335,7 +356,8 @@ class GatewayService:
             return
         self._connection.connected()
         log.info("connected to the broker")
-        client.subscribe(subscriptions(client, [(self._topics.command, 0), (self._topics.control, 1)]))
+        topics = [(self._topics.command, 0), (self._topics.control, 1), (self._topics.stop_by("+"), 1)]
+        client.subscribe(subscriptions(client, topics))
         info = self._publish_status()
         # the client sends again what was not acknowledged before: an older status, behind this one, would be the one that is kept
         self._status.hurry()
@@ -385,6 +407,27 @@ class GatewayService:
         self._publish_status()
         answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
         self._mqtt.client.publish(self._topics.control_ack, json.dumps(answer), qos=1)
+
+    def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
+        now, account, id_ = time.monotonic_ns(), "", ""
+        try:
+            account = account_of(message.topic)
+            if not account:
+                # an answer: this gateway's, or the executor's
+                return
+            stop = parse_intervention(STOP, account, bytes(message.payload), message.retain)
+        except PayloadError as error:
+            done = self.gateway.refuse_stop(account, error, now)
+            self._log(logging.WARNING, f"refused on {error.reason}", str(error))
+        else:
+            done, id_ = self.gateway.on_stop(stop, now), stop.id
+            self._log(logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}")
+        if not done.reason:
+            return
+        # the status first: a reader of the answer must not act on an older status
+        self._publish_status()
+        answer = intervention_answer(id_, account, GATEWAY, done.ok, done.reason)
+        self._mqtt.client.publish(self._topics.stop_ack, answer, qos=1)
 
     def _publish_state(self) -> None:
         if not self._mqtt.connected:

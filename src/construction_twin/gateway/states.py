@@ -68,7 +68,7 @@ class Event(Enum):
     COMMAND_REFUSED = "a command breaks a limit"
     SPEED_IGNORED = "the sender does not obey the speed limit"
     ARM = "`arm`"
-    STOP = "`stop` or `end`, or the program is ending"
+    STOP = "`stop` or `end`, a person's `stop/<account>`, or the program is ending"
     RESET = "`reset`"
     FAILURE = "an unexpected exception"
 
@@ -182,12 +182,15 @@ class Occasion:
         Of the command [ns].
     q : tuple, shape (n,)
         The command's pose [rad].
+    account : str
+        Whose `stop/<account>` it was; "" for every other way.
     """
 
     reason: str
     session: str = ""
     stamp: int = 0
     q: tuple[float, ...] = ()
+    account: str = ""
 
 
 class Machine:

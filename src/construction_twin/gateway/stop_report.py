@@ -49,6 +49,8 @@ class StopReport:
         self._linear = linear
         #: What the gateway braked for: ``silence``, ``refused``, ``stop``, ``speed_limit``, ``drift``; "" before the first stop.
         self.cause = ""
+        #: Account whose stop it was, "" for every other cause and way.
+        self.by = ""
         #: Distance of each axis and time to rest, as stated when braking began [rad], [m]; [s].
         self.distance: tuple[float, ...] = ()
         self.time = 0.0
@@ -57,10 +59,12 @@ class StopReport:
         self.took: float | None = None
         self._braking: Braking | None = None
 
-    def begin(self, cause: str, follower: Follower, measured: tuple[float, ...], begun: Braking | None = None) -> None:
+    def begin(
+        self, cause: str, follower: Follower, measured: tuple[float, ...], begun: Braking | None = None, by: str = ""
+    ) -> None:
         """State the distance to rest; call it when braking begins, or with what has `begun` before anybody called it a stop."""
         braking = begun or Braking(follower, measured)
-        self.cause, self._braking = cause, braking
+        self.cause, self.by, self._braking = cause, by, braking
         self.distance, self.time = braking.distance, braking.time
         self.moved, self.took = (), None
         if begun and follower.at_rest:
@@ -83,6 +87,7 @@ class StopReport:
         """Return what the status says: deg, mm for linear axes, and s."""
         return {
             "cause": self.cause,
+            "by": self.by,
             "distance_deg": self._for_people(self.distance),
             "time_s": self.time,
             "moved_deg": self._for_people(self.moved),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.mqtt.messages import parse_object
@@ -17,8 +17,14 @@ from construction_twin.mqtt.messages import parse_object
 MAX_REVIEW_BYTES = 2048
 _KEYS = ("plan_id", "plan_hash", "verdict", "reviewer")
 _MAX_TEXT = {"plan_id": 64, "plan_hash": 64, "verdict": 16, "reviewer": 64, "reason": 500}
+#: Most numbers of a trajectory that a plan carries, about 5000 waypoints of six joints: brokers limit a message (a site's: 4 MiB).
+MAX_TRAJECTORY_NUMBERS = 100_000
+#: What a trajectory tells by waypoint and joint, in the order in which its hash covers it.
+_ROWS = ("positions", "velocities", "accelerations")
 #: Longest text of a plan that is shown whole.
 _MAX_SHOWN = 200
+#: Most names of objects that are shown of a segment's change of the scene.
+_MOST_OBJECTS = 20
 #: Decimals of lengths that are only displayed: 0.1 mm.
 _DECIMALS = 4
 
@@ -27,13 +33,29 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RemoteReview:
-    """A verdict that came by MQTT; `verdict` is ``approved`` or ``rejected``."""
+    """A verdict that came by MQTT.
+
+    Attributes
+    ----------
+    plan_id, plan_hash : str
+    verdict : str
+        ``approved`` or ``rejected``.
+    reviewer : str
+        Who is on record: the topic's account, and only without one what the message says.
+    reason : str
+    account : str
+        The topic's, which a site's broker has checked; "" on `review`.
+    says : str
+        What a message of an account says of who gave it, where that is another name; proves nothing.
+    """
 
     plan_id: str
     plan_hash: str
     verdict: str
     reviewer: str
     reason: str = ""
+    account: str = ""
+    says: str = ""
 
     @property
     def approves(self) -> bool:
@@ -41,15 +63,18 @@ class RemoteReview:
         return self.verdict == "approved"
 
 
-def parse_review(payload: bytes, retained: bool) -> RemoteReview:
-    """Return the verdict in a message on `review`.
+def parse_review(payload: bytes, retained: bool, account: str = "") -> RemoteReview:
+    """Return the verdict in a message on `review/<account>`, or on `review`.
 
     Parameters
     ----------
     payload : bytes
-        JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer` and, if wanted, `reason`.
+        JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer` and, if wanted, `reason`; with an account `reviewer` may be
+        left out.
     retained : bool
         The message's retain flag.
+    account : str, optional
+        Of the topic; "" on `review`.
 
     Raises
     ------
@@ -61,10 +86,11 @@ def parse_review(payload: bytes, retained: bool) -> RemoteReview:
             "retained", "retained review: it is unknown when it was given; publish it without the retain flag"
         )
     document = parse_object(payload, "review", MAX_REVIEW_BYTES)
-    if not set(_KEYS) <= set(document) <= {*_KEYS, "reason"}:
+    needed = _KEYS[:-1] if account else _KEYS
+    if not set(needed) <= set(document) <= {*_KEYS, "reason"}:
         raise PayloadError(
             "review",
-            f"review with keys {[key[:32] for key in sorted(document)[:8]]}; expected {', '.join(_KEYS)} and reason",
+            f"review with keys {[key[:32] for key in sorted(document)[:8]]}; expected {', '.join(needed)} and reason",
         )
     for key, value in document.items():
         if not isinstance(value, str) or len(value) > _MAX_TEXT[key] or not value.isprintable():
@@ -72,18 +98,73 @@ def parse_review(payload: bytes, retained: bool) -> RemoteReview:
                 "review", f"review whose {key} is not a text of at most {_MAX_TEXT[key]} characters in one line"
             )
     for key in ("plan_id", "plan_hash", "reviewer"):
-        if not document[key].strip():
+        if key in document and not document[key].strip():
             raise PayloadError("review", f"review without {key}: say which plan was looked at, and by whom")
     if document["verdict"] not in ("approved", "rejected"):
         raise PayloadError("review", f"review with verdict {document['verdict']!r}; expected approved or rejected")
-    return RemoteReview(**document)
+    if not account:
+        return RemoteReview(**document)
+    says = document.pop("reviewer", account)
+    return RemoteReview(**document, reviewer=account, account=account, says="" if says == account else says)
 
 
-def review_answer(review: RemoteReview | None, ok: bool, reason: str) -> bytes:
-    """Return the payload for `review/ack`; without a review, because it could not be read, its fields are empty."""
-    review = review or RemoteReview("", "", "", "")
+def recorded_reason(review: RemoteReview) -> str:
+    """Return the reviewer's words as they are recorded: what came by MQTT was not said at this machine."""
+    who = f"by MQTT, which says it is {review.says!r}" if review.says else "by MQTT"
+    return f"{who}: {review.reason}" if review.reason else who
+
+
+def review_answer(review: RemoteReview | None, ok: bool, reason: str, account: str = "") -> bytes:
+    """Return the payload for `review/ack`.
+
+    Parameters
+    ----------
+    review : RemoteReview or None
+        None: it could not be read, its fields are empty.
+    ok : bool
+    reason : str
+    account : str, optional
+        Of the topic, for a review that could not be read.
+    """
+    review = review or RemoteReview("", "", "", account, account=account)
     answer = {"plan_id": review.plan_id, "plan_hash": review.plan_hash, "verdict": review.verdict}
-    return json.dumps(answer | {"reviewer": review.reviewer, "ok": ok, "reason": reason}).encode()
+    return json.dumps(
+        answer | {"reviewer": review.reviewer, "account": review.account, "ok": ok, "reason": reason}
+    ).encode()
+
+
+@dataclass(frozen=True)
+class SegmentView:
+    """What is shown of a segment of a work plan.
+
+    Attributes
+    ----------
+    name : str
+    end : float
+        [s]
+    engaged : bool
+    requires : Mapping of str to bool
+        Inputs of the tool.
+    switches : sequence of Mapping
+        ``output``, ``value``, ``confirm`` (as `requires`), ``timeout`` [s].
+    scene, scene_after : str
+        Hashes.
+    put, remove : sequence of str
+        Names of the objects that come, and of those that go; for display.
+    end_waypoint : int
+        Number of the waypoint at its end, from 0.
+    """
+
+    name: str
+    end: float
+    engaged: bool
+    requires: Mapping[str, bool]
+    switches: Sequence[Mapping]
+    scene: str
+    scene_after: str
+    put: Sequence[str]
+    remove: Sequence[str]
+    end_waypoint: int
 
 
 @dataclass(frozen=True)
@@ -107,6 +188,13 @@ class PlanView:
         ``distance`` [m], ``time`` [s], ``between``, ``point`` [m]; None when it was not measured.
     use : Mapping
         Largest fraction of the limits per joint: ``velocity``, ``acceleration``, ``jerk``; empty lists when not measured.
+    task : str, optional
+    segments : sequence of SegmentView, optional
+    content : str, optional
+        Of a work plan: the text whose SHA-256 is its hash.
+    trajectory : Mapping of str to sequence, optional
+        What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
+        ``velocities`` and ``accelerations`` [rad, m, s].
     """
 
     id: str
@@ -124,6 +212,10 @@ class PlanView:
     tool_path: Sequence[Point]
     clearance: Mapping | None
     use: Mapping[str, Sequence[float]]
+    task: str = ""
+    segments: Sequence[SegmentView] = ()
+    content: str = ""
+    trajectory: Mapping[str, Sequence] = field(default_factory=dict)
 
     def to_json(self, points: int) -> bytes:
         """Return the payload for `plan`.
@@ -131,9 +223,10 @@ class PlanView:
         Parameters
         ----------
         points : int
-            The tool path is thinned to at most so many points, both ends among them.
+            The tool path is thinned to at most so many points, both ends among them; of a work plan the ends of the segments
+            are kept besides.
         """
-        path, deviation = thinned(self.tool_path, points)
+        path, deviation, ends = thinned(self.tool_path, points, [segment.end_waypoint for segment in self.segments])
         document = {
             "id": self.id,
             "hash": self.hash,
@@ -152,14 +245,46 @@ class PlanView:
             "tool_path_deviation": round(deviation, 6),
             "clearance": self.clearance,
             "use": {name: list(values) for name, values in self.use.items()},
+            "trajectory": self._sent_trajectory(),
         }
+        if self.segments:
+            document["task"], document["content"] = self.task, self.content
+            document["segments"] = [
+                {
+                    "name": segment.name,
+                    "end": segment.end,
+                    "tool_path_end": end,
+                    "engaged": segment.engaged,
+                    "requires": dict(segment.requires),
+                    "switches": list(segment.switches),
+                    "scene": segment.scene,
+                    "scene_after": segment.scene_after,
+                    "put": _named(segment.put),
+                    "remove": list(segment.remove),
+                }
+                for segment, end in zip(self.segments, ends)
+            ]
         # nan and inf are no JSON: a tablet could not read them
         return json.dumps(_finite(document), allow_nan=False).encode()
+
+    def _sent_trajectory(self) -> dict[str, list] | None:
+        """Return the trajectory for JSON, whose numbers are read to the same bits; None when it is too long."""
+        numbers = len(self.trajectory.get("times", ())) * (1 + 3 * len(self.joint_names))
+        if not self.trajectory or numbers > MAX_TRAJECTORY_NUMBERS:
+            return None
+        sent = {name: [list(row) for row in self.trajectory[name]] for name in _ROWS}
+        return {"times": list(self.trajectory["times"]), **sent}
 
 
 def shown(text: str) -> str:
     """Return a text as a reviewer sees it: cut where it is longer than `_MAX_SHOWN`, and ending in ... then."""
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
+
+
+def _named(names: Sequence[str]) -> list[str]:
+    """Return the first names of many; the last entry says how many more there are."""
+    told = [shown(name) for name in names[:_MOST_OBJECTS]]
+    return told if len(names) <= _MOST_OBJECTS else [*told, f"and {len(names) - _MOST_OBJECTS} more"]
 
 
 def _finite(value):
@@ -170,8 +295,17 @@ def _finite(value):
     return [_finite(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def thinned(path: Sequence[Point], points: int) -> tuple[list[Point], float]:
+def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:
     """Return at most `points` of a path, evenly by their number and with both ends, and how much was lost.
+
+    Parameters
+    ----------
+    path : sequence of (float, float, float)
+        [m]
+    points : int
+        At least 2.
+    keep : sequence of int, optional
+        Numbers of points that are kept besides.
 
     Returns
     -------
@@ -179,16 +313,19 @@ def thinned(path: Sequence[Point], points: int) -> tuple[list[Point], float]:
         [m]
     deviation : float
         Largest distance of a point left out from the line between its kept neighbours [m].
+    places : list of int
+        Where in `kept` the points of `keep` are.
     """
     last = len(path) - 1
     if last < points:
-        return list(path), 0.0
-    indices = [round(k * last / (points - 1)) for k in range(points)]
+        return list(path), 0.0, list(keep)
+    indices = sorted({round(k * last / (points - 1)) for k in range(points)} | set(keep))
     deviation = 0.0
     for begin, end in zip(indices, indices[1:]):
         for k in range(begin + 1, end):
             deviation = max(deviation, _distance(path[k], path[begin], path[end]))
-    return [path[k] for k in indices], deviation
+    place = {index: number for number, index in enumerate(indices)}
+    return [path[k] for k in indices], deviation, [place[index] for index in keep]
 
 
 def _distance(point: Point, begin: Point, end: Point) -> float:

@@ -16,12 +16,9 @@ from typing import Any
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.json_fields import LARGEST, keys, list_of, number, shown, text
 from construction_twin.mqtt.messages import parse_object
 
-#: Longest id, name and other short text.
-MAX_TEXT = 64
-#: No position, velocity, acceleration or time of an arm is larger, in whatever unit.
-LARGEST = 1e6
 #: What COMPAS calls the type of compas_fab's trajectory; its values are rad and m by definition.
 COMPAS_TYPE = "compas_fab.robots/JointTrajectory"
 #: `joint_types` of COMPAS: revolute and continuous, prismatic.
@@ -140,7 +137,7 @@ def checked_sender(account: str) -> str:
     if account and not _ACCOUNT.fullmatch(account):
         raise PayloadError(
             "sender",
-            f"trajectory from {_shown(account)}; expected an account's name: up to 100 letters, digits, - and _",
+            f"trajectory from {shown(account)}; expected an account's name: up to 100 letters, digits, - and _",
         )
     return account
 
@@ -182,7 +179,7 @@ def request_id(document: Mapping[str, Any]) -> str:
         ``format``
     """
     value = document.get("id", document.get("guid", "") if "dtype" in document else "")
-    return _text(value, "id")
+    return text(value, "id")
 
 
 def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
@@ -203,12 +200,12 @@ def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryR
     if "dtype" in document:
         return _compas_request(document, document, joints)
     if "trajectory" in document:
-        _keys(document, "trajectory message", ("id", "trajectory"), (*_ENVELOPE, "trajectory"))
+        keys(document, "trajectory message", ("id", "trajectory"), (*_ENVELOPE, "trajectory"))
         inner = document["trajectory"]
         if not isinstance(inner, dict) or "dtype" not in inner:
             raise PayloadError(
                 "format",
-                f"key trajectory holds {_shown(inner)}; expected a COMPAS object of dtype {COMPAS_TYPE}; without COMPAS "
+                f"key trajectory holds {shown(inner)}; expected a COMPAS object of dtype {COMPAS_TYPE}; without COMPAS "
                 "joint_names, points and units stand beside id",
             )
         return _compas_request(document, inner, joints)
@@ -239,13 +236,13 @@ def trajectory_answer(request: str, sender: str, ok: bool, reason: str, **plan: 
 
 
 def _plain_request(document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
-    _keys(document, "trajectory message", ("id", "units", "joint_names", "points"), _PLAIN)
+    keys(document, "trajectory message", ("id", "units", "joint_names", "points"), _PLAIN)
     factors = _factors(document["units"])
     order = _order(document["joint_names"], joints)
     scales = tuple(factors["length" if linear else "angle"] for linear in joints.linear)
     points = []
-    for index, point in enumerate(_list(document["points"], "points")):
-        _keys(point, f"point {index}", ("positions",), _POINT)
+    for index, point in enumerate(list_of(document["points"], "points")):
+        keys(point, f"point {index}", ("positions",), _POINT)
         values = [_values(point.get(name, []), f"point {index}: {name}", order, scales) for name in _POINT[:3]]
         if not values[0]:
             raise PayloadError("values", f"point {index} has no positions; expected one for each joint")
@@ -259,15 +256,15 @@ def _plain_request(document: Mapping[str, Any], joints: Joints) -> TrajectoryReq
 def _factors(units: object) -> dict[str, float]:
     expected = '{"angle": "rad" or "deg", "length": "m" or "mm", "time": "s"}; units are said, never guessed'
     if not isinstance(units, dict) or set(units) != set(_FACTORS):
-        raise PayloadError("units", f"units are {_shown(units)}; expected {expected}")
+        raise PayloadError("units", f"units are {shown(units)}; expected {expected}")
     for kind, unit in units.items():
         if not isinstance(unit, str) or unit not in _FACTORS[kind]:
-            raise PayloadError("units", f"the unit of {kind} is {_shown(unit)}; expected {expected}")
+            raise PayloadError("units", f"the unit of {kind} is {shown(unit)}; expected {expected}")
     return {kind: _FACTORS[kind][unit] for kind, unit in units.items()}
 
 
 def _seconds(value: object, index: int) -> int:
-    seconds = _number(value, f"point {index}: time_from_start")
+    seconds = number(value, f"point {index}: time_from_start")
     if seconds < 0.0:
         raise PayloadError("values", f"point {index}: time_from_start is {seconds:g} s; expected 0 or later")
     return round(seconds * NANOSECONDS)
@@ -309,13 +306,13 @@ def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
 
 
 def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
-    _keys(document, "COMPAS object", ("dtype", "data"), _COMPAS)
+    keys(document, "COMPAS object", ("dtype", "data"), _COMPAS)
     if document["dtype"] != COMPAS_TYPE:
-        raise PayloadError("format", f"COMPAS object of dtype {_shown(document['dtype'])}; expected {COMPAS_TYPE}")
+        raise PayloadError("format", f"COMPAS object of dtype {shown(document['dtype'])}; expected {COMPAS_TYPE}")
     data = document["data"]
-    _keys(data, "compas_fab trajectory", ("points", "joint_names"), _COMPAS_DATA)
+    keys(data, "compas_fab trajectory", ("points", "joint_names"), _COMPAS_DATA)
     _check_fraction(data.get("fraction"))
-    rows = _list(data["points"], "points")
+    rows = list_of(data["points"], "points")
     names = _compas_names(data["joint_names"], rows)
     order = _order(names, joints)
     points = tuple(_compas_point(point, index, names, order, joints) for index, point in enumerate(rows))
@@ -329,13 +326,13 @@ def _compas_request(envelope: Mapping[str, Any], document: Mapping[str, Any], jo
             points = tuple(_without(point, name) for point in points)
     _check_timed(points)
     if envelope is document:
-        name = _text(document.get("name", ""), "name")
+        name = text(document.get("name", ""), "name")
         return TrajectoryRequest(request_id(document), name, 0.0, 0.0, points, tuple(notes))
     return _request(envelope, points, tuple(notes))
 
 
 def _check_fraction(fraction: object) -> None:
-    if fraction is not None and _number(fraction, "fraction") != 1.0:
+    if fraction is not None and number(fraction, "fraction") != 1.0:
         raise PayloadError(
             "values",
             f"fraction is {fraction:g}: compas_fab's planner followed only a part of what was asked for; plan again, or cut "
@@ -345,14 +342,14 @@ def _check_fraction(fraction: object) -> None:
 
 def _compas_names(names: object, rows: Sequence[Any]) -> Sequence[object]:
     """Return the joints of all points: the trajectory's, else those that every point names alike."""
-    names = _list(names, "joint_names")
+    names = list_of(names, "joint_names")
     for index, point in enumerate(rows):
-        _keys(point, f"point {index}", _COMPAS_POINT[:2], _COMPAS_POINT)
-        own = _list(point.get("joint_names", []), f"point {index}: joint_names")
+        keys(point, f"point {index}", _COMPAS_POINT[:2], _COMPAS_POINT)
+        own = list_of(point.get("joint_names", []), f"point {index}: joint_names")
         names = names or own
         if own and own != names:
             raise PayloadError(
-                "joints", f"point {index} names its joints {_shown(own)}; expected {_shown(names)}, as before"
+                "joints", f"point {index} names its joints {shown(own)}; expected {shown(names)}, as before"
             )
     return names
 
@@ -360,7 +357,7 @@ def _compas_names(names: object, rows: Sequence[Any]) -> Sequence[object]:
 def _compas_point(
     point: Mapping[str, Any], index: int, names: Sequence[object], order: Sequence[int], joints: Joints
 ) -> TrajectoryPoint:
-    kinds = _list(point["joint_types"], f"point {index}: joint_types")
+    kinds = list_of(point["joint_types"], f"point {index}: joint_types")
     if len(kinds) != len(names):
         raise PayloadError(
             "joints", f"point {index} has {len(kinds)} joint_types for {len(names)} joints; expected as many"
@@ -371,7 +368,7 @@ def _compas_point(
             expected = "2, prismatic [m]" if joints.linear[robots] else "0 or 1, revolute [rad]"
             raise PayloadError(
                 "joints",
-                f"point {index}: joint_types says {_shown(kinds[place])} of {joints.names[robots]}; expected {expected}",
+                f"point {index}: joint_types says {shown(kinds[place])} of {joints.names[robots]}; expected {expected}",
             )
     scales = (1.0,) * len(order)
     values = [
@@ -388,12 +385,12 @@ def _compas_point(
 def _duration(point: Mapping[str, Any], index: int) -> int:
     place = f"point {index}: time_from_start"
     time = point.get("time_from_start", {"secs": 0, "nsecs": 0})
-    _keys(time, place, ("secs", "nsecs"), ("secs", "nsecs"))
+    keys(time, place, ("secs", "nsecs"), ("secs", "nsecs"))
     parts = []
     for name, end in (("secs", int(LARGEST)), ("nsecs", NANOSECONDS - 1)):
         part = time[name]
         if type(part) is not int or not 0 <= part <= end:
-            raise PayloadError("values", f"{place}: {name} is {_shown(part)}; expected a whole number from 0 to {end}")
+            raise PayloadError("values", f"{place}: {name} is {shown(part)}; expected a whole number from 0 to {end}")
         parts.append(part)
     return parts[0] * NANOSECONDS + parts[1]
 
@@ -420,76 +417,33 @@ def _request(
 
 def _envelope(document: Mapping[str, Any]) -> tuple[str, str, float, float]:
     """Return id, source, speed_scale and acceleration_scale."""
-    name = _text(document["id"], "id")
+    name = text(document["id"], "id")
     if not name:
         raise PayloadError("format", "the id is empty; expected a text of your own, which the answer repeats")
     scales = []
     for key in ("speed_scale", "acceleration_scale"):
-        scale = _number(document.get(key, 0.0), key)
+        scale = number(document.get(key, 0.0), key)
         if not 0.0 <= scale <= 1.0:
             raise PayloadError("values", f"{key} is {scale:g}; expected a fraction from 0 (the planner's default) to 1")
         scales.append(scale)
-    return name, _text(document.get("source", ""), "source"), scales[0], scales[1]
+    return name, text(document.get("source", ""), "source"), scales[0], scales[1]
 
 
 def _order(names: object, joints: Joints) -> list[int]:
     """Return for each joint of the robot where it stands among `names`."""
-    given = _list(names, "joint_names")
+    given = list_of(names, "joint_names")
     if not all(isinstance(name, str) for name in given) or sorted(given) != sorted(joints.names):
         raise PayloadError(
-            "joints", f"joint_names are {_shown(given)}; expected each of {', '.join(joints.names)} once, in any order"
+            "joints", f"joint_names are {shown(given)}; expected each of {', '.join(joints.names)} once, in any order"
         )
     return [given.index(name) for name in joints.names]
 
 
 def _values(row: object, place: str, order: Sequence[int], scales: Sequence[float]) -> Values:
     """Return a row in the robot's order and in SI; empty stays empty."""
-    values = _list(row, place)
+    values = list_of(row, place)
     if not values:
         return ()
     if len(values) != len(order):
         raise PayloadError("values", f"{place}: {len(values)} values; expected {len(order)}, one for each joint")
-    return tuple(_number(values[index], place) * scale for index, scale in zip(order, scales))
-
-
-def _number(value: object, place: str) -> float:
-    # true and false are numbers to Python
-    if type(value) not in (int, float) or not -LARGEST <= value <= LARGEST:  # type: ignore[operator]
-        raise PayloadError(
-            "values", f"{place} holds {_shown(value)}; expected a number between -{LARGEST:g} and {LARGEST:g}"
-        )
-    return float(value)  # type: ignore[arg-type]
-
-
-def _list(value: object, place: str) -> list:
-    if not isinstance(value, list):
-        raise PayloadError("format", f"{place} is {_shown(value)}; expected a list")
-    return value
-
-
-def _text(value: object, key: str) -> str:
-    if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
-        raise PayloadError(
-            "format", f"{key} is {_shown(value)}; expected a text of at most {MAX_TEXT} characters in one line"
-        )
-    return value
-
-
-def _keys(document: object, what: str, needed: Sequence[str], known: Sequence[str]) -> None:
-    if not isinstance(document, dict):
-        raise PayloadError("format", f"{what} is {_shown(document)}; expected an object with {', '.join(needed)}")
-    missing = [key for key in needed if key not in document]
-    unknown = [key for key in document if key not in known]
-    if missing or unknown:
-        wrong = f"without {', '.join(missing)}" if missing else f"with the unknown key {_shown(unknown[0])}"
-        raise PayloadError("format", f"{what} {wrong}; expected {', '.join(needed)}, known are {', '.join(known)}")
-
-
-def _shown(value: object) -> str:
-    """Return what was found, short enough for a sentence; of what is nested only the kind."""
-    if isinstance(value, (dict, list)) and any(isinstance(item, (dict, list)) for item in value):
-        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
-    if isinstance(value, int) and abs(value) > LARGEST:
-        return f"a whole number of {value.bit_length()} bits"
-    text = repr(value[:8] if isinstance(value, list) else value)
-    return text if len(text) <= 96 else text[:93] + "..."
+    return tuple(number(values[index], place) * scale for index, scale in zip(order, scales))

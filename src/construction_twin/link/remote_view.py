@@ -1,7 +1,8 @@
 """`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure; standard library only.
 
-Fixed by docs/reference/view.schema.json; a change that a reader could notice raises `VERSION`. SI: m, rad, s; times are numbers of
-seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
+Fixed by docs/reference/view.schema.json; a change that a reader could notice raises `VERSION`. Versions that only add keys keep
+`COMPATIBLE`: a reader of that version goes on reading, if it leaves alone what it does not know. SI: m, rad, s; times are numbers
+of seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from dataclasses import dataclass
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 
-VERSION = 1
+VERSION = 2
+#: The oldest version whose readers can read this one.
+COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
 _POSITION, _TIME = 9, 6
 _UNITS = {"angle": "rad", "length": "m", "time": "s"}
@@ -48,7 +51,11 @@ class SyncView:
 
 @dataclass(frozen=True)
 class LinkView:
-    """What the bridge says; see Link.msg."""
+    """What the bridge says; see Link.msg.
+
+    `round_trip_ms` is the time from a setpoint's stamp to the arm's answer to it, nan when unknown; `late` is how many replies came
+    too late at the controller, None when the gateway has not said.
+    """
 
     state: str
     reason: str
@@ -56,6 +63,27 @@ class LinkView:
     gateway_state: str
     gateway_kind: str
     responsible: str
+    round_trip_ms: float = math.nan
+    late: int | None = None
+
+
+@dataclass(frozen=True)
+class SegmentNow:
+    """Where a work plan is: the segment's number from 0, its name, and whether the arm stands at its end."""
+
+    number: int
+    name: str
+    at_boundary: bool
+
+
+@dataclass(frozen=True)
+class ClosestView:
+    """Which two bodies are closest at the twin's pose: distance [m], where on the first of them in the base_link [m], age [s]."""
+
+    distance: float
+    between: Sequence[str]
+    point: Sequence[float]
+    age: float
 
 
 @dataclass(frozen=True)
@@ -71,17 +99,22 @@ class ExecutionView:
     progress: float
     rate: float
     speed_limit: float
+    segment: SegmentNow | None = None
 
 
 @dataclass(frozen=True)
 class Seen:
-    """The parts of a view; None is what is not known, or too old to be shown as the present."""
+    """The parts of a view; None is what is not known, or too old to be shown as the present. `plan` is the id of the plan under
+    review, "" for none.
+    """
 
     twin: PoseView | None = None
     arm: PoseView | None = None
     sync: SyncView | None = None
     link: LinkView | None = None
     execution: ExecutionView | None = None
+    plan: str = ""
+    closest: ClosestView | None = None
 
 
 class ViewWriter:
@@ -121,6 +154,7 @@ class ViewWriter:
     def _message(self, online: bool, seq: int, now: int, seen: Seen) -> bytes:
         document = {
             "version": VERSION,
+            "compatible": COMPATIBLE,
             "robot": self._robot,
             "online": online,
             "run": self._run,
@@ -133,6 +167,8 @@ class ViewWriter:
             "sync": _part(seen.sync),
             "link": _part(seen.link),
             "execution": _part(seen.execution),
+            "plan": seen.plan,
+            "closest": _part(seen.closest),
         }
         # nan and inf are no JSON
         return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
@@ -145,13 +181,15 @@ def _pose(pose: PoseView | None) -> Mapping | None:
     return {"stamp": round(pose.stamp, _TIME), "age": round(pose.age, _TIME), "positions": positions}
 
 
-def _part(part: SyncView | LinkView | ExecutionView | None) -> Mapping | None:
+def _part(part: SyncView | LinkView | ExecutionView | SegmentNow | ClosestView | None) -> Mapping | None:
     return None if part is None else {key: _plain(value) for key, value in vars(part).items()}
 
 
 def _plain(value: object) -> object:
     if isinstance(value, float):
         return round(value, _POSITION) if math.isfinite(value) else None
+    if isinstance(value, SegmentNow):
+        return _part(value)
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.mock.gripper import Gripper
 from construction_twin.rsi.ethernet_xml import check_axes
 from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
@@ -56,6 +57,10 @@ class MockConfig:
         IPOC of the first packet [ms].
     restart_gap : int
         How far the controller's clock has advanced when the next session starts [ms].
+    gripper : Gripper
+        What the tool does, where the layout has channels of one.
+    tool_gated : bool
+        False: the RSI context maps the outputs plainly, so that RSI_ON itself switches them off (`gripper`).
     """
 
     axes: tuple[str, ...]
@@ -78,6 +83,8 @@ class MockConfig:
     acceleration_factor: float = 400.0
     first_ipoc: int = 4_208_163_634
     restart_gap: int = 10_000
+    gripper: Gripper = Gripper()
+    tool_gated: bool = True
 
     def __post_init__(self) -> None:
         if self.layout is None:

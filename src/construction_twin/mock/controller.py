@@ -26,6 +26,7 @@ from construction_twin.core.errors import FaultError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.encoders import Encoders
+from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
 from construction_twin.mock.refusals import ReplyRefusals
 from construction_twin.mock.servo import Servo
@@ -33,6 +34,7 @@ from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, 
 from construction_twin.rsi.layout import STOP
 from construction_twin.rsi.status_channels import ControllerStatus, status_channels
 from construction_twin.rsi.telegram import axis_units
+from construction_twin.rsi.tool_channels import OUT, is_signal
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
 _SETTLING, _RECOVERY = 1.0, 1.0
@@ -94,6 +96,8 @@ class MockController:
         The program that runs.
     refusals : ReplyRefusals
         Why replies did not count.
+    tool : SimulatedTool or None
+        What the channels of a tool switch and read; None where the Ethernet XML has none.
     told : ControllerStatus
         What the optional channels say in place of what is; None for a channel that says what is. It changes nothing else.
     counters : dict of str to int
@@ -139,10 +143,15 @@ class MockController:
         layout = config.rsi_layout
         self._tells_status = bool(status_channels(layout.send))
         self._encoder = RobotEncoder(config.axes, config.precision, layout.send, config.units)
+        self.tool: SimulatedTool | None = None
+        if layout.switched or any(map(is_signal, layout.send)):
+            self.tool = SimulatedTool(layout, config.gripper, config.period, config.tool_gated)
+            unseen = tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}."))
+            self._encoder_without_outputs = RobotEncoder(config.axes, config.precision, unseen, config.units)
         self._decoder: SensorDecoder | None = None
         if not layout.onlysend:
             self._decoder = SensorDecoder(
-                layout.sentype, config.axes, layout.receive, config.units, config.stop_required
+                layout.sentype, config.axes, layout.receive, config.units, config.stop_required, layout.switched
             )
         holdon = dict(zip(layout.receive, layout.holdon))
         axis_of = {channel: channel.partition(".")[2] for channel in holdon}
@@ -215,6 +224,8 @@ class MockController:
             self.ipoc += self.config.cycle * self.running
         elif not self.running:
             self._move_without_session()
+        if self.tool is not None:
+            self.tool.step()
         measured = self.measured
         self.reported = self.encoders.read(measured) if self.encoders.active else measured
         if not self.running:
@@ -224,6 +235,9 @@ class MockController:
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
         values = self.ipoc, self.reported, self.start_pose, pose, self._start_tool, self.delay
+        if self.tool is not None:
+            encoder = self._encoder_without_outputs if self.tool.hidden else self._encoder
+            return encoder.encode(*values, self.status, self.tool.signals)
         return self._encoder.encode(*values, self.status) if self._tells_status else self._encoder.encode(*values)
 
     def receive(self, data: bytes, in_time: bool = True) -> bool:
@@ -397,6 +411,8 @@ class MockController:
         self._open, self._reply = False, None
         self.refusals.begin_session()
         self._start_tool = _flat(self._forward_kinematics(pose))
+        if self.tool is not None:
+            self.tool.begin_session()
         self.servo.reset(pose)
         self.encoders.absorb()
         self._begin_own_motion(pose)
@@ -432,6 +448,8 @@ class MockController:
     def _missed_reply(self) -> tuple[float, ...]:
         self.counters["missed"] += 1
         self.delay += 1
+        if self.tool is not None:
+            self.tool.miss()
         if self.delay >= self.config.timeout:
             self.flag = True
             refused = self.refusals.since_valid
@@ -443,6 +461,8 @@ class MockController:
     def _valid_reply(self, reply: SensorTelegram) -> tuple[float, ...]:
         if not self.config.cumulative_delay:
             self.delay = 0
+        if self.tool is not None:
+            self.tool.take(reply.switched)
         self.counters["without_stop"] += reply.stop is None and self._stop_declared
         stop = bool(reply.stop)
         if stop and not self._stop_level:

@@ -77,6 +77,9 @@ KINDS = {
         "no", (1,), "the program's state: 1 FREE, 2 RESET, 3 ACTIVE, 4 STOP, 5 END", largest=5.0, whole=True
     ),
     "override": FaultKind("no", (1,), "the override, 0 to 100 percent", positive=False, largest=100.0),
+    "grip_fails": FaultKind("no", (0,), "no value"),
+    "grip_lost": FaultKind("no", (0,), "no value", lasting=False),
+    "no_read_back": FaultKind("no", (0,), "no value"),
     "restart_at": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
     "jog": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
 }
@@ -242,6 +245,8 @@ class FaultBoard:
             return self._network(fault)
         if fault.name in ("mode", "program", "override"):
             return self._channel(fault)
+        if fault.name in ("grip_fails", "grip_lost", "no_read_back"):
+            return self._grip(fault)
         controller, values = self.controller, fault.values
         return {
             "estop": (controller.press_emergency_stop, controller.release_emergency_stop),
@@ -263,6 +268,23 @@ class FaultBoard:
             }[fault.name]()
 
         return lambda: tell(fault.values[0]), lambda: tell(None)
+
+    def _grip(self, fault: Fault):
+        tool = self.controller.tool
+        if tool is None:
+            raise FaultError(fault.name, None, "an Ethernet XML with channels of a tool")
+
+        def fail(on: bool) -> None:
+            tool.fails = on
+
+        def hide(on: bool) -> None:
+            tool.hidden = on
+
+        return {
+            "grip_fails": (lambda: fail(True), lambda: fail(False)),
+            "grip_lost": (tool.lose, _nothing),
+            "no_read_back": (lambda: hide(True), lambda: hide(False)),
+        }[fault.name]
 
     def _servo(self, fault: Fault):
         servo, config = self.controller.servo, self.controller.config

@@ -22,9 +22,11 @@ from construction_twin.core.units import from_wire, radians, to_wire
 from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
+from construction_twin.mock.gripper import Gripper
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
 from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.robot.tool import read_tool, tool_of
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml, read_ethernet_xml
 from construction_twin.rsi.layout import AxisUnit, RsiLayout
 
@@ -66,6 +68,9 @@ class MockSettings(pydantic.BaseModel):
     encoder_resolution_deg: Annotated[float, pydantic.Field(ge=0)] = 3e-5
     fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
+    tool: dict = {}
+    tool_time: Annotated[float, pydantic.Field(ge=0, le=60)] = 0.2
+    tool_gated: bool = True
     realtime_priority: Annotated[int, pydantic.Field(ge=0, le=99)] = 0
 
 
@@ -109,8 +114,19 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         velocity_factor=settings.velocity_factor,
         acceleration_factor=settings.acceleration_factor,
         first_ipoc=settings.first_ipoc,
+        gripper=_gripper(settings),
+        tool_gated=settings.tool_gated,
     )
     return MockController(config, build_servo(settings), make_forward_kinematics(robot))
+
+
+def _gripper(settings: MockSettings) -> Gripper:
+    """Return what the tool of a tool file does; ConfigurationError when it is none."""
+    if not settings.tool:
+        return Gripper(time=settings.tool_time)
+    tool = tool_of(settings.tool, "tool")
+    grip, release = tool.grip, tool.release
+    return Gripper(grip.set, grip.confirm, release.set, release.confirm, settings.tool_time)
 
 
 def gateway_address(settings: MockSettings) -> tuple[str, int]:
@@ -178,6 +194,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     option("--robot-config", type=Path, default=_ROOT / "config/kr120.yaml", help="robot YAML [%(default)s]")
     option("--ethernet-xml", type=Path, default=_ROOT / "krl/ethernet/ctwin_ethernet.xml", metavar="FILE",
            help="the controller's RSI Ethernet XML [%(default)s]")  # fmt: skip
+    option("--tool", type=Path, metavar="FILE", help="tool file of the gripper that is simulated [none]")
     option(
         "--gateway",
         default="127.0.0.1:0",
@@ -211,6 +228,8 @@ def checked_settings(options: dict) -> MockSettings:
     host, _, port = options.pop("gateway").rpartition(":")
     if "ethernet_xml" in options:
         options["ethernet_xml"] = load_ethernet_xml(options["ethernet_xml"]).text
+    if "tool" in options:
+        options["tool"] = read_tool(options["tool"]).tool.model_dump()
     try:
         return MockSettings(gateway_host=host, gateway_port=port, **options)
     except pydantic.ValidationError as error:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, TransitionLogError
 from construction_twin.monitor.states import Transition
-from construction_twin.review.record import iso_time
+from construction_twin.review.chained_file import iso_time
 
 #: Transitions kept while the disk refuses them; older ones are counted and forgotten.
 KEPT = 1000

@@ -16,9 +16,11 @@ _NUMBER = re.compile(r"[0-9]{1,19}")
 #: A ROS time, into which every stamp is turned, ends here [ns].
 _MAX_NUMBER = (1 << 32) * NANOSECONDS - 1
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
+#: Robot, role and person of up to 32 characters each.
+_ACCOUNT = re.compile(r"[A-Za-z0-9_-]{1,100}")
 _LEVEL = re.compile(r"[A-Za-z0-9_-]+")
 #: What a `control` message may ask for.
-VERBS = ("arm", "stop", "reset", "end", "speed_limit")
+VERBS = ("arm", "stop", "reset", "end", "speed_limit", "switch", "void")
 #: What a bare PLC says on `status`, retained: it takes joint strings, or none. ``offline`` is its last will too.
 READY, OFFLINE = "ready", "offline"
 #: Who answers on `status`: rsi_gateway, in JSON, or a bare PLC, in those two words.
@@ -82,7 +84,7 @@ class Topics:
 
     @property
     def review(self) -> str:
-        """Verdicts on the plan."""
+        """Verdicts on the plan, on a broker without accounts; see `review_by`."""
         return self._topic("review")
 
     @property
@@ -105,9 +107,67 @@ class Topics:
         """The state of everything, for programs that show it."""
         return self._topic("view")
 
+    @property
+    def stop_ack(self) -> str:
+        """Answers to stops: the gateway's, and the executor's."""
+        return self._topic("stop/ack")
+
+    @property
+    def pause_ack(self) -> str:
+        """Answers to `pause` and `resume`."""
+        return self._topic("pause/ack")
+
+    def review_by(self, account: str) -> str:
+        """Verdicts of one account; ``+`` for any."""
+        return self._topic(f"review/{account}")
+
+    def stop_by(self, account: str) -> str:
+        """Stops of one account; ``+`` for any."""
+        return self._topic(f"stop/{account}")
+
+    def pause_by(self, account: str) -> str:
+        """Pauses of one account; ``+`` for any."""
+        return self._topic(f"pause/{account}")
+
+    def resume_by(self, account: str) -> str:
+        """Ends of pauses of one account; ``+`` for any."""
+        return self._topic(f"resume/{account}")
+
     def trajectory_from(self, account: str) -> str:
         """Motions that were planned elsewhere, from one account; ``+`` for any."""
         return self._topic(f"trajectory/from/{account}")
+
+    @property
+    def screen(self) -> str:
+        """The status line for a foreman."""
+        return self._topic("screen")
+
+    @property
+    def scene(self) -> str:
+        """What the arm must not touch, retained."""
+        return self._topic("scene")
+
+    @property
+    def work_tasks(self) -> str:
+        """The tasks of the building model, retained."""
+        return self._topic("work/tasks")
+
+    @property
+    def plan_request_ack(self) -> str:
+        """Answers to wishes for plans."""
+        return self._topic("plan_request/ack")
+
+    def plan_request(self, account: str) -> str:
+        """Wishes for plans of one account; ``+`` for any, and then the answers' topic too."""
+        return self._topic(f"plan_request/{account}")
+
+    def ik(self, account: str) -> str:
+        """Poses that one account drags; ``+`` for any."""
+        return self._topic(f"ik/{account}")
+
+    def ik_ack(self, account: str) -> str:
+        """Joint values for them."""
+        return self._topic(f"ik/ack/{account}")
 
 
 @dataclass(frozen=True)
@@ -223,7 +283,7 @@ def parse_control(payload: bytes) -> Control:
             "control",
             f"control message with keys {[key[:32] for key in sorted(document)[:8]]}; expected id, session, verb and value",
         )
-    if not all(_is_short_text(document[key]) for key in ("id", "session", "verb")):
+    if not all(is_short_text(document[key]) for key in ("id", "session", "verb")):
         raise PayloadError("control", "control message whose id, session or verb is not a short text in one line")
     return Control(**document)
 
@@ -240,7 +300,7 @@ def parse_status(payload: bytes) -> dict:
         raise PayloadError(
             "status", f"status message {payload[:80]!r} whose state or reply_us is not what the interface says"
         )
-    if not _is_short_text(status.get("run", "")):
+    if not is_short_text(status.get("run", "")):
         raise PayloadError("status", "status message whose run is not a short text in one line")
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
@@ -265,7 +325,27 @@ def parse_presence(payload: bytes) -> dict:
     return parse_status(payload) | {"kind": RSI}
 
 
-def _is_short_text(value: object) -> bool:
+def account_of(topic: str) -> str:
+    """Return the account in a topic whose last level it is, such as `stop/<account>`; "" where the level is ``ack``.
+
+    Answers have the form of such a topic, so who subscribes to ``stop/+`` hears them too.
+
+    Raises
+    ------
+    PayloadError
+        ``sender``: no account is called so.
+    """
+    account = topic.rpartition("/")[2]
+    if not _ACCOUNT.fullmatch(account):
+        raise PayloadError(
+            "sender",
+            f"a message on {topic[-80:]!r}; expected an account's name at its end: up to 100 letters, digits, - and _",
+        )
+    return "" if account == "ack" else account
+
+
+def is_short_text(value: object) -> bool:
+    """Return whether a value is a text of at most 64 characters in one line."""
     # printable, because it is shown to people: in the status, in answers, in a log
     return isinstance(value, str) and len(value) <= 64 and value.isprintable()
 

@@ -19,9 +19,13 @@ from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.planner import Clock, Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
+from construction_twin.planning.way_back import WAY_BACK, way_back
 from construction_twin.planning.waypoints import Waypoints, plan_waypoints, retime_waypoints
+from construction_twin.planning.work_plan import AskedSegment, plan_work
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
+from construction_twin.robot.segments import Signal
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.neighbour import Obstacle
@@ -182,6 +186,38 @@ class PlanningPipeline:
                 return replace(plan, retimed=str(error))
 
         return self._in_scene(checked)
+
+    def work(self, task: str, segments: Sequence[AskedSegment], present: JointValues, request: PlanRequest) -> Plan:
+        """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""
+        bounds = self._settings.bounds
+        return self._in_scene(
+            lambda world: plan_work(task, segments, present, request, world, bounds, self._clock)
+        )  # fmt: skip
+
+    def way_back(
+        self, task: str, path: ExecutedPath, requires: tuple[Signal, ...], present: JointValues, request: PlanRequest
+    ) -> Plan:
+        """Plan the way back along an executed path, as a work plan of one engaged segment; see `way_back.way_back`.
+
+        Parameters
+        ----------
+        task : str
+            Of the work plan that was being executed.
+        path : ExecutedPath
+        requires : tuple of Signal
+            What the tool's inputs must read on the way.
+        present : sequence of float, length n
+            The arm's pose.
+        request : PlanRequest
+        """
+
+        def make(world: CollisionWorld) -> Plan:
+            motion = way_back(path, present, self._robot)
+            segment = AskedSegment(WAY_BACK, motion, True, requires)
+            bounds = self._settings.bounds
+            return plan_work(task, [segment], present, request, world, bounds, self._clock, WAY_BACK)
+
+        return self._in_scene(make)
 
     def _scales(self, request: PlanRequest) -> tuple[float, float | None]:
         speed_scale = self._settings.speed_scale if request.speed_scale is None else request.speed_scale

@@ -22,7 +22,8 @@ from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.search import find_path, planner_kinds
 from construction_twin.planning.timing import time_path, with_midpoints
 from construction_twin.robot.description import JointValues, RobotModel
-from construction_twin.robot.plan import Plan, PlanReport
+from construction_twin.robot.plan import Plan, PlanReport, content_hash
+from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 
@@ -116,7 +117,14 @@ class PlanRequest:
     waypoints: int | None = None
 
     def plan(
-        self, planner: str, planning_time: float, trajectory: Trajectory, measured: PlanReport, scene: str
+        self,
+        planner: str,
+        planning_time: float,
+        trajectory: Trajectory,
+        measured: PlanReport,
+        scene: str,
+        task: str = "",
+        segments: tuple[Segment, ...] = (),
     ) -> Plan:
         """Return the plan that answers this request.
 
@@ -130,10 +138,13 @@ class PlanRequest:
         measured : PlanReport
         scene : str
             Hash of the scene it was checked against.
+        task : str, optional
+        segments : tuple of Segment, optional
+            Of a work plan.
         """
         return Plan(
             id=self.plan_id,
-            hash=trajectory.content_hash(),
+            hash=content_hash(trajectory, task, segments),
             source=self.source,
             planner=planner,
             scene=scene,
@@ -141,6 +152,8 @@ class PlanRequest:
             planning_time=planning_time,
             trajectory=trajectory,
             report=measured,
+            task=task,
+            segments=segments,
         )
 
 

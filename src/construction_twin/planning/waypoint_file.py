@@ -142,7 +142,10 @@ def format_waypoints(
 
 def format_plan(plan: Plan, linear: Iterable[bool], degrees: bool = False) -> str:
     """Return a plan as a CSV file; comments before the names say which plan it was. See `format_waypoints`."""
-    comments = (f"plan {plan.id} for {plan.source}, made by {plan.planner}", f"hash {plan.hash}", f"scene {plan.scene}")
+    comments = [f"plan {plan.id} for {plan.source}, made by {plan.planner}", f"hash {plan.hash}", f"scene {plan.scene}"]
+    if plan.segments:
+        comments.append(f"task {plan.task}, the path alone: of its segments the file has no switch and no scene")
+        comments += [f"segment {segment.name!r} ends at {segment.end!r} s" for segment in plan.segments]
     return format_waypoints(plan.trajectory, linear, comments, degrees)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.robot.plan import Plan
+from construction_twin.robot.plan import Plan, content_hash
 
 APPROVED, REJECTED, REFUSED, WITHDRAWN = "approved", "rejected", "refused", "withdrawn"
 #: The reviewer where no person decides: a plan is withdrawn because something that it depends on has changed.
@@ -52,8 +52,20 @@ class Ending:
 
 def prove_hash(plan: Plan) -> None:
     """Raise ReviewError when a plan's trajectory is not what its hash says. Too slow for the cycle's lock."""
-    if plan.trajectory.content_hash() != plan.hash:
+    if content_hash(plan.trajectory, plan.task, plan.segments) != plan.hash:
         raise ReviewError(f"plan {plan.id} is no longer what its hash {plan.hash} says; plan again")
+
+
+def _check_rests(plan: Plan) -> None:
+    """Raise ReviewError when a work plan does not rest at the end of each segment: there it stands for as long as it takes."""
+    trajectory = plan.trajectory
+    for segment in plan.segments:
+        row = int(trajectory.times.searchsorted(segment.end))
+        where = f"plan {plan.id} does not rest at the end of segment {segment.name!r}, {segment.end} s"
+        if row == len(trajectory.times) or trajectory.times[row] != segment.end:
+            raise ReviewError(f"{where}, where it has no waypoint; plan again")
+        if trajectory.velocities[row].any() or trajectory.accelerations[row].any():
+            raise ReviewError(f"{where}; plan again")
 
 
 class ReviewQueue:
@@ -84,12 +96,13 @@ class ReviewQueue:
         Raises
         ------
         ReviewError
-            When it does not start and end at rest, or was asked for before the queue was last voided. (That a plan's hash is that
-            of its content is the Plan's own matter.)
+            When it, or one of its segments, does not start and end at rest, or was asked for before the queue was last voided.
+            (That a plan's hash is that of its content is the Plan's own matter.)
         """
         trajectory = plan.trajectory
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
             raise ReviewError(f"plan {plan.id} does not start and end at rest; plan again")
+        _check_rests(plan)
         if plan.id in self._decided or (self.plan is not None and self.plan.id == plan.id):
             return None
         if plan.created_ns < self._void_before:

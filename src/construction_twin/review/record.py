@@ -8,66 +8,22 @@ Durations in s, distances in m.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import fcntl
-import hashlib
 import json
 import math
-import os
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.review.chained_file import ChainedFile, LogState, read_whole, verify
 from construction_twin.review.queue import APPROVED, Ending, Verdict
 from construction_twin.robot.plan import Plan
 
-#: `previous` of the first line.
-BEGIN = "0" * 64
 #: Records that are kept while the file cannot be written; what comes then is counted, and the number is recorded later.
 KEPT = 1000
-
-
-@dataclass(frozen=True)
-class LogState:
-    """Number of lines of a review file, and the SHA-256 (hex) of the last one; `BEGIN` without lines."""
-
-    lines: int = 0
-    head: str = BEGIN
-
-
-def verify(path: str | Path) -> LogState:
-    """Check a review file from its first line to its last.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    state : LogState
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the first line that is not what it was when it was written, or a file that cannot be read.
-    """
-    content = _read(Path(path))
-    lines = content.split(b"\n")
-    if lines.pop():
-        raise ConfigurationError(
-            f"{path} line {len(lines) + 1}", "a line without an end", "complete lines; the file was cut"
-        )
-    hashes = [BEGIN]
-    for number, line in enumerate(lines, start=1):
-        _check_line(path, number, line, hashes[-1])
-        hashes.append(hashlib.sha256(line).hexdigest())
-    return LogState(len(lines), hashes[-1])
 
 
 @dataclass(frozen=True)
@@ -88,8 +44,29 @@ class Responsibility:
     not_checked: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Release:
+    """A person has freed an arm that was engaged, and says how.
+
+    Attributes
+    ----------
+    person, reason : str
+    plan, task, segment : str
+        Where it was left.
+    refused : str
+        Why it stays engaged after all; empty: it does not.
+    """
+
+    person: str
+    reason: str
+    plan: str
+    task: str
+    segment: str
+    refused: str = ""
+
+
 #: What is recorded.
-Record = Verdict | Ending | Responsibility
+Record = Verdict | Ending | Responsibility | Release
 
 
 @dataclass(frozen=True)
@@ -99,6 +76,50 @@ class _Deferred:
     time: int
     record: Record
     responsibility: Responsibility | None
+
+
+@dataclass(frozen=True)
+class Fate:
+    """What the record says of one plan.
+
+    Attributes
+    ----------
+    plan : str
+        Its id; empty: the record has none that fits.
+    approved : bool or None
+        None: the record cannot be read.
+    outcome : str
+        Of its execution; empty: none is recorded.
+    """
+
+    plan: str
+    approved: bool | None
+    outcome: str = ""
+
+
+def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
+    """Return what a review file, which another process may be writing, says of a plan.
+
+    Parameters
+    ----------
+    path : str or Path
+    plan_id : str
+        Empty: the plan is known by its source alone.
+    source : str, optional
+        Part of the plan's source; empty: its id must fit.
+    """
+    try:
+        lines = read_whole(Path(path)).split(b"\n")[:-1]
+        found = Fate(plan_id, False)
+        for fields in map(json.loads, lines):
+            named = fields.get("plan", "")
+            if (plan_id and named == plan_id) or (source and source in fields.get("source", "")):
+                plan_id = plan_id or named
+                approved = bool(found.approved) or fields.get("verdict") == APPROVED
+                found = Fate(named, approved, fields.get("outcome", "") or found.outcome)
+    except (ConfigurationError, ValueError, AttributeError, TypeError):
+        return Fate(plan_id, None)
+    return found
 
 
 class ReviewLog:
@@ -138,10 +159,8 @@ class ReviewLog:
         self.responsibility: Responsibility | None = None
         # `defer` counts the one, `flush` the other: they are called from two threads
         self.lost = self._told = 0
-        self._file = _open(self.path)
+        self._file = ChainedFile(self.path, RecordError, "executor")
         try:
-            self._state = verify(self.path)
-            self._size = os.fstat(self._file).st_size
             self._end_interrupted()
         except ConstructionTwinError:
             self.close()
@@ -150,7 +169,7 @@ class ReviewLog:
     @property
     def state(self) -> LogState:
         """Number of lines, and the hash of the last one."""
-        return self._state
+        return self._file.state
 
     def defer(self, record: Record) -> None:
         """Keep a record for the next `flush`, with the present time; does not touch the disk."""
@@ -171,12 +190,12 @@ class ReviewLog:
         with self._lock:
             while self._deferred:
                 first = self._deferred[0]
-                self._append(first.time, _fields(first.record, first.responsibility))
+                self._file.append(first.time, _fields(first.record, first.responsibility))
                 self._deferred.popleft()
             number = self.lost - self._told
             if number:
                 reason = f"the file could not be written, and {KEPT} records waited already"
-                self._append(self._clock(), {"record": "gap", "lost": number, "reason": reason})
+                self._file.append(self._clock(), {"record": "gap", "lost": number, "reason": reason})
                 self._told += number
 
     def append(self, record: Record) -> None:
@@ -189,15 +208,15 @@ class ReviewLog:
         """
         self.flush()
         with self._lock:
-            self._append(self._clock(), _fields(record, self.responsibility))
+            self._file.append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
         """Let go of the file."""
-        os.close(self._file)
+        self._file.close()
 
     def _end_interrupted(self) -> None:
         """Record the end of an execution whose executor ended first: a restarted one never goes on with it."""
-        last = _execution_without_end(_read(self.path))
+        last = _execution_without_end(read_whole(self.path))
         if last is not None:
             reason = "the executor ended before the execution did"
             fields = {
@@ -206,40 +225,7 @@ class ReviewLog:
                 "plan": last["plan"],
                 "trajectory": last["trajectory"],
             }
-            self._append(self._clock(), fields | {"scene": last["scene"], "reason": reason})
-
-    def _append(self, now: int, fields: dict) -> None:
-        fields = {"time": iso_time(now), "time_ns": now} | fields | {"previous": self._state.head}
-        line = json.dumps(fields, allow_nan=False).encode()
-        state = LogState(self._state.lines + 1, hashlib.sha256(line).hexdigest())
-        self._check_untouched()
-        self._write(line + b"\n")
-        self._state = state
-
-    def _check_untouched(self) -> None:
-        """The file must be the one that was verified: not removed, replaced, cut or written to by another process."""
-        try:
-            there, here = os.stat(self.path), os.fstat(self._file)
-        except OSError as error:
-            raise RecordError(str(self.path), f"the file is gone ({error})") from error
-        if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            raise RecordError(str(self.path), "the file was replaced by another")
-        if here.st_size != self._size:
-            raise RecordError(
-                str(self.path), f"the file has {here.st_size} bytes, not {self._size}: another process wrote to it"
-            )
-
-    def _write(self, data: bytes) -> None:
-        try:
-            written = os.write(self._file, data)
-            if written != len(data):
-                raise OSError(f"only {written} of {len(data)} bytes could be written")
-            os.fsync(self._file)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._file, self._size)
-            raise RecordError(str(self.path), str(error)) from error
-        self._size += len(data)
+            self._file.append(self._clock(), fields | {"scene": last["scene"], "reason": reason})
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -262,6 +248,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _fields(record: Record, responsibility: Responsibility | None) -> dict:
     if isinstance(record, Responsibility):
         return {"record": "responsibility", "session": record.session} | _responsibility_fields(record)
+    if isinstance(record, Release):
+        return {"record": "release"} | asdict(record)
     if isinstance(record, Ending):
         named = {
             "record": "execution",
@@ -269,7 +257,7 @@ def _fields(record: Record, responsibility: Responsibility | None) -> dict:
             "plan": record.plan.id,
             "trajectory": record.plan.hash,
         }
-        return named | {"scene": record.plan.scene, "reason": record.reason}
+        return named | _task_fields(record.plan) | {"scene": record.plan.scene, "reason": record.reason}
     trajectory = record.plan_hash if record.plan is None else record.plan.hash
     named = {"record": "verdict", "verdict": record.verdict, "plan": record.plan_id, "trajectory": trajectory}
     named |= {"reviewer": record.reviewer, "reason": record.reason}
@@ -288,7 +276,7 @@ def _plan_fields(plan: Plan | None) -> dict:
     if plan is None:
         return {}
     clearance = plan.report.clearance
-    return {
+    return _task_fields(plan) | {
         "scene": plan.scene,
         "source": plan.source,
         "planner": plan.planner,
@@ -297,6 +285,16 @@ def _plan_fields(plan: Plan | None) -> dict:
         "clearance_between": list(clearance.between),
         "clearance_time": _number(clearance.time),
     }
+
+
+def _task_fields(plan: Plan) -> dict:
+    """Return the task of a work plan and its segments by name; nothing of any other plan.
+
+    The approved hash, under ``trajectory``, covers both, with the segments' switches and scenes.
+    """
+    if not (plan.task or plan.segments):
+        return {}
+    return {"task": plan.task, "segments": [segment.name for segment in plan.segments]}
 
 
 def _number(value: float) -> float | None:
@@ -313,45 +311,3 @@ def _execution_without_end(content: bytes) -> dict | None:
         elif last is not None and fields.get("record") == "execution" and fields.get("plan") == last["plan"]:
             last = None
     return last
-
-
-def iso_time(now: int) -> str:
-    """Return a time since 1970 [ns] in ISO 8601, UTC, with all nine decimals."""
-    seconds, nanoseconds = divmod(now, NANOSECONDS)
-    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
-
-
-# -- files
-
-
-def _open(path: Path) -> int:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
-    except OSError as error:
-        raise ConfigurationError(str(path), str(error), "a file that can be written") from error
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(file)
-        raise ConfigurationError(str(path), str(error), "a file that no other executor writes") from error
-    return file
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ConfigurationError(str(path), str(error), "a readable review file") from error
-
-
-def _check_line(path: str | Path, number: int, line: bytes, previous: str) -> None:
-    where = f"{path} line {number}"
-    try:
-        fields = json.loads(line)
-    except ValueError as error:
-        raise ConfigurationError(where, line[:80].decode(errors="replace"), f"a JSON object ({error})") from error
-    found = fields.get("previous") if isinstance(fields, dict) else None
-    if found != previous:
-        before = f"line {number - 1}" if number > 1 else "the beginning"
-        raise ConfigurationError(where, found, f"{previous}, the hash of {before}; one of the two was changed or moved")

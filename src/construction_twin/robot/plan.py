@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.segments import Segment, check_segments, segments_hash
 from construction_twin.robot.trajectory import Trajectory
 
 
@@ -73,7 +74,7 @@ class Plan:
     id : str
         Unique id.
     hash : str
-        The trajectory's `content_hash`.
+        The trajectory's `content_hash`; of a work plan: `segments_hash`.
     source : str
         Name of the requester.
     planner : str
@@ -88,11 +89,15 @@ class Plan:
     report : PlanReport
     retimed : str, optional
         Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
+    task : str, optional
+        Id of the task that a work plan carries out.
+    segments : tuple of Segment, optional
+        Of a work plan; empty: the trajectory is one motion in one scene.
 
     Raises
     ------
     TrajectoryError
-        If `id` is empty or `hash` is not the trajectory's.
+        If `id` is empty, `hash` is not that of the content, or the segments do not fit trajectory and scene.
     """
 
     id: str
@@ -105,10 +110,19 @@ class Plan:
     trajectory: Trajectory
     report: PlanReport
     retimed: str = ""
+    task: str = ""
+    segments: tuple[Segment, ...] = ()
 
     def __post_init__(self):
         if not self.id:
             raise TrajectoryError("a plan has an empty id; expected a unique one")
-        found = self.trajectory.content_hash()
+        check_segments(self.id, self.scene, self.trajectory.duration, self.segments)
+        found = content_hash(self.trajectory, self.task, self.segments)
         if self.hash != found:
-            raise TrajectoryError(f"plan {self.id} has hash {self.hash!r}, its waypoints have {found}; plan it again")
+            raise TrajectoryError(f"plan {self.id} has hash {self.hash!r}, its content has {found}; plan it again")
+
+
+def content_hash(trajectory: Trajectory, task: str = "", segments: tuple[Segment, ...] = ()) -> str:
+    """Return the hash that a plan's approval covers: of the trajectory, and of a work plan's task and segments."""
+    found = trajectory.content_hash()
+    return segments_hash(found, task, segments) if segments or task else found

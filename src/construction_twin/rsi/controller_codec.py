@@ -6,7 +6,8 @@ Rad and m on this side, degrees and millimetres on the other, as in `gateway_cod
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError, TelegramError
@@ -24,6 +25,7 @@ from construction_twin.rsi.telegram import (
     read_ipoc,
     read_number,
 )
+from construction_twin.rsi.tool_channels import SET, grouped, is_signal, signal_texts
 
 #: Blocks of a packet that hold an axis each, with the axes in them.
 AXIS_BLOCKS = {"AIPos": ROBOT_AXES, "ASPos": ROBOT_AXES, "EIPos": EXTERNAL_AXES, "ESPos": EXTERNAL_AXES}
@@ -49,7 +51,7 @@ class RobotEncoder:
         Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
     send : tuple of str, optional
         Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay. The channels of
-        `status_channels` may be among them.
+        `status_channels` and of a tool may be among them.
     units : tuple of AxisUnit, length n, optional
         Default: every axis is revolute, and in the controller's own units.
 
@@ -71,11 +73,14 @@ class RobotEncoder:
             raise ConfigurationError("precision", precision, "1 to 32 decimals")
         self._count = len(axes)
         self._units = [(unit.feedback_factor, unit.zero) for unit in axis_units(axes, units)]
+        blocks = grouped(send)
         self._blocks = [
-            (name, [axes.index(a) if a in axes else None for a in AXIS_BLOCKS.get(name, ())]) for name in send
+            (tags[0], [axes.index(a) if a in axes else None for a in AXIS_BLOCKS.get(tags[0], ())]) for tags in blocks
         ]
         self._status = {tag: _STATUS_VALUES[tag.partition(".")[0]] for tag in status_channels(send)}
-        elements = "".join(_block(name, precision) for name in send)
+        #: TAGs of a tool by the first one of their element.
+        self._signals = {tags[0]: tags for tags in blocks if is_signal(tags[0])}
+        elements = "".join(_block(tags, precision) for tags in blocks)
         self._template = f'<Rob Type="KUKA">{elements}<IPOC>%d</IPOC></Rob>'.encode()
         zero = f"{0:.{precision}f}".encode()
         self._negative_zero, self._zero = b'"-' + zero + b'"', b'"' + zero + b'"'
@@ -89,6 +94,7 @@ class RobotEncoder:
         setpoint_pose: Sequence[float],
         delay: int,
         status: ControllerStatus = _NO_STATUS,
+        signals: Mapping[str, bool] = MappingProxyType({}),
     ) -> bytes:
         """Write one packet.
 
@@ -104,6 +110,8 @@ class RobotEncoder:
             Cycles without a valid reply.
         status : ControllerStatus, optional
             For the optional channels; what is not known is sent as 0.
+        signals : mapping of str to bool, optional
+            Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``; what is not there is sent as 0.
 
         Returns
         -------
@@ -128,6 +136,8 @@ class RobotEncoder:
                 values.append(delay)
             elif name in self._status:
                 values.append(self._status[name](status) or 0)
+            elif name in self._signals:
+                values.extend(signal_texts(self._signals[name], signals))
             else:
                 values.extend(0.0 if slot is None else axes[name[1]][slot] for slot in slots)
         return (self._template % (*values, ipoc)).replace(self._negative_zero, self._zero)
@@ -151,6 +161,8 @@ class SensorDecoder:
         Default: every axis is revolute, and in the controller's own units.
     stop_required : bool, optional
         False: a declared `Stop` may be missing.
+    switched : tuple of str, optional
+        Channels of a tool, see `RsiLayout`; all of them must be there.
     """
 
     def __init__(
@@ -160,7 +172,9 @@ class SensorDecoder:
         receive: tuple[str, ...] = (),
         units: tuple[AxisUnit, ...] = (),
         stop_required: bool = True,
+        switched: tuple[str, ...] = (),
     ):
+        self._switched = switched
         self._stop_required = STOP in receive and stop_required
         self._stop_ignored = bool(receive) and STOP not in receive
         receive = correction_channels(axes, receive)
@@ -168,7 +182,9 @@ class SensorDecoder:
         self._sentype = sentype
         self._slots = [(element_of[axis], axis) for axis in axes]
         self._factors = [unit.correction_reading_factor for unit in axis_units(axes, units)]
-        self._wanted = frozenset((*(element for element, _ in self._slots), STOP, "IPOC"))
+        self._wanted = frozenset(
+            (*(element for element, _ in self._slots), STOP, "IPOC", *((SET,) if switched else ()))
+        )
 
     def parse(self, data: bytes) -> SensorTelegram:
         """Read a reply.
@@ -199,7 +215,19 @@ class SensorDecoder:
                 raise TelegramError("element", f"the reply has no {element} element")
         values = [read_number(found[element], axis) for element, axis in self._slots]
         correction = tuple([value * factor for value, factor in zip(values, self._factors)])
-        return SensorTelegram(read_ipoc(found), correction, self._stop(found.get(STOP)))
+        switched = self._switches(found.get(SET)) if self._switched else ()
+        return SensorTelegram(read_ipoc(found), correction, self._stop(found.get(STOP)), switched)
+
+    def _switches(self, element: ElementTree.Element | None) -> tuple[bool, ...]:
+        if element is None:
+            raise TelegramError("element", f"the reply has no {SET} element")
+        texts = [element.get(name) for name in self._switched]
+        for name, text in zip(self._switched, texts):
+            if text is None:
+                raise TelegramError("attribute", f"{SET} has no {name}")
+            if text not in ("0", "1"):
+                raise TelegramError("number", f"{SET} {name} is {text[:32]!r}; expected 0 or 1")
+        return tuple([text == "1" for text in texts])
 
     def _stop(self, element: ElementTree.Element | None) -> bool | None:
         if element is None and self._stop_required:
@@ -216,7 +244,11 @@ def parse_sensor(data: bytes, sentype: str, axes: tuple[str, ...]) -> SensorTele
     return SensorDecoder(sentype, axes).parse(data)
 
 
-def _block(name: str, precision: int) -> str:
+def _block(tags: tuple[str, ...], precision: int) -> str:
+    name = tags[0]
+    if is_signal(name):
+        attributes = " ".join(f'{tag.partition(".")[2]}="%d"' for tag in tags)
+        return f"<{name.partition('.')[0]} {attributes}/>"
     if name in POSE_BLOCKS:
         return f"<{name} {attribute_template(('X', 'Y', 'Z', 'A', 'B', 'C'), precision)}/>"
     if name in AXIS_BLOCKS:
@@ -226,7 +258,8 @@ def _block(name: str, precision: int) -> str:
     if status_channels((name,)):
         element, _, attribute = name.partition(".")
         return f'<{element} {attribute}="%g"/>' if attribute else f"<{element}>%g</{element}>"
-    raise ConfigurationError("SEND", name, f"one of {', '.join((*POSE_BLOCKS, *AXIS_BLOCKS, 'Delay', *NAMES))}")
+    known = (*POSE_BLOCKS, *AXIS_BLOCKS, "Delay", *NAMES, "Out.<output>", "In.<input>")
+    raise ConfigurationError("SEND", name, f"one of {', '.join(known)}")
 
 
 def _pose_on_wire(pose: Sequence[float]) -> tuple[float, ...]:

@@ -22,6 +22,7 @@ from xml.etree import ElementTree
 from construction_twin.core.errors import EthernetXmlError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
 from construction_twin.rsi.status_channels import doubled_channel
+from construction_twin.rsi.tool_channels import ENABLE, IN, OUT, SET, is_set_channel, names_of
 
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024
@@ -116,7 +117,12 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
         _check_internal(element, where)
     for element in receive:
         _check_channel(element, where)
-    filled = [element for element in receive if not (element.type == "BOOL" and _OUTPUT(element.tag))]
+    switched = [element for element in receive if is_set_channel(element.tag)]
+    filled = [
+        element
+        for element in receive
+        if element not in switched and not (element.type == "BOOL" and _OUTPUT(element.tag))
+    ]
     layout = RsiLayout(
         sentype=sentype,
         port=_port(config, where),
@@ -124,7 +130,9 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
         send=tuple(element.tag.removeprefix("DEF_") for element in send),
         receive=tuple(element.tag for element in filled),
         holdon=tuple(element.holdon == "1" for element in filled),
-        not_filled=tuple(element.tag for element in receive if element not in filled),
+        not_filled=tuple(element.tag for element in receive if element not in filled and element not in switched),
+        switched=tuple(element.tag.removeprefix(f"{SET}.") for element in switched),
+        switched_holdon=tuple(element.holdon == "1" for element in switched),
     )
     return EthernetXml(where, _address(config, where), layout, text)
 
@@ -153,8 +161,8 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
             continue
         if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
             expected = (
-                "axis corrections (e.g. AK.A1), Stop and outputs of type BOOL (Out.01) only: no other channel is filled; "
-                "remove it from the file"
+                "axis corrections (e.g. AK.A1), Stop, a tool's outputs (Set.Enable and e.g. Set.vacuum) and outputs of type BOOL "
+                "(Out.01) only: no other channel is filled; remove it from the file"
             )
             raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
         if axis in elements:
@@ -205,6 +213,32 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
         if channel != STOP and not holdon and not layout.onlysend:
             expected = '"1": with "0" one missed reply commands a jump back to the start pose'
             raise EthernetXmlError(where, f"RECEIVE {channel} HOLDON", "0", expected)
+    _check_switched(layout, where)
+
+
+def _check_switched(layout: RsiLayout, where: str) -> None:
+    """Refuse channels by which a tool's outputs could be changed before they are known, or unseen."""
+    holdon = dict(zip(layout.switched, layout.switched_holdon))
+    if not holdon:
+        return
+    if not holdon.get(ENABLE, False):
+        expected = (
+            '"1"' if ENABLE in holdon else f'TAG="{SET}.{ENABLE}" TYPE="BOOL" HOLDON="1"'
+        ) + ": until it is 1 the RSI context leaves the outputs as they are; without it RSI_ON itself may open a grip"
+        raise EthernetXmlError(where, f"RECEIVE {SET}.{ENABLE}", "HOLDON 0" if ENABLE in holdon else None, expected)
+    read_back = names_of(OUT, layout.send)
+    for name in layout.switched:
+        if name != ENABLE and name not in read_back:
+            expected = (
+                f'TAG="{OUT}.{name}" in SEND, the output as DIGOUT reads it: what is not read back is not switched'
+            )
+            raise EthernetXmlError(where, f"RECEIVE {SET}.{name}", None, expected)
+
+
+def tool_channels(layout: RsiLayout) -> tuple[str, ...]:
+    """Return the TAGs of a tool that an Ethernet XML declares; none: a context without hands."""
+    sent = (f"{element}.{name}" for element in (OUT, IN) for name in names_of(element, layout.send))
+    return (*(f"{SET}.{name}" for name in layout.switched), *sent)
 
 
 def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
@@ -336,7 +370,11 @@ def _check_channel(element: _Element, where: str) -> None:
         raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
     axis = element.tag.partition(".")[2]
     expected = (
-        "DOUBLE" if axis in ROBOT_AXES or axis in EXTERNAL_AXES else "BOOL" if element.tag == STOP else element.type
+        "DOUBLE"
+        if axis in ROBOT_AXES or axis in EXTERNAL_AXES
+        else "BOOL"
+        if element.tag == STOP or is_set_channel(element.tag)
+        else element.type
     )
     if element.type != expected:
         raise EthernetXmlError(where, f"{place} TYPE", element.type, expected)

@@ -11,6 +11,7 @@ The reasons of a refusal are listed in `telegram`; the other side of both is `co
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from construction_twin.core.errors import TelegramError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, parse_sensor
@@ -35,6 +36,7 @@ from construction_twin.rsi.telegram import (
     without_declaration,
 )
 from construction_twin.rsi.telegram_cache import TelegramShape, is_count
+from construction_twin.rsi.tool_channels import set_element
 
 __all__ = [
     "CORRECTION_DECIMALS", "MAX_TELEGRAM", "RobotDecoder", "RobotEncoder", "RobotTelegram", "SensorDecoder", "SensorEncoder",
@@ -179,6 +181,8 @@ class SensorEncoder:
         Channels in the order of the Ethernet XML, see `RsiLayout`; default: `AK` and `EK`, no `Stop`.
     units : tuple of AxisUnit, length n, optional
         Default: every axis is revolute, and in the controller's own units.
+    switched : tuple of str, optional
+        Channels of a tool, see `RsiLayout`.
 
     Raises
     ------
@@ -187,7 +191,12 @@ class SensorEncoder:
     """
 
     def __init__(
-        self, sentype: str, axes: tuple[str, ...], receive: tuple[str, ...] = (), units: tuple[AxisUnit, ...] = ()
+        self,
+        sentype: str,
+        axes: tuple[str, ...],
+        receive: tuple[str, ...] = (),
+        units: tuple[AxisUnit, ...] = (),
+        switched: tuple[str, ...] = (),
     ):
         receive = correction_channels(axes, receive)
         check_names("SENTYPE", (sentype,))
@@ -196,18 +205,26 @@ class SensorEncoder:
         factors = [unit.correction_factor for unit in axis_units(axes, units)]
         #: Per number in a reply: index of the axis, and wire units per rad or m.
         self.order = tuple((index, factors[index]) for index in order)
-        self._templates = {stop: _reply(sentype, receive, stop) for stop in (None, False, True)}
+        self._make = partial(_reply, sentype, receive, switched)
+        #: By what `Stop` says and what a tool's outputs shall be; () leaves them alone.
+        self._templates: dict[tuple[bool | None, tuple[bool, ...]], bytes] = {}
+        self._plain = {stop: self.template(stop) for stop in (None, False, True)}
 
     @classmethod
     def of(cls, layout: RsiLayout, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()) -> SensorEncoder:
         """Return the encoder for an Ethernet XML's replies."""
-        return cls(layout.sentype, axes, layout.receive, units)
+        return cls(layout.sentype, axes, layout.receive, units, layout.switched)
 
-    def template(self, stop: bool | None) -> bytes:
+    def template(self, stop: bool | None, switched: tuple[bool, ...] = ()) -> bytes:
         """Return the %-template of a reply; it takes the numbers of `order`, and IPOC."""
-        return self._templates[stop]
+        key = stop, switched
+        if key not in self._templates:
+            self._templates[key] = self._make(switched, stop)
+        return self._templates[key]
 
-    def encode(self, correction: Sequence[float], ipoc: int, stop: bool | None = None) -> bytes:
+    def encode(
+        self, correction: Sequence[float], ipoc: int, stop: bool | None = None, switched: tuple[bool, ...] = ()
+    ) -> bytes:
         """Write one reply.
 
         Parameters
@@ -218,6 +235,8 @@ class SensorEncoder:
             IPOC of the packet being answered.
         stop : bool, optional
             Content of the `Stop` element. Default None: 0 where the element is declared, else no element.
+        switched : tuple of bool, optional
+            Channels of a tool, one per name of `RsiLayout.switched`. Default: all 0, which leaves its outputs alone.
 
         Returns
         -------
@@ -231,7 +250,8 @@ class SensorEncoder:
         """
         check_values("correction", correction, self._count)
         values = [correction[index] * factor for index, factor in self.order]
-        return (self._templates[stop] % (*values, ipoc)).replace(b'"-0.000000"', b'"0.000000"')
+        template = self.template(stop, switched) if switched else self._plain[stop]
+        return (template % (*values, ipoc)).replace(b'"-0.000000"', b'"0.000000"')
 
 
 def parse_robot(data: bytes, axes: tuple[str, ...]) -> RobotTelegram:
@@ -239,7 +259,9 @@ def parse_robot(data: bytes, axes: tuple[str, ...]) -> RobotTelegram:
     return RobotDecoder(axes).parse(data)
 
 
-def _reply(sentype: str, receive: tuple[str, ...], stop: bool | None) -> bytes:
+def _reply(
+    sentype: str, receive: tuple[str, ...], names: tuple[str, ...], switched: tuple[bool, ...], stop: bool | None
+) -> bytes:
     """Return the template of a reply; the channels of one element stand together, where its first channel does."""
     elements: dict[str, list[str]] = {}
     if stop is not None and STOP not in receive:
@@ -252,4 +274,4 @@ def _reply(sentype: str, receive: tuple[str, ...], stop: bool | None) -> bytes:
         flag if name == STOP else f"<{name} {attribute_template(axes, CORRECTION_DECIMALS)}/>"
         for name, axes in elements.items()
     )
-    return f'<Sen Type="{sentype}">{body}<IPOC>%d</IPOC></Sen>'.encode()
+    return f'<Sen Type="{sentype}">{body}{set_element(names, switched)}<IPOC>%d</IPOC></Sen>'.encode()

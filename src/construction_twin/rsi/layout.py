@@ -37,6 +37,10 @@ class RsiLayout:
         Per channel of `receive`: True keeps the last value when a reply is missed, False falls to 0.
     not_filled : tuple of str
         Digital outputs that the file declares, e.g. ``Out.01``; no reply carries them, so they stay as they are at RSI's start.
+    switched : tuple of str
+        Channels of a reply that set a tool's outputs, without ``Set.``, in order: ``Enable`` and the outputs' names.
+    switched_holdon : tuple of bool
+        Per channel of `switched`, as `holdon`.
     """
 
     sentype: str
@@ -46,6 +50,8 @@ class RsiLayout:
     receive: tuple[str, ...]
     holdon: tuple[bool, ...]
     not_filled: tuple[str, ...] = ()
+    switched: tuple[str, ...] = ()
+    switched_holdon: tuple[bool, ...] = ()
 
     @classmethod
     def plain(cls, axes: Sequence[str]) -> RsiLayout:

@@ -77,11 +77,14 @@ class SensorTelegram:
         Axis corrections [rad] ([m] for a linear axis), relative to the session's start pose.
     stop : bool or None
         Content of the `Stop` element; None without one.
+    switched : tuple of bool
+        Channels of a tool, in the order of `RsiLayout.switched`.
     """
 
     ipoc: int
     correction: tuple[float, ...]
     stop: bool | None
+    switched: tuple[bool, ...] = ()
 
 
 def without_declaration(data: bytes) -> bytes:

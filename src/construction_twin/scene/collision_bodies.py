@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -21,10 +21,12 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
-from construction_twin.scene.objects import SceneObject, read_mesh_file
+from construction_twin.scene.objects import SceneObject, one_of, read_mesh_file
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
 _CONVEX_TOLERANCE = 1e-6
+#: Most meshes of scene objects that are kept for the next scene.
+_MESHES_KEPT = 4096
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class RobotBodies:
 
     def __init__(self, robot: RobotModel):
         self.robot = robot
+        self._meshes: dict[tuple[str, tuple[float, ...]], coal.CollisionGeometry] = {}
         try:
             urdf = with_mesh_files(robot.urdf)
             full = pinocchio.buildModelFromXML(urdf)
@@ -145,22 +148,34 @@ class RobotBodies:
         SceneError
             If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
         """
-        links = sorted(self.link_joints)
-        if item.link and item.link not in links:
-            raise SceneError(f"object {item.name!r} link", item.link, f"a link of the robot: {links}")
-        others = sorted(set(objects) - {item.name})
+        if item.link and item.link not in self.link_joints:
+            raise SceneError(
+                f"object {item.name!r} link", item.link, f"a link of the robot: {sorted(self.link_joints)}"
+            )
         for name in item.touch:
-            if name not in links and name not in others:
-                expected = f"a link of the robot: {links}, or another object of the scene: {others}"
+            if name not in self.link_joints and (name not in objects or name == item.name):
+                others = one_of("another object of the scene:", sorted(set(objects) - {item.name}))
+                expected = f"a link of the robot: {sorted(self.link_joints)}, or {others}"
                 raise SceneError(f"object {item.name!r} touch", name, expected)
         if item.name in self.link_joints:
             raise SceneError("an object's name", item.name, "a name that no link of the robot has")
         pose = pinocchio.SE3(item.pose.rotation, item.pose.position)
-        geometry = scene_geometry(item)
+        geometry = self._geometry(item)
         if not item.link:
             return Body(item.name, "", 0, self.root_T_base * pose, geometry, item)
         frame = self.model.frames[self.model.getFrameId(item.link, pinocchio.FrameType.BODY)]
         return Body(item.name, item.link, frame.parentJoint, frame.placement * pose, geometry, item)
+
+    def _geometry(self, item: SceneObject) -> coal.CollisionGeometry:
+        """Return an object's shape; a mesh is read once, and again only when its contents are others."""
+        if not item.mesh:
+            return scene_geometry(item)
+        key = (item.mesh_digest, item.size)
+        if key not in self._meshes:
+            if len(self._meshes) >= _MESHES_KEPT:
+                self._meshes.clear()
+            self._meshes[key] = scene_geometry(item)
+        return self._meshes[key]
 
 
 def _standing(robot: RobotModel, full: pinocchio.Model) -> np.ndarray:
@@ -306,17 +321,31 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
 
 
-def make_reliable(data: pinocchio.GeometryData) -> None:
-    """Have every answer depend on the pose alone, and no contact missed.
+def make_reliable(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
+    """Have every answer depend on the pose alone, and no contact missed; set the distance that counts as contact of each pair [m].
 
     The warm start of the distance search is switched off, because it makes an answer depend on earlier ones. Contact points are
     asked for, although nobody reads them: without them Coal's GJK calls a few of ten thousand deep contacts of convex bodies free
     (Coal 3.0.3: 3 of 20,000 poses of two hulls of 125 and 156 vertices, 88 mm inside each other; with them none).
     """
+    pairs = len(data.collisionRequests)
+    if not pairs:
+        return
+    # a request is written once and copied as a whole: writing to each of thousands takes longer than making the data
+    contact, distance = data.collisionRequests[0], data.distanceRequests[0]
     with warnings.catch_warnings():
         # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
         warnings.simplefilter("ignore", DeprecationWarning)
-        for request in (*data.collisionRequests, *data.distanceRequests):
-            request.enable_cached_gjk_guess = False
-    for request in data.collisionRequests:
-        request.enable_contact = True
+        contact.enable_cached_gjk_guess = distance.enable_cached_gjk_guess = False
+    contact.enable_contact = True
+    of_margin = type(data.collisionRequests)()
+    places: dict[float, int] = {}
+    each = [margins[pair] if margins else 0.0 for pair in range(pairs)]
+    for margin in dict.fromkeys(each):
+        contact.security_margin = margin
+        places[margin] = len(of_margin)
+        of_margin.append(contact)
+    contacts, distances = type(data.collisionRequests)(), type(data.distanceRequests)()
+    contacts.extend([of_margin[places[margin]] for margin in each])
+    distances.extend([distance] * pairs)
+    data.collisionRequests, data.distanceRequests = contacts, distances

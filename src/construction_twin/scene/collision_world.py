@@ -6,8 +6,9 @@ A world belongs to one scene; a changed scene needs a new world (`CollisionWorld
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import coal
 import numpy as np
@@ -18,6 +19,7 @@ from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import Body, RobotBodies, make_reliable
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
+from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.self_collision import SelfCollision
@@ -26,6 +28,12 @@ from construction_twin.scene.self_collision import SelfCollision
 _FEW = pinocchio.BroadPhaseManager_NaiveCollisionManager
 _MANY = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager
 MANY_BODIES = 128
+#: So far around the arm bodies are looked for first when a motion's clearance is measured among many [m].
+_NEAR = 0.1
+#: Worlds of single motions that are kept.
+_KEPT = 8
+#: Poses that differ by no more than this in any joint follow each other as samples of one motion do [rad, m].
+_CLOSE = 0.03
 #: With another arm in the world most bodies stand still; this broad phase first compares one box around each group of bodies
 #: that move together.
 _WITH_NEIGHBOUR = pinocchio.TreeBroadPhaseManager_NaiveCollisionManager
@@ -70,7 +78,9 @@ class CollisionWorld:
     moving links against objects, and carried objects against standing ones (contact: distance within the scene's padding
     plus the larger padding of the objects); carried objects against links, without those that move with them. Not
     checked are an object and what it names in `touch`. Links and objects that do not move are not checked against each
-    other: the pedestal stands on the floor.
+    other: the pedestal stands on the floor. With more than `MANY_BODIES` bodies, standing objects that the arm cannot reach are
+    left out of all checks and clearances: a building beyond it costs nothing. A motion among so many is checked against the
+    standing objects whose boxes it comes near; the others cannot touch it.
 
     Not for use from several threads at once: it works in buffers of its own.
 
@@ -99,9 +109,27 @@ class CollisionWorld:
         self._build(RobotBodies(robot), scene, self_collision)
 
     def with_scene(self, scene: Scene) -> CollisionWorld:
-        """Return a world with the same robot in another scene; faster than building it from the robot."""
+        """Return a world with the same robot, and the same other arm, in another scene; faster than building it from the robot."""
         world = object.__new__(CollisionWorld)
-        world._build(self._robot_bodies, scene, self.self_collision)
+        world._build(self._robot_bodies, scene, self.self_collision, obstacles=self._obstacles)
+        return world
+
+    def of_touching(self) -> CollisionWorld | None:
+        """Return a world in which only the pairs are checked that `touch` leaves out here; None: there are none.
+
+        Its padding is nothing: two bodies are in contact when one is in the other, and `clearance_of` tells how deep. For whoever
+        lets bodies touch on purpose, and wants to know that they do no more than that.
+        """
+        pairs = touching_pairs(self._own)
+        if not pairs:
+            return None
+        used = sorted({index for pair in pairs for index in pair[:2]})
+        number = {index: place for place, index in enumerate(used)}
+        pairs = [(number[first], number[second], margin) for first, second, margin in pairs]
+        world = object.__new__(CollisionWorld)
+        world._build(
+            self._robot_bodies, self.scene, self.self_collision, tuple(self._own[index] for index in used), (), pairs
+        )
         return world
 
     def with_neighbour(self, obstacles: Iterable[Obstacle]) -> CollisionWorld:
@@ -126,6 +154,7 @@ class CollisionWorld:
         self_collision: SelfCollision,
         own: tuple[Body, ...] | None = None,
         obstacles: tuple[Obstacle, ...] = (),
+        only: list[tuple[int, int, float]] | None = None,
     ) -> None:
         self.robot = robot_bodies.robot
         self.scene = scene
@@ -133,30 +162,78 @@ class CollisionWorld:
         self._robot_bodies = robot_bodies
         if own is None:
             own = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
-        self._own = own
-        reached, reached_pairs = self._neighbour_pairs(own, obstacles)
-        self._bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in reached)
-        self._pairs = pairs = checked_pairs(own, scene.padding, self_collision) + reached_pairs
-        self._names = [(self._bodies[first].owner, self._bodies[second].owner) for first, second, _ in pairs]
-        self._model = robot_bodies.model
-        self._geometry = pinocchio.GeometryModel()
-        for index, body in enumerate(self._bodies):
-            shape = pinocchio.GeometryObject(f"{index}", body.joint, body.placement, body.geometry)
-            self._geometry.addGeometryObject(shape)
-        for first, second, _ in pairs:
-            self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
-        self._data = self._model.createData()
-        self._geometry_data = self._geometry.createData()
-        make_reliable(self._geometry_data)
-        for request, (_, _, margin) in zip(self._geometry_data.collisionRequests, pairs):
-            request.security_margin = margin
-        order = robot_bodies.order
-        self._q = np.zeros(len(order))
-        # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
-        self._order = slice(None) if (order == np.arange(len(order))).all() else order
-        # one call per question: boxes around the bodies first, shapes only where the boxes overlap
-        manager = _WITH_NEIGHBOUR if reached else _FEW if len(self._bodies) <= MANY_BODIES else _MANY
-        self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
+        self._own, self._obstacles, self._only = own, obstacles, only
+        self._order = robot_bodies.order
+        self._kept: dict[tuple[float, bytes], CollisionWorld] = {}
+
+    @cached_property
+    def _near(self) -> tuple[Body, ...]:
+        """The bodies that are checked at all."""
+        few = self._only is not None or len(self._own) <= MANY_BODIES
+        return self._own if few else self._within_reach(self._own)
+
+    @cached_property
+    def _boxes(self) -> NearBodies:
+        return NearBodies(self._robot_bodies, self._near)
+
+    @cached_property
+    def _checks(self) -> _Checks:
+        """All pairs that are checked; made at the first question, because with many bodies it takes long."""
+        own = self._near
+        reached, reached_pairs = self._neighbour_pairs(own, self._obstacles)
+        bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in reached)
+        only = checked_pairs(own, self.scene.padding, self.self_collision) if self._only is None else self._only
+        return _Checks(self._robot_bodies, bodies, only + reached_pairs, bool(reached))
+
+    def _beside(self, qs: np.ndarray, gap: float) -> CollisionWorld:
+        """Return a world without the standing objects that stay further than `gap` from the arm in all rows.
+
+        With few bodies it is this one.
+
+        Parameters
+        ----------
+        qs : array, shape (m, n)
+        gap : float
+            Paddings come on top of it [m].
+        """
+        if self._only is not None or len(self._near) <= MANY_BODIES:
+            return self
+        # the same motion is asked about more than once: for contacts, for its clearance
+        gap = max(gap, _NEAR)
+        asked = (gap, np.asarray(qs).tobytes())
+        if asked in self._kept:
+            return self._kept[asked]
+        paddings = [body.item.padding for body in self._near if body.item is not None]
+        around = gap + self.scene.padding + max(paddings, default=0.0)
+        own = tuple(self._near[index] for index in self._boxes.near(self._rows(qs), around))
+        only = checked_pairs(own, self.scene.padding, self.self_collision)
+        world = object.__new__(CollisionWorld)
+        world._build(self._robot_bodies, self.scene, self.self_collision, own, self._obstacles, only)
+        if len(self._kept) >= _KEPT:
+            self._kept.clear()
+        self._kept[asked] = world
+        return world
+
+    def _rows(self, qs: np.ndarray) -> np.ndarray:
+        """Return rows of joint values in Pinocchio's order."""
+        rows = np.empty(np.shape(qs))
+        rows[:, self._order] = qs
+        return rows
+
+    def _within_reach(self, own: tuple[Body, ...]) -> tuple[Body, ...]:
+        """Return the bodies without the standing objects that no moving body reaches at any joint values, by a bound."""
+        _, reaches = body_levers(self._robot_bodies, own, self._robot_bodies.strokes)
+        paddings = [body.item.padding if body.item is not None else 0.0 for body in own]
+        farthest = max((reach for body, reach in zip(own, reaches) if body.joint), default=0.0)
+        farthest += self.scene.padding + max(paddings, default=0.0)
+        return tuple(
+            body
+            for body in own
+            if body.item is None
+            or body.joint
+            or np.linalg.norm(body.placement.act(np.array(body.geometry.aabb_center))) - body.geometry.aabb_radius
+            <= farthest
+        )
 
     def _neighbour_pairs(
         self, own: tuple[Body, ...], obstacles: tuple[Obstacle, ...]
@@ -184,26 +261,15 @@ class CollisionWorld:
         q : sequence of float, length n
             [rad] or [m]; an array is the fastest. Not checked against the ranges.
         """
-        self._q[self._order] = q
-        return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
+        return self._checks.is_free(q)
 
     def contact(self, q: JointValues) -> Contact | None:
         """Return a pair that touches, or None where `is_free`; parameters as there."""
-        for result in self._geometry_data.collisionResults:
-            result.clear()
-        if self.is_free(q):
-            return None
-        for names, result in zip(self._names, self._geometry_data.collisionResults):
-            if result.isCollision():
-                return Contact(names)
-        raise AssertionError("a contact without a pair")
+        return self._beside(np.array([q]), 0.0)._checks.contact(q)
 
     def contacts(self, q: JointValues) -> list[Contact]:
         """Return every pair of names that touches; slower than `contact`; parameters as there."""
-        self._q[self._order] = q
-        pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
-        results = zip(self._names, self._geometry_data.collisionResults)
-        return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
+        return self._checks.contacts(q)
 
     def unchecked_pairs(self) -> list[tuple[SceneObject, str]]:
         """Return the standing objects, each with every link that no joint moves, unless it may touch it."""
@@ -226,13 +292,13 @@ class CollisionWorld:
         distance : float
             [m]; negative: how deep one is in the other; inf if one of them has no shape.
         """
-        self._q[self._order] = q
-        pinocchio.forwardKinematics(self._model, self._data, self._q)
+        data = self._robot_bodies.model.createData()
+        pinocchio.forwardKinematics(self._robot_bodies.model, data, self._rows(np.array([q]))[0])
         request = coal.DistanceRequest()
         placed: dict[str, list[tuple[coal.CollisionGeometry, coal.Transform3s]]] = {first: [], second: []}
         for body in self._own:
             if body.owner in placed:
-                place = self._data.oMi[body.joint] * body.placement
+                place = data.oMi[body.joint] * body.placement
                 placed[body.owner].append((body.geometry, coal.Transform3s(place.rotation, place.translation)))
         return min(
             (
@@ -266,10 +332,11 @@ class CollisionWorld:
         qs : array, shape (m, n)
             [rad] or [m]
         """
-        for row, q in enumerate(qs):
-            if not self.is_free(q):
-                return row
-        return None
+        # poses far from each other come near most objects: all are checked
+        close = len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE
+        world = self._beside(qs, 0.0) if close else self
+        is_free = world._checks.is_free
+        return next((row for row, q in enumerate(qs) if not is_free(q)), None)
 
     def clearance(self, q: JointValues) -> Clearance:
         """Return the smallest distance of a checked pair; the padding is not subtracted.
@@ -284,9 +351,7 @@ class CollisionWorld:
         clearance : Clearance
             Negative for two bodies that penetrate each other; inf if no pair is checked.
         """
-        if not self._pairs:
-            return Clearance(np.inf)
-        return self._clearance(self._measure(q))
+        return self._checks.clearance(q)
 
     def clearance_of(self, qs: np.ndarray) -> tuple[Clearance, int]:
         """Return the smallest distance over many poses, and the row where it is.
@@ -304,11 +369,77 @@ class CollisionWorld:
             As from `clearance`, within 1e-6 m; its time is 0.
         row : int
         """
+        gap = _NEAR
+        while True:
+            world = self._beside(qs, gap)
+            clearance, row = world._checks.clearance_of(self._rows(qs))
+            # all that was left out is further away than this
+            if world is self or clearance.distance <= gap:
+                return clearance, row
+            gap = clearance.distance
+
+    def distances(self, q: JointValues) -> list[PairDistance]:
+        """Return every checked pair, measured one by one; far slower than `is_free` and `clearance`; parameters as there."""
+        return self._checks.distances(q)
+
+
+class _Checks:
+    """Pinocchio's model of the pairs that are checked, and the questions to it; arguments as those of `CollisionWorld`."""
+
+    def __init__(
+        self, robot: RobotBodies, bodies: tuple[Body, ...], pairs: list[tuple[int, int, float]], neighbour: bool
+    ):
+        self._robot, self._bodies, self._pairs = robot, bodies, pairs
+        self._names = [(bodies[first].owner, bodies[second].owner) for first, second, _ in pairs]
+        self._model = robot.model
+        self._geometry = pinocchio.GeometryModel()
+        for index, body in enumerate(bodies):
+            shape = pinocchio.GeometryObject(f"{index}", body.joint, body.placement, body.geometry)
+            self._geometry.addGeometryObject(shape)
+        for first, second, _ in pairs:
+            self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
+        self._data = self._model.createData()
+        self._geometry_data = self._geometry.createData()
+        make_reliable(self._geometry_data, [margin for _, _, margin in pairs])
+        self._q = np.zeros(len(robot.order))
+        # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
+        self._order = slice(None) if (robot.order == np.arange(len(robot.order))).all() else robot.order
+        # one call per question: boxes around the bodies first, shapes only where the boxes overlap
+        manager = _WITH_NEIGHBOUR if neighbour else _FEW if len(bodies) <= MANY_BODIES else _MANY
+        self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
+
+    def is_free(self, q: JointValues) -> bool:
+        """Return whether nothing touches."""
+        self._q[self._order] = q
+        return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
+
+    def contact(self, q: JointValues) -> Contact | None:
+        """Return a pair that touches, or None."""
+        for result in self._geometry_data.collisionResults:
+            result.clear()
+        if self.is_free(q):
+            return None
+        for names, result in zip(self._names, self._geometry_data.collisionResults):
+            if result.isCollision():
+                return Contact(names)
+        raise AssertionError("a contact without a pair")
+
+    def contacts(self, q: JointValues) -> list[Contact]:
+        """Return every pair of names that touches."""
+        self._q[self._order] = q
+        pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
+        results = zip(self._names, self._geometry_data.collisionResults)
+        return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
+
+    def clearance(self, q: JointValues) -> Clearance:
+        """Return the smallest distance of a pair."""
+        return self._clearance(self._measure(q)) if self._pairs else Clearance(np.inf)
+
+    def clearance_of(self, rows: np.ndarray) -> tuple[Clearance, int]:
+        """Return the smallest distance of a pair over rows in Pinocchio's order, and its row."""
         if not self._pairs:
             return Clearance(np.inf), 0
-        rows = np.empty(np.shape(qs))
-        rows[:, self._order] = qs
-        factors = levers(self._robot_bodies, self._bodies, self._pairs, np.abs(rows).max(axis=0))
+        factors = levers(self._robot, self._bodies, self._pairs, np.abs(rows).max(axis=0))
         steps = np.abs(np.diff(rows, axis=0)) @ factors
         travel = np.vstack([np.zeros(len(self._pairs)), np.cumsum(steps, axis=0)])
 
@@ -316,28 +447,32 @@ class CollisionWorld:
             pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, rows[row])
             return pinocchio.computeDistance(self._geometry, self._geometry_data, pair).min_distance
 
-        row, pair = smallest(travel, lambda row: self._distances(qs[row]), measure)
+        row, pair = smallest(travel, lambda row: self._distances(rows[row]), measure)
         measure(row, pair)
         return self._clearance(pair), row
 
     def distances(self, q: JointValues) -> list[PairDistance]:
-        """Return every checked pair, measured one by one; far slower than `is_free` and `clearance`; parameters as there."""
-        found = zip(self._names, self._distances(q), self._pairs)
+        """Return every pair, measured."""
+        self._q[self._order] = q
+        found = zip(self._names, self._distances(self._q), self._pairs)
         return [PairDistance(names, float(distance), margin) for names, distance, (_, _, margin) in found]
 
     def _measure(self, q: JointValues) -> int:
         """Measure every pair; return the closest one."""
         self._q[self._order] = q
-        return pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, self._q)
+        return self._measure_row(self._q)
 
-    def _distances(self, q: JointValues) -> np.ndarray:
-        self._measure(q)
+    def _measure_row(self, row: np.ndarray) -> int:
+        return pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, row)
+
+    def _distances(self, row: np.ndarray) -> np.ndarray:
+        self._measure_row(row)
         return np.array([result.min_distance for result in self._geometry_data.distanceResults])
 
     def _clearance(self, pair: int) -> Clearance:
         """Return the last measurement of a pair."""
         result = self._geometry_data.distanceResults[pair]
-        point = self._robot_bodies.root_T_base.actInv(result.getNearestPoint1())
+        point = self._robot.root_T_base.actInv(result.getNearestPoint1())
         return Clearance(
             float(result.min_distance), self._names[pair], (float(point[0]), float(point[1]), float(point[2]))
         )
@@ -362,18 +497,53 @@ def checked_pairs(
         Indices into `bodies`, in the order in which reports name them, and the margin [m].
     """
     pairs: list[tuple[int, int, float]] = []
-    for second, other in enumerate(bodies):
-        for first, one in enumerate(bodies[:second]):
-            if one.joint == other.joint:
-                continue
-            if other.item is None:
-                if not self_collision.ignores(one.owner, other.owner):
-                    pairs.append((first, second, 0.0))
-            elif one.item is None:
-                if one.owner not in other.item.touch:
-                    pair = (second, first) if other.link else (first, second)
-                    pairs.append((*pair, padding + other.item.padding))
-            elif not ({other.owner, other.link} & set(one.item.touch) or {one.owner, one.link} & set(other.item.touch)):
-                pair = (first, second) if one.link else (second, first)
-                pairs.append((*pair, padding + max(one.item.padding, other.item.padding)))
+    for first, second in _moving_pairs(bodies):
+        one, other = bodies[first], bodies[second]
+        if other.item is None:
+            if not self_collision.ignores(one.owner, other.owner):
+                pairs.append((first, second, 0.0))
+        elif not _may_touch(one, other):
+            pair = (second, first) if _carried_first(one, other) else (first, second)
+            own = one.item.padding if one.item is not None else 0.0
+            pairs.append((*pair, padding + max(own, other.item.padding)))
     return pairs
+
+
+def touching_pairs(bodies: Sequence[Body]) -> list[tuple[int, int, float]]:
+    """Return the pairs that `checked_pairs` leaves out because one of two names the other in `touch`, in the same form, margin 0.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        A robot's, then a scene's.
+    """
+    return [
+        (second, first, 0.0) if _carried_first(bodies[first], bodies[second]) else (first, second, 0.0)
+        for first, second in _moving_pairs(bodies)
+        if bodies[second].item is not None and _may_touch(bodies[first], bodies[second])
+    ]
+
+
+def _moving_pairs(bodies: Sequence[Body]) -> Iterator[tuple[int, int]]:
+    """Yield the pairs of bodies that can move relative to each other, robot first, in the order of the second, then the first."""
+    moving: list[int] = []
+    for second, other in enumerate(bodies):
+        # what stands is only near to what moves: with many objects this is a small part of all pairs
+        for first in range(second) if other.joint else moving:
+            if bodies[first].joint != other.joint:
+                yield first, second
+        if other.joint:
+            moving.append(second)
+
+
+def _may_touch(one: Body, other: Body) -> bool:
+    """Return whether `touch` of one names the other; `other` is an object."""
+    assert other.item is not None
+    if one.item is None:
+        return one.owner in other.item.touch
+    return bool({other.owner, other.link} & set(one.item.touch) or {one.owner, one.link} & set(other.item.touch))
+
+
+def _carried_first(one: Body, other: Body) -> bool:
+    """Return whether reports name the second body of a pair first: what is carried before what it could touch."""
+    return bool(other.link) if one.item is None else not one.link

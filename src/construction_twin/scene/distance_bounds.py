@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -50,13 +51,14 @@ def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], s
     """
     model = robot.model
     per_body, _ = body_levers(robot, bodies, strokes)
-    ancestors = [_joints_below(robot, body) for body in bodies]
-    result = np.zeros((model.nq, len(pairs)))
-    for column, (first, second, *_) in enumerate(pairs):
-        # a joint that moves both bodies moves them together
-        between = sorted(ancestors[first] ^ ancestors[second])
-        result[between, column] = per_body[between, first] + per_body[between, second]
-    return result
+    moves = np.array(
+        [[place in joints for place in range(model.nq)] for joints in map(partial(_joints_below, robot), bodies)]
+    ).T
+    if not len(pairs):
+        return np.zeros((model.nq, 0))
+    first, second = np.array([(pair[0], pair[1]) for pair in pairs]).T
+    # a joint that moves both bodies moves them together
+    return np.where(moves[:, first] ^ moves[:, second], per_body[:, first] + per_body[:, second], 0.0)
 
 
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:

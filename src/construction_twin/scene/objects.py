@@ -31,6 +31,8 @@ _FARTHEST = 1e4
 _MESH_SUFFIXES = (".stl", ".obj")
 #: Largest mesh file [bytes]: enough for the triangles that `mesh_file` takes.
 _LARGEST_MESH = 32 * 2**20
+#: Most names that an error lists.
+_MOST_NAMES = 30
 
 
 def product(a_T_b: Pose, b_T_c: Pose) -> Pose:
@@ -41,6 +43,12 @@ def product(a_T_b: Pose, b_T_c: Pose) -> Pose:
 def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
     """Return ``b_T_c``."""
     return Pose(a_T_b.rotation.T @ (a_T_c.position - a_T_b.position), a_T_b.rotation.T @ a_T_c.rotation)
+
+
+def one_of(whose: str, names: Iterable[str]) -> str:
+    """Return what a name was expected to be; more names than a person reads are counted."""
+    known = sorted(names)
+    return f"one of {whose} {known}" if len(known) <= _MOST_NAMES else f"one of {whose} {len(known)} objects"
 
 
 def read_mesh_file(name: str, mesh: str) -> bytes:
@@ -156,10 +164,13 @@ class SceneObject:
             raise self._wrong("orientation", values, "a quaternion x y z w of length 1")
         return values if abs(norm - 1.0) <= _QUATERNION_EXACT else tuple(value / norm for value in values)
 
-    @property
+    @cached_property
     def pose(self) -> Pose:
-        """Pose of the object in the base_link, or in the link that carries it."""
-        return Pose(np.array(self.position), quaternion_to_rotation(self.quaternion))
+        """Pose of the object in the base_link, or in the link that carries it; its arrays are read-only."""
+        pose = Pose(np.array(self.position), quaternion_to_rotation(self.quaternion))
+        for values in (pose.position, pose.rotation):
+            values.flags.writeable = False
+        return pose
 
     def moved(self, pose: Pose, link: str = "", touch: Iterable[str] = ()) -> SceneObject:
         """Return the same body elsewhere: at `pose` in `link`, or in the base_link when that is empty."""
@@ -207,10 +218,11 @@ class Scene:
             raise SceneError("the scene's padding", self.padding, f"0 or more [m], at most {_FARTHEST:g}")
         object.__setattr__(self, "padding", float(self.padding) + 0.0)
         object.__setattr__(self, "objects", tuple(self.objects))
-        names = [item.name for item in self.objects]
-        for name in names:
-            if names.count(name) > 1:
+        seen: set[str] = set()
+        for name in self.names:
+            if name in seen:
                 raise SceneError("an object's name", name, "a name that no other object of the scene has")
+            seen.add(name)
 
     @cached_property
     def hash(self) -> str:
@@ -219,7 +231,7 @@ class Scene:
         text = json.dumps({"padding": self.padding, "objects": objects}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the objects, in their order."""
         return tuple(item.name for item in self.objects)
@@ -235,7 +247,7 @@ class Scene:
         for item in self.objects:
             if item.name == name:
                 return item
-        raise SceneError("an object's name", name, f"one of the scene's {sorted(self.names)}")
+        raise SceneError("an object's name", name, one_of("the scene's", self.names))
 
     def add(self, item: SceneObject, replace_existing: bool = False) -> Scene:
         """Return the scene with one more object, or with another one in the place of the one of that name.

@@ -97,9 +97,7 @@ class PairSampler:
         self._data = self._model.createData()
         self._contact, self._close = self._geometry.createData(), self._geometry.createData()
         make_reliable(self._contact)
-        make_reliable(self._close)
-        for request in self._close.collisionRequests:
-            request.security_margin = near
+        make_reliable(self._close, [near] * len(self._close.collisionRequests))
         lower, upper = np.array(robot.lower), np.array(robot.upper)
         random = np.random.default_rng(seed).uniform(lower, upper, (samples - 1, len(lower)))
         self._poses = np.empty((samples, len(lower)))

@@ -90,6 +90,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
 
     _add_plan(command("plan", "have a motion planned for review; nothing moves"))
     _add_pace(command("home", "have a motion to the home pose planned for review; nothing moves"))
+    command("back", "have the way back out of an engaged segment planned for review; nothing moves")
     command("show", "show the plan under review")
     _add_export(command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads"))
     preview = command("preview", "let the ghost play the plan under review")
@@ -106,6 +107,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     status = command("status", "say what link, gate and executor do")
     status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
     _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
+    _add_work(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
     _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
     return root
 
@@ -177,6 +179,55 @@ def _add_scene(scene: argparse.ArgumentParser) -> None:
         "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
     )
     moveit.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it from the action
+
+
+def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) -> None:
+    steps = work.add_subparsers(dest="step", required=True, metavar="STEP")
+
+    def step(name: str, text: str) -> argparse.ArgumentParser:
+        return steps.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", parents=[common])
+
+    step("list", "list the tasks in their order, with states and deviations")
+    _add_task(step("next", "have the next task planned for review, or the one that is named; nothing moves"), "?")
+    _add_task(step("show", "show all that is known of a task"))
+    _add_approve(step("approve", "approve the plan of the task that is under review: it starts"))
+    for name, text in (
+        ("skip", "take a task out: what comes after it no longer waits for it"),
+        ("redo", "have a task done again: its element is back in its stock"),
+    ):
+        told = step(name, text)
+        _add_task(told)
+        _add_person(told)
+    answer = step("answer", "answer what a task asks: where its element is")
+    _add_task(answer)
+    answer.add_argument(
+        "answer", metavar="ANSWER", help="in_stock, in_grip, placed or gone: one of those that `show` lists"
+    )
+    _add_person(answer)
+    _add_person(step("accept", "accept the schedule that was proposed from the geometry"))
+    measured = step("measured", "report where a placed element really is")
+    measured.add_argument("element", metavar="ELEMENT", help="GlobalId of the element")
+    measured.add_argument(
+        "--pose",
+        type=_finite,
+        nargs=6,
+        required=True,
+        metavar=("X", "Y", "Z", "A", "B", "C"),
+        help="pose of the element's frame: position [mm] and KUKA's angles [deg]",
+    )
+    measured.add_argument("--frame", default="", metavar="FRAME", help="tf frame of the pose [the robot's base]")
+    _add_person(measured)
+
+
+def _add_task(step: argparse.ArgumentParser, number: str | None = None) -> None:
+    step.add_argument(
+        "task", nargs=number, default="", metavar="ID", help="id or name of the task, or the beginning of one of them"
+    )
+
+
+def _add_person(step: argparse.ArgumentParser) -> None:
+    step.add_argument("--person", default="", metavar="NAME", help="who says so [the user's name]")
+    step.add_argument("--reason", default="", metavar="TEXT", help="kept with the record")
 
 
 def _add_watch(watch: argparse.ArgumentParser) -> None:

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from construction_twin.views.snapshot import Snapshot, SyncFacts
-from construction_twin.views.texts import because, joint_value, under_review
+from construction_twin.views.texts import because, joint_value, under_review, work_lines
 
 #: Cells of a bar; a full bar is an error at its threshold.
 BAR = 24
@@ -61,6 +61,9 @@ def _states(snapshot: Snapshot) -> Table:
         cells = round(progress * BAR)
         line = f"{'█' * cells}{'░' * (BAR - cells)} {progress:.0%} of {execution.duration:.1f} s"
         table.add_row("progress", Text(line))
+    for line in work_lines(execution):
+        name, _, text = line.partition(" ")
+        table.add_row(name, Text(text.strip(), style="red" if name == "engaged" else ""))
     if execution is not None and execution.speed_limit < 1.0:
         limit = f"{execution.speed_limit:.0%} of the planned speed allowed, {execution.rate:.0%} now"
         table.add_row("speed", Text(limit, style="yellow"))

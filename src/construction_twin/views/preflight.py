@@ -32,6 +32,8 @@ SWITCHES = (
     "gui",
     "separation",
     "mqtt_trajectories",
+    "console",
+    "console_files",
 )
 #: Whole numbers with their bounds.
 NUMBERS = {
@@ -40,12 +42,22 @@ NUMBERS = {
     "rsi_port": (0, 65535),
     "realtime": (0, 80),
     "frame_rate": (1, 250),
+    "console_port": (1, 65535),
 }
 #: What stands for no file: roslaunch drops an empty value.
 NONE = "none"
 #: Files that must be there, and those that may be left out.
 FILES = ("robot_xacro", "robot_config", "self_collision", "ethernet_xml")
-OPTIONAL_FILES = ("scene", "cell", "bridge_account", "gateway_account")
+OPTIONAL_FILES = (
+    "scene",
+    "cell",
+    "tool",
+    "bridge_account",
+    "gateway_account",
+    "console_certificate",
+    "console_key",
+    "console_broker_ca",
+)
 
 #: Returns whether a path is a file that can be read, or has some other quality.
 Question = Callable[[str], bool]
@@ -130,6 +142,33 @@ def _mock_without_track(given: Mapping[str, str], _is_file: Question, _is_anonym
     return ""
 
 
+def _console_to_nobody(given: Mapping[str, str], _is_file: Question, _is_anonymous: Question) -> str:
+    if not is_true(given, "console"):
+        return ""
+    if given.get("arm") == "none":
+        return (
+            "console:=true with arm:=none: nothing is told by MQTT then, and the page would stay empty; give arm:=mock"
+        )
+    certificate, key = given.get("console_certificate", ""), given.get("console_key", "")
+    if bool(certificate) != bool(key):
+        missing = "console_key" if certificate else "console_certificate"
+        return f"{missing}:='': expected a file, because certificate and key belong together; give both or neither"
+    listen = given.get("console_listen", "127.0.0.1")
+    if not certificate and not is_loopback(listen):
+        return (
+            f"console_listen:={listen}: expected loopback, or console_certificate and console_key: passwords cross the network; "
+            "make_site makes a certificate"
+        )
+    host, has_ca = given.get("broker_host", "127.0.0.1"), bool(given.get("console_broker_ca"))
+    if not has_ca and (given.get("bridge_account") or not is_loopback(host)):
+        why = f"broker_host:={host}" if not is_loopback(host) else "bridge_account"
+        return (
+            f"console_broker_ca:='' with {why}: expected the ca.crt of the site, because a site's broker speaks TLS, and passwords "
+            "cross the network"
+        )
+    return ""
+
+
 #: What is checked of the arguments alone, in this order: each returns a sentence, empty when all is well.
 CHECKS: tuple[Callable[[Mapping[str, str], Question, Question], str], ...] = (
     _wrong_value,
@@ -138,6 +177,7 @@ CHECKS: tuple[Callable[[Mapping[str, str], Question, Question], str], ...] = (
     _nobody_approves,
     _anonymous_broker,
     _mock_without_track,
+    _console_to_nobody,
 )
 
 

@@ -6,13 +6,16 @@ Pure; joint values in rad (m for a prismatic joint), times in s on any monotonic
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Plan
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.views.work_picture import WorkPath, WorkStates, cut, segment_words, work_path
 
 #: How long a ghost rests at the goal before it plays again [s].
 LOOP_REST = 0.5
@@ -21,6 +24,8 @@ PATH_SPACING = 0.02
 PATH_POINTS = 1000
 #: Height of a line of the text [m], and the room between it and the arm below, whose bodies reach beyond its joints.
 TEXT_SIZE, TEXT_ROOM = 0.06, 0.55
+#: Most segments of a work plan that the text lists.
+MOST_ROWS = 12
 #: Room that the text of the sync state needs above and below its middle [m].
 HEADLINE_ROOM = 0.3
 
@@ -47,10 +52,14 @@ class Playing:
 
     def pose(self, now: float) -> tuple[float, ...]:
         """Return where the ghost is at `now` [s]: joint values [rad], [m] for prismatic joints."""
-        trajectory, elapsed = self.plan.trajectory, now - self.began
+        return tuple(self.plan.trajectory.sample(self.elapsed(now))[0].tolist())
+
+    def elapsed(self, now: float) -> float:
+        """Return the time along the plan at `now`, both in s."""
+        elapsed = now - self.began
         if self.loop:
-            elapsed %= trajectory.duration / self.speed + LOOP_REST
-        return tuple(trajectory.sample(min(max(elapsed * self.speed, 0.0), trajectory.duration))[0].tolist())
+            elapsed %= self.plan.trajectory.duration / self.speed + LOOP_REST
+        return min(max(elapsed * self.speed, 0.0), self.plan.trajectory.duration)
 
 
 class Preview:
@@ -138,6 +147,36 @@ class Preview:
             return tuple(self.under_review.trajectory.positions[-1].tolist())
         return self._twin
 
+    def segment(self, now: float) -> int | None:
+        """Return the number of the segment that the ghost plays at `now` [s]; None when it plays none of a work plan."""
+        playing = self._playing
+        if playing is None or not playing.plan.segments:
+            return None
+        elapsed = playing.elapsed(now)
+        if elapsed >= playing.plan.trajectory.duration:
+            return None
+        return next(number for number, segment in enumerate(playing.plan.segments) if elapsed < segment.end)
+
+
+@dataclass(frozen=True, eq=False)
+class ToldWork:
+    """What is known of a work plan's objects.
+
+    Attributes
+    ----------
+    changes : sequence of SceneChange
+    states : WorkStates
+    forward : callable
+        Returns the tip's pose in the base, for joint values of shape (n,).
+    tip : str
+        Name of the tip link.
+    """
+
+    changes: Sequence[SceneChange]
+    states: WorkStates
+    forward: Callable[[np.ndarray], Pose]
+    tip: str
+
 
 @dataclass(frozen=True, eq=False)
 class PlanPicture:
@@ -152,15 +191,23 @@ class PlanPicture:
     text : str
         Some lines for the reviewer.
     text_at : tuple of float, length 3
+    work : WorkPath, optional
+        Of a work plan.
     """
 
     path: np.ndarray
     closest: tuple[float, float, float] | None
     text: str
     text_at: tuple[float, float, float]
+    work: WorkPath | None = None
 
 
-def picture(plan: Plan, skeleton: Callable[[np.ndarray], np.ndarray], headline: float) -> PlanPicture:
+def picture(
+    plan: Plan,
+    skeleton: Callable[[np.ndarray], np.ndarray],
+    headline: float,
+    told: ToldWork | None = None,
+) -> PlanPicture:
     """Return what is to be drawn of a plan.
 
     The text hangs above all that moves, so that the arm does not hide it.
@@ -172,6 +219,8 @@ def picture(plan: Plan, skeleton: Callable[[np.ndarray], np.ndarray], headline: 
         Returns the points from the base through all joints to the tool, shape (m, 3), for joint values, shape (n,).
     headline : float
         Height of the text of the sync state, which this one keeps clear of [m].
+    told : ToldWork, optional
+        What is known of a work plan's objects; without it, only its tool path is drawn.
 
     Returns
     -------
@@ -185,9 +234,12 @@ def picture(plan: Plan, skeleton: Callable[[np.ndarray], np.ndarray], headline: 
     top = arms.reshape(-1, 3)[np.argmax(arms[:, :, 2])]
     clearance = plan.report.clearance
     closest = clearance.point if math.isfinite(clearance.distance) else None
-    text = describe(plan)
+    work = None
+    if told is not None and plan.segments:
+        work = work_path(plan, told.states, told.forward, told.tip, PATH_SPACING, PATH_POINTS)
+    text = describe(plan) if told is None else describe_work(plan, told)
     height = _text_height(float(top[2]), text.count("\n") + 1, headline)
-    return PlanPicture(path, closest, text, (float(top[0]), float(top[1]), height))
+    return PlanPicture(path, closest, text, (float(top[0]), float(top[1]), height), work)
 
 
 def _text_height(top: float, lines: int, headline: float) -> float:
@@ -199,17 +251,45 @@ def _text_height(top: float, lines: int, headline: float) -> float:
 
 def describe(plan: Plan) -> str:
     """Return the plan's duration, closest clearance and largest fractions of the limits, some lines of text."""
-    clearance, fractions = plan.report.clearance, plan.report.usage
-    lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
-    if math.isfinite(clearance.distance):
-        where = ", ".join(f"{value:.2f}" for value in clearance.point)
-        between = " to ".join(clearance.between)
-        lines.append(f"closest {clearance.distance:.3f} m, {between}, after {clearance.time:.2f} s at ({where}) m")
-    else:
-        lines.append("nothing to touch")
+    fractions = plan.report.usage
+    lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}", _closest(plan)]
     lines.append("largest fraction of velocity / acceleration / jerk:")
     rows = zip(plan.trajectory.joint_names, fractions.velocity, fractions.acceleration, fractions.jerk)
     lines += [
         f"{joint}: {velocity:.0%} / {acceleration:.0%} / {jerk:.0%}" for joint, velocity, acceleration, jerk in rows
     ]
     return "\n".join(lines)
+
+
+def describe_work(plan: Plan, told: ToldWork) -> str:
+    """Return a work plan's task, its segments and what was measured, one line each: shorter about the joints than `describe`."""
+    lines = [
+        f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}",
+        f"task {cut(plan.task)}: {len(plan.segments)} segments, blue: engaged",
+    ]
+    if told.states.problem:
+        lines.append(f"LOOK TWICE: {told.states.problem}")
+    begin = 0.0
+    changes = [*told.changes, *[None] * (len(plan.segments) - len(told.changes))]
+    for number, (segment, change) in enumerate(zip(plan.segments, changes)):
+        if number < MOST_ROWS:
+            words = segment_words(segment, change)
+            lines.append(", ".join([f"{number + 1} {cut(segment.name)} {segment.end - begin:.2f} s", *words]))
+        begin = segment.end
+    if len(plan.segments) > MOST_ROWS:
+        lines.append(f"and {len(plan.segments) - MOST_ROWS} more")
+    usage = plan.report.usage
+    largest = " / ".join(
+        f"{max(values, default=0.0):.0%}" for values in (usage.velocity, usage.acceleration, usage.jerk)
+    )
+    lines += [_closest(plan), f"largest fraction of velocity / acceleration / jerk: {largest}"]
+    return "\n".join(lines)
+
+
+def _closest(plan: Plan) -> str:
+    clearance = plan.report.clearance
+    if not math.isfinite(clearance.distance):
+        return "nothing to touch"
+    where = ", ".join(f"{value:.2f}" for value in clearance.point)
+    between = " to ".join(clearance.between)
+    return f"closest {clearance.distance:.3f} m, {between}, after {clearance.time:.2f} s at ({where}) m"

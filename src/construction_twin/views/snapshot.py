@@ -76,6 +76,12 @@ class ExecutionFacts:
         Nominal time of the plan's first setpoint, 0 for none; its length [s].
     rate, speed_limit : float
         Fraction of the planned speed now, and the fraction that is allowed.
+    segment, segment_name : int, str
+        Of a work plan: where it is, from 0; -1 without.
+    at_boundary, wants_scene : bool
+        It stands at the end of that segment; and waits for the scene to change.
+    engaged : bool
+        Only the way back along the executed path can be planned.
     """
 
     text: str
@@ -86,6 +92,11 @@ class ExecutionFacts:
     duration: float = 0.0
     rate: float = 0.0
     speed_limit: float = 1.0
+    segment: int = -1
+    segment_name: str = ""
+    at_boundary: bool = False
+    wants_scene: bool = False
+    engaged: bool = False
 
     def progress(self, now: float) -> float | None:
         """Return how much of a plan's time is over at `now` [s], 0 to 1; None unless a plan is being played."""

@@ -272,7 +272,8 @@ def _armed(seen: Seen, deployment: Deployment) -> Missing | None:
         call = f"see to PLC and arm, then rosrun construction_twin twin --robot {robot} arm --responsible NAME"
         return Missing("a person who arms the bare PLC by name", "", call)
     if state == "NEEDS_RESET":
-        call = f"remove the cause, then rosservice call {deployment.namespace}/reset"
+        robot = deployment.namespace.strip("/")
+        call = f"remove the cause, then on the robot's PC: rosrun construction_twin twin --robot {robot} reset"
         return Missing("a reset", reason, call)
     if state == "RESYNC":
         return Missing(

@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.objects import Scene
-from construction_twin.views.snapshot import Snapshot
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.views.snapshot import ExecutionFacts, Snapshot
+from construction_twin.views.work_picture import cut, segment_words
 
 
 def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
@@ -16,7 +18,7 @@ def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
     return f"{value * 1e3:.{decimals}f} mm" if linear else f"{math.degrees(value):.{decimals}f} deg"
 
 
-def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
+def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange] = ()) -> list[str]:
     """Return the lines about a plan that a reviewer needs.
 
     Parameters
@@ -24,6 +26,8 @@ def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
     plan : Plan
     linear : sequence of bool, length n
         Which joints are linear, in the plan's order.
+    changes : sequence of SceneChange, optional
+        What the segments of a work plan do to the scene, as told with it.
     """
     trajectory, clearance = plan.trajectory, plan.report.clearance
     names = trajectory.joint_names
@@ -42,7 +46,27 @@ def plan_lines(plan: Plan, linear: Sequence[bool]) -> list[str]:
         f"clearance  {closest}",
         f"limits     {_fractions(plan)}",
         f"goal       {goal}",
+        *segment_lines(plan, changes),
     ]
+
+
+def segment_lines(plan: Plan, changes: Sequence[SceneChange] = ()) -> list[str]:
+    """Return a work plan's task and a table of its segments: times, and what happens in each and at its end; nothing for others."""
+    if not plan.segments:
+        return []
+    lines = [
+        f"task       {plan.task}",
+        f"segments   {len(plan.segments)}, each from rest to rest and in the scene that the one before leaves",
+    ]
+    width = max(len(cut(segment.name)) for segment in plan.segments)
+    told = [*changes, *[None] * (len(plan.segments) - len(changes))]
+    begin = 0.0
+    for number, (segment, change) in enumerate(zip(plan.segments, told), 1):
+        times = f"{begin:7.2f} to {segment.end:7.2f} s"
+        words = segment_words(segment, change)
+        lines.append(f"  {number:2d} {cut(segment.name):{width}} {times}  {'; '.join(words)}".rstrip())
+        begin = segment.end
+    return lines
 
 
 def _fractions(plan: Plan) -> str:
@@ -89,8 +113,23 @@ def status_lines(snapshot: Snapshot) -> list[str]:
     if snapshot.execution is not None and snapshot.execution.plan_id:
         execution = snapshot.execution
         lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or 'under way')}")
+    lines += work_lines(snapshot.execution)
     lines.append(f"review     {under_review(snapshot.plan)}")
     lines += [f"{node.name}: {node.sentence}" for node in snapshot.nodes if node.level > 0]
+    return lines
+
+
+def work_lines(execution: ExecutionFacts | None) -> list[str]:
+    """Return where a work plan is, one line, and that only the way back can be planned where that is so."""
+    if execution is None:
+        return []
+    lines = []
+    if execution.segment >= 0 and not execution.outcome:
+        end = ", at its end" if execution.at_boundary else ""
+        wants = ", waits for the scene to change as planned" if execution.wants_scene else ""
+        lines.append(f"segment    {execution.segment + 1} {execution.segment_name}{end}{wants}")
+    if execution.engaged:
+        lines.append("engaged    only the way back along the executed path can be planned: twin back")
     return lines
 
 
@@ -111,7 +150,8 @@ def under_review(plan: Plan | None) -> str:
     """Return one line about the plan under review."""
     if plan is None:
         return "no plan waits"
-    return f"plan {plan.id} of {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
+    what = f"work plan {plan.id} of {len(plan.segments)} segments and" if plan.segments else f"plan {plan.id} of"
+    return f"{what} {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
 
 
 def waiting_plan(plan: Plan) -> str:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import importlib.machinery
+import importlib.util
 import json
 import re
 import ssl
 import stat
 import subprocess
+import sys
+import types
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -49,7 +54,7 @@ def serial(certificate: Path) -> str:
 def test_makes_everything_a_site_needs(folder):
     broker = {path.name for path in (folder / "broker").iterdir()}
     assert broker == {"mosquitto.conf", "access.acl", "passwords", "ca.crt", "server.crt", "server.key"}
-    assert names_of(folder) == {"kr120-bridge", "kr120-gateway", "kr120-tablet", "kr120-viewer"}
+    assert names_of(folder) == {"kr120-bridge", "kr120-gateway", "kr120-reviewer", "kr120-viewer"}
     assert {path.name for path in (folder / "accounts/kr120-bridge").iterdir()} == {
         "account.json", "certificate.json", "ca.crt", "client.crt", "client.key", "password"
     }  # fmt: skip
@@ -103,7 +108,7 @@ def test_a_robot_is_added_and_the_others_keep_what_they_have(folder):
         *(
             f"{robot}-{role}"
             for robot in ("kr120", "kr121")
-            for role in ("bridge", "gateway", "tablet", "viewer", "plc")
+            for role in ("bridge", "gateway", "reviewer", "viewer", "plc")
         )
     }
     assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
@@ -134,15 +139,15 @@ def test_renewing_signs_the_same_keys_anew(folder):
     assert timedelta(days=29, hours=23) < left <= timedelta(days=30)
 
 
-def test_a_lost_tablet_gets_a_new_password_and_key_alone(folder, capsys):
+def test_who_lost_a_password_gets_a_new_password_and_key_alone(folder, capsys):
     before = contents(folder)
-    make(folder, "--replace", "kr120-tablet")
+    make(folder, "--replace", "kr120-reviewer")
     after = contents(folder)
     changed = {name for name in before if after[name] != before[name]}
     assert changed == {
-        "broker/passwords", *(f"accounts/kr120-tablet/{name}" for name in ("password", "client.crt", "client.key"))
+        "broker/passwords", *(f"accounts/kr120-reviewer/{name}" for name in ("password", "client.crt", "client.key"))
     }  # fmt: skip
-    assert "the old certificate of kr120-tablet opens the broker until" in capsys.readouterr().out
+    assert "the old certificate of kr120-reviewer opens the broker until" in capsys.readouterr().out
 
 
 def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder, capsys):
@@ -167,7 +172,7 @@ def test_people_get_tablets_of_their_own(tmp_path):
 def test_planners_get_accounts_of_their_own_only_when_asked_for(folder):
     make(folder, "--planner", "ada", "--planner", "studio")
     assert names_of(folder) == {
-        "kr120-bridge", "kr120-gateway", "kr120-tablet", "kr120-viewer", "kr120-planner-ada", "kr120-planner-studio"
+        "kr120-bridge", "kr120-gateway", "kr120-reviewer", "kr120-viewer", "kr120-planner-ada", "kr120-planner-studio"
     }  # fmt: skip
     for name in ("account", "certificate"):
         assert load_account(folder / f"accounts/kr120-planner-ada/{name}.json").context().check_hostname
@@ -175,48 +180,177 @@ def test_planners_get_accounts_of_their_own_only_when_asked_for(folder):
     assert "kr120-planner-ada" in (folder / "broker/access.acl").read_text()
 
 
-def test_the_tablet_that_nobody_owns_by_name_outlives_the_first_person(folder, capsys):
+def test_everybody_gets_an_account_of_the_role_asked_for(folder):
+    make(folder, "--reviewer", "ada", "--stopper", "bob", "--viewer", "cy", "--planner", "dee", "--tablet", "eve")
+    people = {"reviewer-ada", "stopper-bob", "viewer-cy", "planner-dee", "tablet-eve"}
+    assert {name.removeprefix("kr120-") for name in names_of(folder)} == {
+        "bridge",
+        "gateway",
+        "reviewer",
+        "viewer",
+    } | people
+    before = contents(folder)
+    make(folder)
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("role", ["reviewer", "tablet"])
+def test_the_account_that_nobody_owns_by_name_outlives_the_first_person(folder, capsys, role):
     before = contents(folder)
     capsys.readouterr()
-    make(folder, "--tablet", "ada")
+    make(folder, f"--{role}", "ada")
     after = contents(folder)
     changed = {name for name in before if after[name] != before[name]}
     assert changed == {"broker/access.acl", "broker/passwords", "site.json"}
-    assert names_of(folder) == {f"kr120-{role}" for role in ("bridge", "gateway", "tablet", "tablet-ada", "viewer")}
+    roles = ("bridge", "gateway", "reviewer", f"{role}-ada", "viewer")
+    assert names_of(folder) == {f"kr120-{name}" for name in roles}
     assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
     # the same rights as before, word for word
     assert all(line in after["broker/access.acl"].splitlines() for line in before["broker/access.acl"].splitlines())
-    assert capsys.readouterr().out.count("kept kr120-tablet, an account without a person; --replace shuts out") == 1
+    assert capsys.readouterr().out.count("kept kr120-reviewer, an account without a person; --replace shuts out") == 1
     # and whatever comes later: another run, a person, a robot, which has none
     make(folder)
     assert contents(folder) == after
-    make(folder, "--tablet", "ben", "--robot", "kr121")
-    assert {name for name in names_of(folder) if "tablet" in name} == {
-        "kr120-tablet",
-        *(f"{robot}-tablet-{person}" for robot in ("kr120", "kr121") for person in ("ada", "ben")),
-    }
+    make(folder, f"--{role}", "ben", "--robot", "kr121")
+    people = {f"{robot}-{role}-{person}" for robot in ("kr120", "kr121") for person in ("ada", "ben")}
+    reviewers = {name for name in names_of(folder) if "reviewer" in name or "tablet" in name}
+    assert reviewers == {"kr120-reviewer", *people}
     assert set(after["broker/passwords"].splitlines()) < set(contents(folder)["broker/passwords"].splitlines())
     assert "kept " not in capsys.readouterr().out
 
 
-def test_a_site_of_before_there_was_such_a_choice_is_read(folder):
-    settings = json.loads((folder / "site.json").read_text())
-    del settings["shared"]
-    (folder / "site.json").write_text(json.dumps(settings))
-    make(folder, "--tablet", "ada")
-    assert "kr120-tablet:" in (folder / "broker/passwords").read_text()
+#: What a site's settings held before there were reviewers.
+FORMER = (
+    "hosts",
+    "robots",
+    "people",
+    "plc",
+    "certificates",
+    "port",
+    "prefix",
+    "folder",
+    "listen",
+    "shared",
+    "planners",
+)
+
+
+def former(folder: Path, settings: tuple[str, ...] = FORMER) -> None:
+    """Make the settings and passwords those of a site from before there were reviewers."""
+    document = json.loads((folder / "site.json").read_text())
+    (folder / "site.json").write_text(json.dumps({key: document[key] for key in settings}))
+    passwords = folder / "broker/passwords"
+    passwords.write_text(passwords.read_text().replace("kr120-reviewer:", "kr120-tablet:"))
+    (folder / "accounts/kr120-reviewer").rename(folder / "accounts/kr120-tablet")
+
+
+@pytest.mark.parametrize("settings", [FORMER, tuple(key for key in FORMER if key != "shared")])
+def test_a_site_from_before_there_were_reviewers_keeps_its_tablet(folder, settings):
+    former(folder, settings)
+    before = contents(folder)
+    make(folder)
+    assert contents(folder)["broker/passwords"] == before["broker/passwords"]
+    assert "user kr120-tablet\n" in (folder / "broker/access.acl").read_text()
+    make(folder, "--reviewer", "ada")
+    assert names_of(folder) == {f"kr120-{name}" for name in ("bridge", "gateway", "tablet", "viewer", "reviewer-ada")}
+    rules = (folder / "broker/access.acl").read_text().split("user ")
+    tablet = next(part for part in rules if part.startswith("kr120-tablet\n"))
+    reviewer = next(part for part in rules if part.startswith("kr120-reviewer-ada\n"))
+    assert tablet.replace("-tablet", "").split("# viewer")[0].strip() == reviewer.replace("-reviewer-ada", "").strip()
 
 
 def test_what_is_taken_out_of_the_settings_is_taken_away_and_named(folder, capsys):
-    make(folder, "--tablet", "ada")
+    make(folder, "--reviewer", "ada")
     settings = json.loads((folder / "site.json").read_text())
     (folder / "site.json").write_text(json.dumps(settings | {"shared": []}))
     capsys.readouterr()
     make(folder)
-    assert "took the password of kr120-tablet away: it is not in site.json" in capsys.readouterr().out
+    assert "took the password of kr120-reviewer away: it is not in site.json" in capsys.readouterr().out
     for file in ("passwords", "access.acl"):
         text = (folder / "broker" / file).read_text()
-        assert "kr120-tablet-ada" in text and not re.search(r"kr120-tablet\b(?!-)", text)
+        assert "kr120-reviewer-ada" in text and not re.search(r"kr120-reviewer\b(?!-)", text)
+
+
+# -- the console
+
+
+CONSOLE = ["--console", "twin.example", "--console", "192.168.7.20", "--console", "fd00::7"]
+ADDRESSES = ["https://twin.example:8480/", "https://192.168.7.20:8480/", "https://[fd00::7]:8480/"]
+
+
+def test_the_console_gets_a_certificate_for_its_own_names(folder, capsys):
+    before = contents(folder)
+    make(folder, *CONSOLE)
+    assert {name for name in before if contents(folder)[name] != before[name]} == {"site.json"}
+    text = certificates.openssl("x509", "-in", folder / "console/console.crt", "-noout", "-ext", "subjectAltName")
+    assert "DNS:twin.example, IP Address:192.168.7.20, IP Address:FD00:0:0:0:0:0:0:7" in text
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(folder / "console/console.crt", folder / "console/console.key")
+    certificates.openssl(
+        "verify", "-CAfile", folder / "console/ca.crt", "-purpose", "sslserver", folder / "console/console.crt"
+    )
+    said = capsys.readouterr().out
+    assert (folder / "console/addresses.txt").read_text().split() == ADDRESSES
+    assert all(f"console: {address} with" in said for address in ADDRESSES)
+    assert "console/console.crt expires" in said
+
+
+def test_a_second_run_leaves_the_console_alone_and_a_new_name_signs_it_anew(folder):
+    make(folder, *CONSOLE)
+    before = contents(folder)
+    make(folder)
+    assert contents(folder) == before
+    make(folder, "--console", "hall7.example")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"console/console.crt", "console/addresses.txt", "site.json"}
+    make(folder, "--renew")
+    assert contents(folder)["console/console.crt"] != after["console/console.crt"]
+    assert contents(folder)["console/console.key"] == before["console/console.key"]
+
+
+def test_codes_hold_the_address_and_no_password(folder, monkeypatch):
+    asked = []
+
+    class Code:
+        def save(self, out, **options):
+            out.write(f"{options['kind']} of {asked[-1]}".encode())
+
+    monkeypatch.setitem(sys.modules, "segno", fake := types.ModuleType("segno"))
+    fake.__spec__ = importlib.machinery.ModuleSpec("segno", None)
+    fake.make = lambda text, **options: (asked.append(text), Code())[1]
+    make(folder, *CONSOLE)
+    assert set(asked) == set(ADDRESSES)
+    assert (folder / "console/fd00__7.svg").read_bytes() == b"svg of https://[fd00::7]:8480/"
+    assert (folder / "console/twin.example.png").read_bytes() == b"png of https://twin.example:8480/"
+    passwords = [path.read_text().strip() for path in (folder / "accounts").glob("*/password")]
+    shown = b"".join(path.read_bytes() for path in (folder / "console").iterdir() if path.suffix != ".key").decode()
+    assert passwords and not any(password in shown for password in passwords)
+
+
+def test_real_codes_are_pictures(folder, capsys):
+    pytest.importorskip("segno")
+    make(folder, *CONSOLE)
+    assert capsys.readouterr().out.count("it holds the address, no password") == 3
+    assert (folder / "console/twin.example.png").read_bytes().startswith(b"\x89PNG")
+    assert ElementTree.fromstring((folder / "console/twin.example.svg").read_bytes()).tag.endswith("svg")
+    make(folder)
+    assert "QR code" not in capsys.readouterr().out
+
+
+def test_without_the_package_for_codes_the_rest_is_made_and_what_is_missing_is_said(folder, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "segno", None)
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "segno" else find(name))
+    make(folder, *CONSOLE)
+    said = capsys.readouterr().out
+    assert "segno is not installed; run setup/setup.sh console" in said
+    assert (folder / "console/addresses.txt").read_text().split() == ADDRESSES
+    assert not list((folder / "console").glob("*.svg")) and (folder / "console/console.crt").exists()
+
+
+def test_a_site_without_a_console_has_no_files_for_one(folder):
+    assert not (folder / "console").exists()
 
 
 def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
@@ -240,7 +374,7 @@ def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
 def test_when_everything_ends_is_told(folder, capsys):
     make(folder)
     said = capsys.readouterr().out
-    for name in ("ca/ca.crt", "broker/server.crt", "accounts/kr120-tablet/client.crt"):
+    for name in ("ca/ca.crt", "broker/server.crt", "accounts/kr120-reviewer/client.crt"):
         assert f"{name} expires 20" in said
 
 

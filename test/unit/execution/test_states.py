@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from construction_twin.msg import Execution
-from executor_bench import Bench, make_plan
+from executor_bench import Bench, make_plan, make_work_plan
 
 from construction_twin.core.state_table import cells
 from construction_twin.execution.states import (
@@ -73,6 +73,10 @@ def bench_in(state: ExecutorState) -> Bench:
         return bench
     bench.ready()
     if state is ExecutorState.IDLE:
+        return bench
+    if state is ExecutorState.AT_BOUNDARY:
+        bench.writes = False
+        bench.with_tool().approve(make_work_plan(segment_0={"engaged": True}))
         return bench
     bench.play(make_plan(), 100)
     if state is ExecutorState.STOPPING:

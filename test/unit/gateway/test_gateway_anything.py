@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
+from construction_twin.mqtt.interventions import STOP, Intervention
 
 # -- MQTT 3.1.1: the string alone ------------------------------------------------------------------------------------
 
@@ -246,6 +247,12 @@ class Pilot:
         self.cell.control(("stop", "reset", "arm", "nonsense")[cycles % 4], value=str(value))
         self.cycle()
 
+    def _person(self, value, cycles):
+        """Somebody presses stop, as often as they like."""
+        for number in range(cycles):
+            self.cell.gateway.on_stop(Intervention(STOP, f"ada{cycles % 3}", str(number)), self.cell.now)
+        self.cycle()
+
     def _recover(self, value, cycles):
         self.cell.control("stop")
         for _ in range(400):
@@ -265,7 +272,7 @@ class Pilot:
 _KINDS = [
     "drive", "drive", "to_the_end", "to_the_end", "rest", "jump", "lose", "silence", "burst", "garbage", "wrong", "other_session",
     "skip", "control", "recover", "recover", "new_session", "jitter", "jitter", "stalls", "stalls", "drift", "reorder", "replay",
-    "take_over",
+    "take_over", "person",
 ]  # fmt: skip
 _EVENT = st.tuples(
     st.sampled_from(_KINDS),

@@ -91,7 +91,7 @@ def test_an_arm_at_rest_moves_nowhere_and_needs_a_person_all_the_same():
 
 def test_before_the_first_stop_there_is_nothing_to_report():
     report = following().gateway.status()["stop"]
-    assert report == {"cause": "", "distance_deg": [], "time_s": 0.0, "moved_deg": [], "took_s": None}
+    assert report == {"cause": "", "by": "", "distance_deg": [], "time_s": 0.0, "moved_deg": [], "took_s": None}
 
 
 def test_linear_axes_are_told_in_mm_and_rounded_up():

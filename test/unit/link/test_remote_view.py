@@ -11,13 +11,16 @@ import pytest
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
+    COMPATIBLE,
     VERSION,
+    ClosestView,
     ExecutionView,
     LinkView,
     PlanProgress,
     PoseView,
     Report,
     Seen,
+    SegmentNow,
     SyncView,
     ViewWriter,
 )
@@ -29,9 +32,21 @@ SEEN = Seen(
     PoseView(1_795_369_597.39, 0.004, (1.5, math.pi / 3)),
     PoseView(1_795_369_597.388, 0.0061234567, (1.5, 1.0471)),
     SyncView("IN_SYNC", "agree", 0.01, "resume", True, (0.0, 0.0001), (0.001, 0.01), math.nan, 3),
-    LinkView("ARMED", "well", 0.7, "following", "rsi", ""),
-    ExecutionView("PLAYING", "plays p1", 2.0, "p1", "", 8.0, 0.25, 1.0, 1.0),
+    LinkView("ARMED", "well", 0.7, "following", "rsi", "", 31.25, 4),
+    ExecutionView("PLAYING", "plays p1", 2.0, "p1", "", 8.0, 0.25, 1.0, 1.0, SegmentNow(1, "carry", False)),
+    "p2",
+    ClosestView(0.123, ("link_3", "wall"), (1.0, 0.5, 0.25), 0.1),
 )
+#: The keys of version 1, at the first two levels.
+VERSION_1 = {
+    "version": {}, "robot": {}, "online": {}, "run": {}, "seq": {}, "stamp": {}, "units": {}, "joints": {"names", "types"},
+    "twin": {"stamp", "age", "positions"}, "arm": {"stamp", "age", "positions"},
+    "sync": {"state", "reason", "age", "policy", "agreed", "error", "threshold", "servo_lag", "violations"},
+    "link": {"state", "reason", "age", "gateway_state", "gateway_kind", "responsible"},
+    "execution": {
+        "state", "reason", "age", "plan_id", "outcome", "duration", "progress", "rate", "speed_limit",
+    },
+}  # fmt: skip
 
 
 def writer() -> ViewWriter:
@@ -61,8 +76,34 @@ def test_the_message_has_the_keys_of_the_schema_at_every_level():
         inner = properties(node)
         if inner:
             assert set(message[key]) == set(inner), key
+        for name, deeper in inner.items():
+            if properties(deeper):
+                assert set(message[key][name]) == set(properties(deeper)), (key, name)
     assert SCHEMA["properties"]["version"]["const"] == message["version"] == VERSION
+    assert SCHEMA["properties"]["compatible"]["const"] == message["compatible"] == COMPATIBLE
     assert SCHEMA["properties"]["units"]["const"] == message["units"]
+
+
+def test_a_reader_of_version_1_finds_all_that_it_knows():
+    for message in (read(writer().write(NOW, SEEN)), read(writer().offline())):
+        assert message["compatible"] == 1 and set(VERSION_1) <= set(message)
+        for key, inner in VERSION_1.items():
+            assert not inner or message[key] is None or inner <= set(message[key]), key
+
+
+def test_what_version_2_adds_is_in_it():
+    message = read(writer().write(NOW, SEEN))
+    assert (message["plan"], message["link"]["round_trip_ms"], message["link"]["late"]) == ("p2", 31.25, 4)
+    assert message["execution"]["segment"] == {"number": 1, "name": "carry", "at_boundary": False}
+    assert message["closest"] == {
+        "distance": 0.123,
+        "between": ["link_3", "wall"],
+        "point": [1.0, 0.5, 0.25],
+        "age": 0.1,
+    }
+    unknown = read(writer().write(NOW, Seen(link=LinkView("ARMED", "", 0.0, "", "rsi", ""))))
+    assert unknown["link"]["round_trip_ms"] is unknown["link"]["late"] is unknown["closest"] is None
+    assert unknown["plan"] == ""
 
 
 def test_what_was_seen_is_in_it():

@@ -9,41 +9,72 @@ import pytest
 from processes import ROOT, wait_until
 from site_broker import ROBOTS, Listener, SiteBroker
 
-from construction_twin.broker.access import ROLES, Site, access_rules
+from construction_twin.broker.access import PLC, PROGRAMS, RIGHTS, ROLES, Site, access_rules
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
 
+#: Account of a role at robot one.
+ACCOUNTS = {
+    "bridge": "one-bridge",
+    "gateway": "one-gateway",
+    "plc": "one-plc",
+    "viewer": "one-viewer",
+    "reviewer": "one-reviewer-ada",
+    "tablet": "one-tablet-eve",
+    "stopper": "one-stopper-bob",
+    "planner": "one-planner-ada",
+}
+#: What people write in the name of their account, by right.
+ACTS = {
+    "stop": ("stop",),
+    "pause": ("pause", "resume"),
+    "review": ("review",),
+    "plan_request": ("plan_request", "ik"),
+    "trajectory": ("trajectory/from",),
+}
+#: Who has which right.
+HAVE = {
+    "stop": ("reviewer", "tablet", "stopper"),
+    "pause": ("reviewer", "tablet", "stopper"),
+    "review": ("reviewer", "tablet"),
+    "plan_request": ("planner",),
+    "trajectory": ("planner",),
+}
+PEOPLE = ("viewer", "reviewer", "tablet", "stopper", "planner")
+OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
-    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "review/ack",
-    "trajectory", "trajectory/from/one-planner-ada", "trajectory/ack", "view", "somewhere/else",
+    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "review/ack", "stop/ack",
+    "pause/ack", "plan_request/ack", "ik/ack/one-planner-ada", "scene", "screen", "work/tasks", "trajectory", "trajectory/ack",
+    "view", *sorted(OF_PEOPLE), "somewhere/else",
 )  # fmt: skip
 #: What each role publishes and what it hears, under <prefix>/<robot>/.
 WRITES = {
-    "bridge": {"command", "control", "bridge/status", "plan", "review/ack", "trajectory/ack", "view"},
-    "gateway": {"state", "status", "control/ack"},
-    "tablet": {"review"},
-    "viewer": set(),
+    "bridge": {
+        "command", "control", "bridge/status", "plan", "review/ack", "stop/ack", "pause/ack", "plan_request/ack", "trajectory/ack",
+        "ik/ack/one-planner-ada", "scene", "screen", "work/tasks", "view",
+    },
+    "gateway": {"state", "status", "control/ack", "stop/ack"},
     "plc": {"command", "control"},
-    "planner": {"trajectory", "trajectory/from/one-planner-ada"},
-}
+} | {
+    role: {f"{act}/{ACCOUNTS[role]}" for right, acts in ACTS.items() if role in HAVE[right] for act in acts} for role in PEOPLE
+}  # fmt: skip
+WRITES["planner"] |= {"trajectory"}
+STOPS = {topic for topic in OF_PEOPLE if topic.startswith("stop/")}
 READS = {
-    "bridge": {"state", "status", "control/ack", "plan", "review", "trajectory", "trajectory/from/one-planner-ada"},
-    "gateway": {"command", "control"},
-    "tablet": set(TOPICS),
-    "viewer": set(TOPICS),
+    "bridge": {"state", "status", "control/ack", "plan", "scene", "work/tasks", "trajectory", "review/ack", "stop/ack", "pause/ack"}
+    | {"plan_request/ack"} | OF_PEOPLE,
+    "gateway": {"command", "control", "stop/ack"} | STOPS,
     "plc": {"state", "status", "control/ack"},
-    "planner": {"trajectory/ack", "view", "plan", "state", "status", "bridge/status"},
-}
-#: Account of a role at robot one.
-ACCOUNTS = {role: f"one-{role}" for role in WRITES} | {"planner": "one-planner-ada"}
+} | {role: set(TOPICS) for role in PEOPLE}  # fmt: skip
 #: For every topic that anybody may write, one who may.
-WRITER = {topic: next(role for role in WRITES if topic in WRITES[role]) for topic in TOPICS[:-1]}
+WRITER = {topic: role for role in WRITES for topic in WRITES[role]}
 NOT_AUTHORIZED = 135
+BY_NAME = {"reviewers": ("ada", "ben"), "people": ("eve",), "stoppers": ("bob",)}
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    site = SiteBroker(tmp_path_factory.mktemp("site"), planners=("ada", "ben"))
+    site = SiteBroker(tmp_path_factory.mktemp("site"), planners=("ada", "ben"), **BY_NAME)
     site.start()
     yield site
     site.stop()
@@ -66,36 +97,51 @@ def payloads(prefix: str):
 
 
 NUMBERS = payloads("message")
+#: Where the end of a test is marked.
+MARKED = "twin/one/review/one-tablet-eve"
 
 
 def test_the_table_knows_every_role_and_topic():
-    assert set(WRITES) == set(READS) == {*ROLES, "plc", "planner"}
+    assert set(WRITES) == set(READS) == set(ACCOUNTS) == {*PROGRAMS, *ROLES, PLC}
     topics = Topics("twin", "one")
     names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
-    listed = {getattr(topics, name) for name in names} | {topics.trajectory_from("one-planner-ada")}
-    assert listed == {f"twin/one/{topic}" for topic in TOPICS[:-1]}
+    acts = [topics.review_by, topics.stop_by, topics.pause_by, topics.resume_by, topics.plan_request, topics.ik]
+    acts.append(topics.trajectory_from)
+    listed = {getattr(topics, name) for name in names} | {act(ACCOUNTS[role]) for act in acts for role in PEOPLE}
+    assert listed | {topics.ik_ack("one-planner-ada")} == {f"twin/one/{topic}" for topic in TOPICS[:-1]}
+
+
+def test_every_right_is_in_a_role_and_has_its_rules():
+    assert {right for rights in ROLES.values() for right in rights} == set(RIGHTS) == {"view", *ACTS}
+    assert {path.stem for path in (ROOT / "config/mosquitto").glob("right_*.acl")} == {
+        f"right_{right}" for right in RIGHTS
+    }
+    assert {role for role in ROLES if "review" in ROLES[role]} == set(HAVE["review"])
 
 
 @pytest.mark.parametrize("role", sorted(WRITES))
-@pytest.mark.parametrize("topic", TOPICS)
-def test_a_role_publishes_what_it_may_and_nothing_else(crowd, role, topic):
-    payload = next(NUMBERS)
-    answer = crowd[role].publish(f"twin/one/{topic}", payload)
-    assert (answer.value != NOT_AUTHORIZED) == (topic in WRITES[role]), answer
+def test_a_role_publishes_what_it_may_and_nothing_else(crowd, role):
+    """Every act: QoS 1, so that a refused one is answered with 135, and nobody hears it."""
+    sent = {topic: next(NUMBERS) for topic in TOPICS}
+    answers = crowd[role].publish_all({f"twin/one/{topic}": payload for topic, payload in sent.items()})
+    assert set(answers) <= {0, 16, NOT_AUTHORIZED}
+    assert {topic for topic, answer in zip(TOPICS, answers) if answer != NOT_AUTHORIZED} == WRITES[role]
     # whoever hears everything has heard it, or hears only the next permitted one
     marker = next(NUMBERS)
-    assert crowd["tablet"].publish("twin/one/review", marker).value != NOT_AUTHORIZED
+    assert crowd["tablet"].publish(MARKED, marker).value != NOT_AUTHORIZED
     viewer = crowd["viewer"]
-    wait_until(lambda: ("twin/one/review", marker) in viewer.messages, what="the marker")
-    assert ((f"twin/one/{topic}", payload) in viewer.messages) == (topic in WRITES[role])
+    wait_until(lambda: (MARKED, marker) in viewer.messages, what="the marker")
+    assert {topic for topic in TOPICS if (f"twin/one/{topic}", sent[topic]) in viewer.messages} == WRITES[role]
 
 
 @pytest.mark.parametrize("role", sorted(READS))
 def test_a_role_hears_what_it_may_and_nothing_else(crowd, role):
     sent = {topic: next(NUMBERS) for topic in WRITER}
     # what it may hear comes last, so that what it may not hear would have come before
-    for topic in sorted(WRITER, key=lambda topic: topic in READS[role]):
-        crowd[WRITER[topic]].publish(f"twin/one/{topic}", sent[topic])
+    for may in (False, True):
+        for writer in WRITES:
+            topics = [topic for topic in WRITER if WRITER[topic] == writer and (topic in READS[role]) is may]
+            crowd[writer].publish_all({f"twin/one/{topic}": sent[topic] for topic in topics})
     due = {(f"twin/one/{topic}", sent[topic]) for topic in WRITER if topic in READS[role]}
     listener = crowd[role]
     wait_until(lambda: due <= set(listener.messages), what=f"what {role} may hear")
@@ -106,12 +152,14 @@ def test_a_role_hears_what_it_may_and_nothing_else(crowd, role):
 @pytest.mark.parametrize("role", sorted(WRITES))
 def test_a_role_at_one_robot_can_do_nothing_at_the_other(site, crowd, role):
     other = Listener(site.broker(site.account("two-viewer")), "#", "other")
-    tablet = Listener(site.broker(site.account("two-tablet")), "#", "other tablet")
+    tablet = Listener(site.broker(site.account("two-tablet-eve")), "#", "other tablet")
     try:
-        assert all(crowd[role].publish(f"twin/two/{topic}", b"foreign").value == NOT_AUTHORIZED for topic in TOPICS)
+        elsewhere = {f"twin/two/{topic}".replace("one-", "two-"): b"foreign" for topic in TOPICS}
+        elsewhere |= {f"twin/two/{topic}": b"foreign" for topic in OF_PEOPLE}
+        assert set(crowd[role].publish_all(elsewhere)) == {NOT_AUTHORIZED}
         marker = next(NUMBERS)
-        tablet.publish("twin/two/review", marker)
-        wait_until(lambda: ("twin/two/review", marker) in other.messages, what="the marker")
+        tablet.publish("twin/two/review/two-tablet-eve", marker)
+        wait_until(lambda: ("twin/two/review/two-tablet-eve", marker) in other.messages, what="the marker")
         assert [message for message in other.messages if message[1] == b"foreign"] == []
         mine = next(NUMBERS)
         crowd["bridge"].publish("twin/one/plan", mine)
@@ -132,6 +180,23 @@ def test_nobody_publishes_outside_the_robots_topics(crowd, topic):
                 crowd[role].client.publish(topic, b"x", qos=1)
         else:
             assert crowd[role].publish(topic, b"x").value == NOT_AUTHORIZED, role
+
+
+@pytest.mark.parametrize("act", ["review", "stop", "pause", "resume", "plan_request", "ik"])
+def test_nobody_acts_in_another_one_s_name(site, crowd, act):
+    """The name on record is the topic's, so nobody else may write there: not even who may do the same in a name of his own."""
+    role = "planner" if act in ("plan_request", "ik") else "reviewer"
+    ben = Listener(site.broker(site.account(f"one-{role}-ben")), "#", "ben")
+    try:
+        forged = {f"twin/one/{act}/{name}": b"not me" for name in (f"one-{role}-ada", "one-bridge", "ben", "ack/x")}
+        assert set(ben.publish_all(forged)) == {NOT_AUTHORIZED}
+        mine = next(NUMBERS)
+        assert ben.publish(f"twin/one/{act}/one-{role}-ben", mine).value != NOT_AUTHORIZED
+        bridge = crowd["bridge"]
+        wait_until(lambda: (f"twin/one/{act}/one-{role}-ben", mine) in bridge.messages, what="what Ben sent")
+        assert not any(payload == b"not me" for _, payload in bridge.messages)
+    finally:
+        ben.close()
 
 
 def test_a_planner_cannot_send_in_another_one_s_name(site, crowd):
@@ -177,7 +242,7 @@ def test_nobody_hears_the_broker_s_own_figures(site):
 
 def leave_a_will(site, topic: str, payload: bytes) -> None:
     """Connect as the tablet with a last will, and lose the connection."""
-    cut = Listener(site.broker(site.account("one-tablet")), "twin/one/plan", "cut")
+    cut = Listener(site.broker(site.account("one-tablet-eve")), "twin/one/plan", "cut")
     cut.client.loop_stop()
     cut.client.disconnect()
     cut.client.will_set(topic, payload, qos=1)
@@ -191,9 +256,9 @@ def leave_a_will(site, topic: str, payload: bytes) -> None:
 def test_a_last_will_obeys_the_rules_too(site, crowd):
     viewer, allowed = crowd["viewer"], next(NUMBERS)
     leave_a_will(site, "twin/one/command", b"from the grave")
-    leave_a_will(site, "twin/one/review", allowed)
+    leave_a_will(site, MARKED, allowed)
     # the broker carries out wills in the order in which connections end
-    wait_until(lambda: ("twin/one/review", allowed) in viewer.messages, what="the will that is allowed")
+    wait_until(lambda: (MARKED, allowed) in viewer.messages, what="the will that is allowed")
     assert not any(payload == b"from the grave" for _, payload in viewer.messages)
 
 
@@ -212,7 +277,7 @@ def test_every_account_has_rules_and_none_may_command_without_being_asked_for():
     rules = access_rules(site_of(people=("anna", "ben")), template)
     users = [line.removeprefix("user ") for line in rules.splitlines() if line.startswith("user ")]
     assert users == [
-        f"{robot}-{who}" for robot in ROBOTS for who in ("bridge", "gateway", "tablet-anna", "tablet-ben", "viewer")
+        f"{robot}-{who}" for robot in ROBOTS for who in ("bridge", "gateway", "viewer", "tablet-anna", "tablet-ben")
     ]
     commanders = [part for part in rules.split("user ") if "write twin/one/command" in part]
     assert [part.split("\n")[0] for part in commanders] == ["one-bridge"]
@@ -235,6 +300,12 @@ def test_a_prefix_of_ones_own_stands_in_every_rule():
         ({"hosts": ("a,DNS:evil",)}, "--host"),
         ({"hosts": ("-x",)}, "--host"),
         ({"people": ("anna:x",)}, "--tablet"),
+        ({"reviewers": ("+",)}, "--reviewer"),
+        ({"stoppers": ("a/b",)}, "--stopper"),
+        ({"viewers": ("a b",)}, "--viewer"),
+        ({"consoles": ("a b",)}, "--console"),
+        ({"console_port": 0}, "--console-port"),
+        ({"shared_role": "bridge"}, "shared_role"),
         ({"planners": ("ada/#",)}, "--planner"),
         ({"prefix": "a/b"}, "--prefix"),
         ({"port": 65535}, "--port"),

@@ -24,7 +24,7 @@ import yaml
 from evaluation_samples import run
 from gateway_cell import following
 
-from construction_twin.broker.access import PLANNER, PLC, ROLES
+from construction_twin.broker.access import PLC, PROGRAMS, RIGHTS, ROLES
 from construction_twin.core.state_table import cells
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.execution.states import TABLE, ExecutorEvent, ExecutorState
@@ -32,7 +32,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Mode, State
 from construction_twin.link import remote_trajectory
 from construction_twin.link.bare_supervisor import NOT_CHECKED
-from construction_twin.link.remote_review import PlanView, review_answer
+from construction_twin.link.remote_review import PlanView, SegmentView, review_answer
 from construction_twin.link.remote_trajectory import trajectory_answer
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import status_values
@@ -156,7 +156,9 @@ def test_gateway_counters_are_documented():
 
 def test_keys_of_plan_review_and_account_files_are_documented():
     empty = PlanView("", "", "", "", "", "", 0, 0.0, 0.0, (), (), (), (), None, {})
-    keys = {*json.loads(empty.to_json(2)), *json.loads(review_answer(None, True, ""))}
+    segment = SegmentView("", 0.0, False, {}, (), "", "", (), (), 0)
+    shown = json.loads(dataclasses.replace(empty, segments=(segment,)).to_json(2))
+    keys = {*shown, *shown["segments"][0], *json.loads(review_answer(None, True, ""))}
     keys |= {field.name for field in dataclasses.fields(Account)} - {"name"}
     assert sorted(keys - code_words(BROKER)) == []
 
@@ -183,14 +185,36 @@ def test_what_is_not_checked_with_a_bare_plc_is_documented_word_for_word():
     assert tuple(sentence for sentence, _ in rows) == NOT_CHECKED and all(so.strip() for _, so in rows)
 
 
-def test_roles_and_their_topics_are_documented():
-    rows = dict(re.findall(r"^\| (\w+)(?: \(`--[a-z ]+`\))? \| `kr120-.*?\| (.*) \|$", BROKER, re.MULTILINE))
-    assert set(rows) == {*ROLES, PLC, PLANNER}
-    for role, row in rows.items():
-        rules = (ROOT / f"config/mosquitto/{role}.acl").read_text()
-        topics = set(re.findall(r"^topic \w+ \$topics/(\S+)$", rules, re.MULTILINE)) - {"#"}
-        topics = {topic.replace("$account", "kr120-planner-ada") for topic in topics}
-        assert topics == code_words(row), role
+def topics_of(rules: str) -> set[str]:
+    """Return the topics of a template of access rules, as documents write them."""
+    text = (ROOT / f"config/mosquitto/{rules}.acl").read_text()
+    topics = re.findall(r"^topic (\w+) \$topics/(\S+)$", text, re.MULTILINE)
+    return {topic.replace("$account", "<account>") for _, topic in topics} - {"#"}
+
+
+def test_rights_and_their_topics_are_documented():
+    table = BROKER.split("| right | writes |")[1].split("\n\n")[0]
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", table, re.MULTILINE))
+    assert set(rows) == set(RIGHTS)
+    assert {right: code_words(row) for right, row in rows.items()} == {
+        right: topics_of(f"right_{right}") for right in RIGHTS
+    }
+
+
+def test_roles_and_their_rights_are_documented():
+    table = BROKER.split("| role | rights |")[1].split("\n\n")[0]
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", table, re.MULTILINE))
+    assert {role: code_words(row) for role, row in rows.items()} == {
+        role: set(rights) for role, rights in ROLES.items()
+    }
+
+
+def test_programs_and_their_topics_are_documented():
+    table = BROKER.split("| program | account |")[1].split("\n\n")[0]
+    rows = dict(re.findall(r"^\| (\w+)(?: \(`--plc`\))? \| `kr120-\w+` \| (.*) \|$", table, re.MULTILINE))
+    assert {program: code_words(row) for program, row in rows.items()} == {
+        program: topics_of(program) for program in (*PROGRAMS, PLC)
+    }
 
 
 @pytest.mark.parametrize(
@@ -202,6 +226,7 @@ def test_roles_and_their_topics_are_documented():
         "ros/commands/export_gateway_config",
         "broker/start",
         "broker/make_site",
+        "console/command_line",
         "ros/commands/new_arm",
         "ros/commands/scenario",
         "views/ik_report",

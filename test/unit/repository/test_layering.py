@@ -26,6 +26,7 @@ from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
 from construction_twin.ros.nodes.tool_marker import Settings as MarkerSettings
+from construction_twin.ros.nodes.work import Settings as WorkSettings
 from construction_twin.ros.shared.arm_listener import NeighbourSettings
 from construction_twin.ros.shared.gateway_config import gateway_config
 
@@ -43,9 +44,18 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 #: What the library may import besides the standard library and itself. PyKDL and rospkg are ROS's, but need no ROS to run.
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
-    "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d",
+    "mpl_toolkits", "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d", "ifcopenshell", "isodate",
     "rospkg", "shtab",
 }  # fmt: skip
+#: What `setup/setup.sh work` and `console` install, and the only folder or file that may need it: everything else must run without.
+OPTIONAL = {
+    "segno": "broker/console_files.py",
+    "ifcopenshell": "work/ifc",
+    "isodate": "work/ifc",
+    "coacd": "work",
+    "shapely": "work",
+    "websockets": "console",
+}
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
 DEPLOYMENT = {
@@ -54,14 +64,25 @@ DEPLOYMENT = {
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
     "mqtt_review": {"host", "port", "protocol", "prefix", "account", "realtime_priority"},
-    "mqtt_planner": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "trajectories"},
+    "mqtt_planner": {
+        "host",
+        "port",
+        "protocol",
+        "prefix",
+        "account",
+        "realtime_priority",
+        "trajectories",
+        "self_collision",
+        "private",
+    },
     "pca_monitor": {"arm", "decimals", "realtime_priority", "transition_file"},
-    "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml"},
+    "mock_rsi": {"gateway_host", "gateway_port", "ethernet_xml", "tool"},
     "experiment": {"results_dir"},
-    "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout"},
+    "gateway": {"decimals", "robot", "axes", "linear", "lower", "upper", "velocity", "acceleration", "layout", "tool"},
     "neighbour": {"name", "realtime_priority"},
     "planner": {"self_collision", "tf_prefix"},
     "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
+    "work": {"model", "cell", "self_collision", "tf_prefix", "review_file", "arm", "private"},
 }
 
 
@@ -95,6 +116,8 @@ def test_the_library_knows_no_ros(path):
         top, *rest = module.split(".")
         if top == "construction_twin":
             assert rest[0] not in GENERATED | {"ros"}, module
+        elif top in OPTIONAL:
+            assert path.is_relative_to(PACKAGE / OPTIONAL[top]), module
         else:
             assert top in sys.stdlib_module_names | THIRD_PARTY, module
 
@@ -245,6 +268,7 @@ SETTINGS = {
     "planner": set(PlannerSettings.model_fields),
     "tool_marker": set(MarkerSettings.model_fields),
     "separation": set(SeparationSettings.model_fields),
+    "work": set(WorkSettings.model_fields),
 }
 
 

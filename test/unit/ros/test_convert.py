@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import math
 
@@ -12,9 +13,12 @@ from geometry_msgs.msg import Point, Quaternion, Transform, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 
 from construction_twin.core.motion_errors import KinematicsError, TrajectoryError
-from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
+from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash
+from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.ros.messages import convert
+from construction_twin.scene.objects import SceneObject
+from construction_twin.scene.scene_change import SceneChange
 
 NAMES = ("joint_a1", "joint_a2")
 
@@ -116,3 +120,53 @@ def test_a_quaternion_that_is_none_is_refused(quaternion):
 def test_a_nearly_normalised_quaternion_is_accepted():
     pose = convert.pose_from_msg(PoseMsg(orientation=Quaternion(0.0, 0.0, 0.0, 1.0009)))
     np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-15)
+
+
+def work_plan() -> Plan:
+    """A plan of two segments, with every field away from its default, and numbers without a short decimal form."""
+    motion = trajectory()
+    held = Signal("held", True)
+    close = Switch("vacuum", True, (held, Signal("pressure", False)), 2 / 3)
+    segments = (
+        Segment("fetch", float(motion.times[17]), False, (), (close, Switch("blow", False, (), 1)), "5c", "6d"),
+        Segment("carry \N{EM DASH} Träger", motion.duration, True, (held,), (), "6d", "6d"),
+    )
+    task = "3cUkl32yn9qRSPvBJVyWYp"
+    return dataclasses.replace(plan(), hash=content_hash(motion, task, segments), task=task, segments=segments)
+
+
+def test_a_work_plan_survives_to_the_last_bit_with_its_hash_and_its_changes_of_the_scene():
+    sent = work_plan()
+    box = SceneObject(
+        "e/0", "box", (0.1, 0.2, 1 / 3), (0.0, 0.0, 0.1 / 3), padding=0.001, link="tool0", touch=("rack",)
+    )
+    changes = (SceneChange((box,), ("e/1",)), SceneChange())
+    msg = over_the_wire(convert.plan_to_msg(sent, "base_link", np.zeros((50, 3)), changes))
+    received = convert.plan_from_msg(msg)
+    assert (received.hash, received.task, received.segments) == (sent.hash, sent.task, sent.segments)
+    assert tuple(map(convert.change_from_msg, msg.segments)) == changes
+    # a plan may be told without its changes, which are for displays only
+    bare = over_the_wire(convert.plan_to_msg(sent, "base_link", np.zeros((50, 3))))
+    assert convert.plan_from_msg(bare).hash == sent.hash
+    assert set(map(convert.change_from_msg, bare.segments)) == {SceneChange()}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda msg: setattr(msg, "task", "another"),
+        lambda msg: setattr(msg.segments[0], "end", math.nextafter(msg.segments[0].end, 9.0)),
+        lambda msg: setattr(msg.segments[0].switches[0], "value", False),
+        lambda msg: setattr(msg.segments[0].switches[0].confirm[1], "name", "held"),
+        lambda msg: setattr(msg.segments[1], "engaged", False),
+        lambda msg: setattr(msg.segments[1], "requires", []),
+        lambda msg: setattr(msg.segments[1], "scene_after", "7e"),
+        lambda msg: msg.segments.pop(),
+        lambda msg: msg.segments.clear(),
+    ],
+)
+def test_a_work_plan_changed_on_its_way_is_refused(change):
+    msg = over_the_wire(convert.plan_to_msg(work_plan(), "base_link", np.zeros((50, 3))))
+    change(msg)
+    with pytest.raises(TrajectoryError):
+        convert.plan_from_msg(msg)

@@ -10,18 +10,22 @@ import numpy as np
 import pydantic
 import pytest
 import rospy
-from construction_twin.msg import Conflict, Link, Scene, SpeedLimit, Sync
-from construction_twin.srv import ReviewPlanRequest, StopPlanRequest
-from executor_bench import ROBOT, SCENE, make_plan
+from construction_twin.msg import Conflict, Execution, Link, Scene, SpeedLimit, Sync, ToolCommand, ToolState
+from construction_twin.srv import ReleaseEngagementRequest, ReviewPlanRequest, StopPlanRequest
+from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.speed_limit import SpeedLimit as SpeedLimitState
 from construction_twin.review.record import ReviewLog
+from construction_twin.robot.segments import Switch
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
+from construction_twin.ros.shared.diagnostics import ERROR
+from construction_twin.ros.shared.engagement_file import EngagementFile
 from construction_twin.ros.transport.joint_stream import to_time
 
 
@@ -44,12 +48,16 @@ class World:
             patch(rospy, level, self.logger(level))
         self.executor, self.limit = Executor(ROBOT), SpeedLimitState(0.5, 0.1, False)
         self.executor.on_link(False, "no report of the link yet")
+        self.log = ReviewLog(tmp_path / "reviews.jsonl", lambda: self.wall)
         self.node = module.ExecutorNode(
             ROBOT,
             self.executor,
             self.limit,
-            ReviewLog(tmp_path / "reviews.jsonl", lambda: self.wall),
-            module.Outputs(self.topic("next/joint_states"), self.topic("execution"), self.topic("review")),
+            self.log,
+            module.Outputs(
+                *map(self.topic, ("next/joint_states", "execution", "review", "tool_command", "engagement"))
+            ),
+            EngagementFile(tmp_path / "engagement.json", ROBOT.joint_names),
             lambda _: SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
         )
 
@@ -295,3 +303,218 @@ def test_no_client_is_trusted_with_a_real_arm():
     with pytest.raises(pydantic.ValidationError, match="the name of a client proves nothing, a person has to approve"):
         module.Settings(arm="real", **trusted)
     assert module.Settings(arm="real", **given).auto_approve_sources == ()
+
+
+def tool_message(tool: Gripper) -> ToolState:
+    """Return what the bridge says of a tool."""
+    report = tool.report()
+    return ToolState(
+        known=report.known,
+        tool=report.tool,
+        outputs=list(report.outputs),
+        output_values=[False] * len(report.outputs),
+        inputs=list(report.inputs),
+        input_values=list(report.inputs.values()),
+        switch_ids=list(report.switches),
+        switch_states=[switch.state.value for switch in report.switches.values()],
+        switch_reasons=[switch.reason for switch in report.switches.values()],
+        reason=report.reason,
+    )
+
+
+class WorkWorld(World):
+    """A world with a tool and a node that changes the scene; the disk is served between the cycles, as by the timer."""
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.tool = Gripper()
+        self.last: ToolState | None = None
+        self.edits = True
+
+    def grid(self):
+        """Serve what a work plan asks for, between the cycles."""
+        for stamp, stalled in super().grid():
+            yield stamp, stalled
+            commands = self.messages("tool_command")
+            for command in commands[len(self.tool.orders) :]:
+                self.tool.take(ordered(command))
+            self.tool.cycle(stamp)
+            message = tool_message(self.tool)
+            if message != self.last:
+                self.last = message
+                self.node.on_tool(message)
+            said = self.messages("execution")
+            if self.edits and said and said[-1].wants_scene:
+                self.node.on_scene(Scene(hash=said[-1].expected_scene))
+            self.node.keep_engagement()
+
+    def messages(self, topic: str) -> list:
+        """Return what was published on a topic."""
+        return [message[0] for name, message in self.said if name == topic]
+
+    def approved(self, plan=None) -> WorkWorld:
+        """Approve a work plan."""
+        self.node.on_link(Link(state=Link.ARMED, session="s"))
+        self.node.on_scene(Scene(hash=SCENE))
+        self.run(5)
+        plan = plan or make_work_plan(created_ns=self.wall)
+        self.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        answer = self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", ""))
+        assert answer.success, answer.message
+        return self
+
+    def until(self, holds, most: int = 3000) -> WorkWorld:
+        """Run until something holds."""
+        for _ in range(most // 5):
+            if holds():
+                return self
+            self.run(5)
+        raise AssertionError(self.executor.reason)
+
+    def left_in_lift(self) -> WorkWorld:
+        """Stop in the engaged segment in which the element is lifted."""
+        self.approved().until(lambda: self.executor.work is not None and self.executor.work.number == 2)
+        self.run(60)
+        self.node.on_stop(None)
+        return self.until(lambda: self.executor.state is ExecutorState.IDLE)
+
+
+def ordered(command: ToolCommand) -> ToolOrder:
+    """Return what a command asks for."""
+    if command.verb == ToolCommand.VOID:
+        return ToolOrder("", command.plan_id)
+    switch = Switch(command.output, command.value, (), 1.0)
+    return ToolOrder(command.id, command.plan_id, switch, command.stamp.to_nsec())
+
+
+@pytest.fixture
+def work(monkeypatch, tmp_path):
+    return WorkWorld(monkeypatch, tmp_path)
+
+
+class TestWorkPlan:
+    def test_is_played_to_its_end_and_says_where_it_is(self, work):
+        work.approved().until(lambda: work.executor.outcome == "finished")
+        said = work.messages("execution")
+        seen = list(dict.fromkeys((message.segment, message.segment_name) for message in said if message.segment >= 0))
+        assert seen == [(0, "to stock"), (1, "approach"), (2, "lift"), (3, "carry")]
+        wanted = [message for message in said if message.wants_scene]
+        assert {message.expected_scene for message in wanted} == {"5ce1e", "5ce2e"}
+        assert all(message.at_boundary and message.state == Execution.AT_BOUNDARY for message in wanted)
+        assert (said[-1].at_boundary, said[-1].segment, said[-1].engaged) == (False, 3, False)
+        assert work.tool.fired == [("vacuum", True), ("vacuum", False)]
+
+    def test_its_commands_carry_stamps_of_setpoints_to_come(self, work):
+        work.approved().until(lambda: work.tool.fired)
+        (command,) = work.messages("tool_command")
+        assert (command.verb, command.id, command.output, command.value) == (
+            ToolCommand.ARM,
+            "w/1/0/1",
+            "vacuum",
+            True,
+        )
+        stamps = [message[0] for name, message in work.said if name == "next/joint_states"]
+        assert command.stamp.to_nsec() in stamps and command.header.stamp < command.stamp
+
+    def test_the_verdict_names_task_and_segments(self, work, tmp_path):
+        plan = make_work_plan(created_ns=work.wall + NANOSECONDS)
+        work.approved(plan)
+        (verdict,) = [line for line in records(tmp_path) if line["record"] == "verdict"]
+        assert (verdict["task"], verdict["segments"]) == ("t1", ["to stock", "approach", "lift", "carry"])
+        assert verdict["trajectory"] == plan.hash != plan.trajectory.content_hash()
+
+    def test_a_report_that_makes_no_sense_is_refused_and_counted(self, work):
+        work.node.on_tool(ToolState(known=True, inputs=["gripped"]))
+        work.node.on_tool(ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
+        assert [reason for reason, _ in work.refused] == ["tool", "tool"] and not work.executor.tool.known
+
+    def test_in_an_engaged_segment_the_disk_knows_it_and_outside_not(self, work, tmp_path):
+        file = tmp_path / "engagement.json"
+        work.approved().until(lambda: work.executor.work is not None and work.executor.work.number == 0)
+        assert not file.exists()
+        work.until(lambda: work.executor.work.number == 1)
+        assert json.loads(file.read_text())["segment"] == "approach"
+        work.until(lambda: work.executor.work.number == 3)
+        assert not file.exists()
+
+
+class TestEngaged:
+    def test_the_planner_is_told_of_the_executed_path(self, work):
+        work.left_in_lift().run(3)
+        message = work.messages("engagement")[-1]
+        assert message.engaged and (message.plan_id, message.task, message.segment) == ("w", "t1", "lift")
+        assert [(signal.name, signal.value) for signal in message.requires] == [("gripped", True)]
+        assert 0.8 < message.end < 1.6 and "stop requested" in message.reason
+        assert work.messages("execution")[-1].engaged
+
+    def test_no_other_plan_waits_for_review(self, work):
+        work.left_in_lift()
+        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
+        plan = make_plan("other", reach(pose, ROBOT.home), "5ce1e", work.wall + NANOSECONDS)
+        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        assert work.executor.queue.plan is None and "is not the way back" in work.refused[-1][1]
+
+    def test_the_way_back_leads_out_and_the_file_goes(self, work, tmp_path):
+        work.left_in_lift().run(3)
+        left = work.executor.engagement.present
+        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
+        motion = motion_back(left.path, left.path.entry(pose).time)
+        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", created_ns=work.wall + NANOSECONDS)
+        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "")).success
+        work.until(lambda: work.executor.outcome == "finished").run(3)
+        assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
+
+    def test_survives_a_kill(self, work, monkeypatch, tmp_path):
+        work.approved().until(lambda: work.executor.work is not None and work.executor.work.number == 2)
+        work.node.write_records()
+        # a killed process closes nothing by itself; the kernel does
+        work.log.close()
+        again = WorkWorld(monkeypatch, tmp_path)
+        assert again.executor.engagement.engaged
+        assert again.executor.engagement.present.reason == "the executor ended before the plan did"
+        again.node.keep_engagement()
+        assert again.messages("engagement")[-1].engaged
+        assert again.node.report().sentence.startswith("the arm was left in engaged segment 'lift' of plan w")
+
+    def test_is_released_in_a_person_s_name_and_recorded(self, work, tmp_path):
+        work.left_in_lift()
+        for person, reason in (("", "by hand"), ("Ada", " ")):
+            answer = work.node.on_release(ReleaseEngagementRequest(person=person, reason=reason))
+            assert not answer.success and "needs the name of a person" in answer.message
+        answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="jogged free in T1"))
+        assert answer.success and not work.executor.engagement.engaged
+        work.run(3)
+        (line,) = [line for line in records(tmp_path) if line["record"] == "release"]
+        assert (line["person"], line["reason"], line["segment"], line["refused"]) == (
+            "Ada",
+            "jogged free in T1",
+            "lift",
+            "",
+        )
+        assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
+        again = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="again"))
+        assert not again.success and "not engaged" in again.message
+
+    def test_is_not_released_while_the_arm_moves(self, work, tmp_path):
+        work.left_in_lift().run(3)
+        left = work.executor.engagement.present
+        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
+        motion = motion_back(left.path, left.path.entry(pose).time)
+        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", created_ns=work.wall + NANOSECONDS)
+        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "")).success
+        work.run(20)
+        answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="by hand"))
+        assert not answer.success and "release the arm when it is at rest" in answer.message
+        assert [line for line in records(tmp_path) if line["record"] == "release"] == []
+
+    def test_a_disk_that_fails_is_said_and_keeps_the_arm_out(self, work, tmp_path):
+        (tmp_path / "engagement.json").mkdir()
+        work.approved().until(
+            lambda: work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.work.number == 0
+        )
+        work.run(100)
+        assert work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.work.number == 0
+        report = work.node.report()
+        assert report.level == ERROR and str(tmp_path / "engagement.json") in report.sentence

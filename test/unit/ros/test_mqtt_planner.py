@@ -5,19 +5,23 @@ from __future__ import annotations
 import copy
 import json
 import math
+import sys
 from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Execution, Link, Sync
 from construction_twin.srv import PlanTrajectoryRequest, PlanTrajectoryResponse
+from diagnostic_msgs.msg import KeyValue
+from paho.mqtt.client import topic_matches_sub
 from rospy.exceptions import TransportTerminated
 
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import Joints
-from construction_twin.link.remote_view import ViewWriter
+from construction_twin.link.remote_view import ClosestView, ViewWriter
 from construction_twin.mqtt.client import Broker
 from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import (
@@ -135,7 +139,7 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
     ],
 )
 def test_a_reviewer_reads_what_is_known_of_the_sender_and_no_more(sender, says, proven, shown):
-    assert source_of(SimpleNamespace(source=says), sender, proven) == shown
+    assert source_of(says, sender, proven) == shown
 
 
 def test_what_the_planner_refuses_is_told_with_its_sentence(bench):
@@ -312,3 +316,136 @@ def test_trajectories_can_be_switched_off(bench, monkeypatch):
         said = made.node.report().sentence
         assert said == ("trajectories are taken" if trajectories else "no trajectories are taken (trajectories: false)")
     assert [topic for topic, _ in heard] == ["twin/kr120/trajectory", "twin/kr120/trajectory/from/+"]
+
+
+# -- consoles
+
+
+class Feed:
+    """In place of a ConsoleFeed."""
+
+    plan = "p7"
+
+    def __init__(self):
+        self.heard: list = []
+
+    def note_poses(self, twin, arm):
+        self.heard.append(("poses", twin, arm))
+
+    def on_link(self, message):
+        self.heard.append(("link", message.text))
+
+    def welcome(self):
+        self.heard.append("welcome")
+
+    def farewell(self):
+        self.heard.append("farewell")
+
+    def tell(self, link, sync, execution, now):
+        self.heard.append(("tell", *(report and report.text for report in (link, sync, execution))))
+
+
+class Desk:
+    """In place of a RequestDesk."""
+
+    counts: ClassVar[dict] = {"ik free": 2}
+
+    def __init__(self):
+        self.heard: list = []
+
+    def closest(self):
+        return ClosestView(0.5, ("link_3", "wall"), (1.0, 2.0, 3.0), 0.25)
+
+    def on_plan_request(self, account, payload, retained):
+        self.heard.append(("plan_request", account, payload, retained))
+
+    def on_ik(self, account, payload, retained):
+        self.heard.append(("ik", account, payload, retained))
+
+
+class Listening(Client):
+    """A client that remembers what is subscribed, and delivers messages as paho does."""
+
+    def __init__(self):
+        super().__init__()
+        self.topics: list = []
+        self.callbacks: dict = {}
+
+    def subscribe(self, topics):
+        self.topics += [topic for topic, *_ in topics]
+
+    def message_callback_add(self, topic, callback):
+        self.callbacks[topic] = callback
+
+    def connect_async(self, *_):
+        pass
+
+    def loop_start(self):
+        pass
+
+    def deliver(self, topic: str, payload: bytes) -> None:
+        message = SimpleNamespace(topic=topic, payload=payload, retain=False)
+        for pattern, callback in self.callbacks.items():
+            if topic_matches_sub(pattern, topic):
+                callback(self, None, message)
+
+
+@pytest.fixture
+def consoles(bench, monkeypatch):
+    """The node with a feed and a desk, as `start` gives them; and without trajectories."""
+
+    def make(**settings) -> tuple[Bench, Listening, Feed, Desk]:
+        client = Listening()
+        with monkeypatch.context() as patch:
+            patch.setattr(sys.modules[__name__], "Client", lambda: client)
+            made = Bench(**settings)
+        feed, desk = Feed(), Desk()
+        made.node.serve_consoles(feed, desk)
+        made.node.connect()
+        made.node.on_connect(client, None, None, SimpleNamespace(is_failure=False), None)
+        return made, client, feed, desk
+
+    return make
+
+
+def test_wishes_and_poses_reach_the_desk_with_their_account_and_our_own_answers_do_not(consoles):
+    _, client, feed, desk = consoles()
+    assert {"twin/kr120/plan_request/+", "twin/kr120/ik/+"} <= set(client.topics) and "welcome" in feed.heard
+    client.deliver("twin/kr120/plan_request/ada", b"{}")
+    client.deliver("twin/kr120/plan_request/ack", b"{}")
+    client.deliver("twin/kr120/ik/ada", b"[]")
+    client.deliver("twin/kr120/ik/ack/ada", b"[]")
+    assert desk.heard == [("plan_request", "ada", b"{}", False), ("ik", "ada", b"[]", False)]
+
+
+def test_where_no_trajectories_are_taken_no_wishes_are_either(consoles):
+    _, client, _, desk = consoles(trajectories=False)
+    assert client.topics == ["twin/kr120/ik/+"]
+    client.deliver("twin/kr120/plan_request/ada", b"{}")
+    assert desk.heard == []
+
+
+def test_the_view_has_what_feed_and_desk_know(bench, consoles):
+    made, _, feed, _ = consoles()
+    made.node.listen(Poses(Stream(None), Stream(None)), lambda: True)
+    link = Link(text="ARMED", gateway_counters=[KeyValue("telegrams", "9"), KeyValue("late_replies", "3")])
+    made.node.on_link(link)
+    made.node.on_sync(Sync(text="IN_SYNC", round_trip=0.0321))
+    made.node.on_execution(
+        Execution(text="AT_BOUNDARY", segment=1, segment_name="carry", at_boundary=True, engaged=True)
+    )
+    message = view(made)
+    assert (message["plan"], message["closest"]["between"]) == ("p7", ["link_3", "wall"])
+    assert (message["link"]["round_trip_ms"], message["link"]["late"]) == (32.1, 3)
+    assert message["execution"]["segment"] == {"number": 1, "name": "carry", "at_boundary": True}
+    assert made.node.is_engaged() and made.node.report().values["ik free"] == 2
+    made.node.on_link(Link(text="ARMED", gateway_counters=[KeyValue("telegrams", "9")]))
+    made.node.on_execution(Execution(text="IDLE", segment=-1))
+    assert view(made)["link"]["late"] == 0 and view(made)["execution"]["segment"] is None
+    made.node.on_link(Link(text="GATEWAY_OFFLINE"))
+    assert view(made)["link"]["late"] is None
+    made.node.tell()
+    assert ("link", "ARMED") in feed.heard and feed.heard[-1] == ("tell", "GATEWAY_OFFLINE", "IN_SYNC", "IDLE")
+    bench.steady += 10.0
+    made.node.tell()
+    assert feed.heard[-1] == ("tell", None, None, "IDLE"), "what is silent is not the present"

@@ -3,22 +3,48 @@
 from __future__ import annotations
 
 import json
+import threading
 from types import SimpleNamespace
 
 import pytest
 import rospy
 from bridge_bench import Client, Refusals
+from processes import wait_until
 from rospy.exceptions import TransportTerminated
 
 from construction_twin.link.remote_review import RemoteReview
 from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
+from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.nodes.mqtt_review import WAITING, MqttReview, Settings
+from construction_twin.ros.shared import remote_interventions
+from construction_twin.ros.shared.remote_interventions import RemoteInterventions
+
+
+class Trigger:
+    """In place of a service of the executor."""
+
+    def __init__(self, verb, pressed):
+        self.resolved_name = f"/kr120/{verb}"
+        self._pressed = pressed
+        self.error: Exception | None = None
+        self.success = True
+        #: Set: the service answers.
+        self.free = threading.Event()
+        self.free.set()
+
+    def __call__(self):
+        assert self.free.wait(10.0)
+        self._pressed.append(self.resolved_name.rpartition("/")[2])
+        if self.error is not None:
+            raise self.error
+        return SimpleNamespace(success=self.success, message="as the executor says")
 
 
 class Bench:
     """The node, a client that remembers, and an executor that says yes."""
 
-    def __init__(self):
+    def __init__(self, account=""):
         self.client = Client()
         self.made = None
 
@@ -26,8 +52,11 @@ class Bench:
             self.made = Refusals(report)
             return self.made
 
-        settings = Settings(host="127.0.0.1", port=1, path_points=10)
-        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, make)
+        settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
+        self.pressed = []
+        self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, RESUME)}
+        self.interventions = RemoteInterventions(Topics("twin", "kr120"), self.services, self.client.publish)
+        self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.interventions, make)
 
     resolved_name = "/kr120/review_plan"
 
@@ -39,9 +68,9 @@ class Bench:
         return SimpleNamespace(success=True, message="approved")
 
     def verdict(self, plan="p1"):
-        """A message on `review`."""
+        """A verdict on `review`."""
         content = {"plan_id": plan, "plan_hash": "cafe", "verdict": "approved", "reviewer": "Ann"}
-        self.node.on_review(json.dumps(content).encode(), False)
+        self.node.on_review("", json.dumps(content).encode(), False)
 
 
 @pytest.fixture
@@ -52,7 +81,7 @@ def bench(monkeypatch):
 
 
 def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
-    bench.node.on_review(b"{", False)
+    bench.node.on_review("", b"{", False)
     for _ in range(WAITING + 2):
         bench.verdict()
     answers = [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("/ack")]
@@ -71,3 +100,115 @@ def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
     bench.node.carry_out(RemoteReview("p1", "cafe", "approved", "Ann", ""))
     assert json.loads(bench.client.published[-1][1])["ok"]
     assert bench.node.report().values == {"verdicts taken": 1}
+
+
+def test_on_a_site_a_verdict_in_no_name_is_refused_and_told_where_it_belongs(monkeypatch):
+    monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
+    site = Bench("/nowhere/account.json")
+    site.verdict()
+    answer = json.loads(site.client.published[-1][1])
+    assert not answer["ok"] and "publish it on review/<account>" in answer["reason"]
+    assert site.made.refused == {"sender": 1}
+
+
+def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench):
+    bench.node.on_review("kr120-reviewer-ada", b"{}", False)
+    answer = json.loads(bench.client.published[-1][1])
+    assert (answer["ok"], answer["account"]) == (False, "kr120-reviewer-ada")
+
+
+# -- stop, pause, resume
+
+
+@pytest.fixture
+def pressing(bench, monkeypatch):
+    ended = threading.Event()
+    monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
+    bench.interventions.start()
+    yield bench
+    ended.set()
+
+
+def press(bench, verb, id_="1", account="kr120-stopper-bob", retain=False, payload=None):
+    """Hand over a message as the client does."""
+    payload = json.dumps({"id": id_}).encode() if payload is None else payload
+    message = SimpleNamespace(topic=f"twin/kr120/{verb}/{account}", payload=payload, retain=retain)
+    bench.interventions.on_message[f"twin/kr120/{verb}/+"](message)
+
+
+def acks(bench, name):
+    found = [
+        json.loads(payload) for topic, payload in list(bench.client.published) if topic == f"twin/kr120/{name}/ack"
+    ]
+    return found
+
+
+@pytest.mark.parametrize("verb, ack", [("stop", "stop"), ("pause", "pause"), ("resume", "pause")])
+def test_what_is_pressed_is_carried_out_and_answered(pressing, verb, ack):
+    press(pressing, verb, "7")
+    wait_until(lambda: acks(pressing, ack), what="an answer")
+    assert acks(pressing, ack) == [
+        {"id": "7", "account": "kr120-stopper-bob", "ok": True, "reason": "as the executor says", "by": "executor"}
+    ]
+    assert pressing.pressed == [verb]
+    assert pressing.node.report().values == {"interventions taken": 1}
+
+
+def test_a_stop_waits_for_nothing_else(pressing):
+    pause = pressing.services[PAUSE]
+    pause.free.clear()
+    press(pressing, "pause")
+    press(pressing, "stop")
+    wait_until(lambda: acks(pressing, "stop"), what="the answer to the stop")
+    assert pressing.pressed == ["stop"]
+    pause.free.set()
+    wait_until(lambda: acks(pressing, "pause"), what="the answer to the pause")
+
+
+def test_a_resume_that_came_before_starts_nothing_again(pressing):
+    for verb in ("resume", "pause", "resume"):
+        press(pressing, verb, "1")
+    press(pressing, "resume", "2")
+    wait_until(lambda: len(acks(pressing, "pause")) == 3, what="three answers")
+    assert pressing.pressed == ["resume", "pause", "resume"] and pressing.made.refused == {"repeated": 1}
+
+
+def test_a_stop_is_carried_out_as_often_as_it_comes(pressing):
+    for _ in range(3):
+        press(pressing, "stop", "the same")
+    wait_until(lambda: pressing.pressed == ["stop"] * 3, what="three stops")
+
+
+@pytest.mark.parametrize("verb, ack", [("stop", "stop"), ("pause", "pause"), ("resume", "pause")])
+def test_what_is_no_press_is_refused_counted_and_answered(pressing, verb, ack):
+    press(pressing, verb, payload=b"{}")
+    press(pressing, verb, retain=True)
+    press(pressing, verb, account="no account")
+    assert pressing.made.refused == {verb: 1, "retained": 1, "sender": 1}
+    answers = acks(pressing, ack)
+    assert [answer["ok"] for answer in answers] == [False] * 3
+    assert [answer["account"] for answer in answers] == ["kr120-stopper-bob", "kr120-stopper-bob", ""]
+    assert pressing.pressed == []
+
+
+def test_answers_are_no_presses(pressing):
+    press(pressing, "stop", account="ack")
+    press(pressing, "pause", account="ack")
+    assert not pressing.client.published and not pressing.made.refused
+
+
+def test_more_than_may_wait_are_refused_and_answered(bench):
+    for number in range(remote_interventions.WAITING + 2):
+        press(bench, "pause", str(number))
+    assert bench.made.refused == {"busy": 2}
+    assert [answer["ok"] for answer in acks(bench, "pause")] == [False] * 2
+
+
+@pytest.mark.parametrize("error", [TransportTerminated("x"), rospy.ServiceException("x"), rospy.ROSException("x")])
+def test_an_executor_that_is_not_there_is_told(pressing, error):
+    pressing.services[STOP].error = error
+    press(pressing, "stop")
+    wait_until(lambda: acks(pressing, "stop"), what="an answer")
+    answer = acks(pressing, "stop")[0]
+    assert not answer["ok"] and "/kr120/stop does not answer" in answer["reason"]
+    assert pressing.node.report().values == {"interventions not taken": 1}

@@ -254,7 +254,7 @@ def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
     space = OccupiedSpace(beside, "b", 0.5, 0.1)
     pipeline = SimpleNamespace(scene=EMPTY, wait_for_scene=lambda _: None)
     count = SimpleNamespace(count=lambda *_: None)
-    handler = RequestHandler(pipeline, count, lambda: 1, 0.0, str, lambda *_: None, space)
+    handler = RequestHandler(pipeline, count, lambda: 1, 0.0, lambda plan, changes: str(plan), lambda *_: None, space)
 
     def blocked(_):
         assert [item.padding for item in space.obstacles()] == [pytest.approx(0.1, abs=2e-3)]

@@ -258,9 +258,10 @@ def test_no_master_is_nothing_that_runs():
 def test_every_node_of_a_robot_is_looked_for():
     """Those of bringup.launch in its group, and of the files it includes there."""
     trees = [
-        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link", "gate")
+        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot()
+        for name in ("bringup", "twin", "link", "gate", "work")
     ]
-    names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view"}
+    names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view", "console"}
     assert set(preflight.ROBOT_NODES) == names
 
 
@@ -282,6 +283,39 @@ def test_a_taken_port_is_refused_before_anything_starts():
         assert preflight.port_problem(elsewhere | {"gateway": "false"}) == ""
         assert preflight.port_problem(elsewhere | {"arm": "none"}) == ""
     assert preflight.port_problem(here) == ""
+
+
+def test_a_console_without_its_package_or_its_page_is_refused_with_what_to_do(monkeypatch, tmp_path):
+    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
+    assert preflight.contents_problem(given) == ""
+    page = str(tmp_path)
+    assert preflight.contents_problem(given | {"console_page": page}).startswith("console:=true: console_page: found ")
+    (tmp_path / "index.html").write_text("<!doctype html>")
+    assert preflight.contents_problem(given | {"console_page": page}) == ""
+    monkeypatch.setattr(preflight.importlib.util, "find_spec", lambda name: None)
+    said = preflight.contents_problem(given)
+    assert said == (
+        "console:=true: the Python package websockets: found 'missing', expected installed; run setup/setup.sh console"
+    )
+    assert preflight.contents_problem(given | {"console": "false"}) == ""
+
+
+def test_a_taken_port_of_the_console_is_refused():
+    with socket.socket() as tcp:
+        tcp.bind(("127.0.0.1", 0))
+        tcp.listen()
+        port = tcp.getsockname()[1]
+        given = {"console": "true", "console_port": str(port), "console_listen": "127.0.0.1", "arm": "none"}
+        assert preflight.port_problem(given).startswith(f"console_port:={port}: TCP port {port} on 127.0.0.1 is taken")
+        assert preflight.port_problem(given | {"console": "false"}) == ""
+    # another test may take one of them meanwhile, not all
+    assert "" in [preflight.port_problem(given | {"console_port": str(free_port())}) for _ in range(5)]
+
+
+def free_port():
+    with socket.socket() as tcp:
+        tcp.bind(("127.0.0.1", 0))
+        return tcp.getsockname()[1]
 
 
 def test_a_taken_port_of_a_site_s_broker_is_refused_too(tmp_path):
@@ -392,7 +426,7 @@ def test_what_waits_to_say_a_sentence_holds_no_socket_of_the_process_that_ended(
 
 # -- the nodes' own files
 
-PAIR = KR120 | {"neighbour": "other", "tool_marker": "true", "separation": "true"}
+PAIR = KR120 | {"neighbour": "other", "tool_marker": "true", "separation": "true", "work_model": "/models/panel.ifc"}
 
 
 @pytest.fixture
@@ -417,7 +451,8 @@ def changed(folder, name, **values):
 
 def test_every_file_that_the_launch_files_load_for_a_node_is_checked():
     trees = [
-        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot() for name in ("bringup", "twin", "link", "gate")
+        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot()
+        for name in ("bringup", "twin", "link", "gate", "work")
     ]
     loaded = {Path(tag.get("file", "")).stem for tree in trees for tag in tree.iter("rosparam") if tag.get("file")}
     # the cell is an argument, and checked as one

@@ -32,7 +32,7 @@ class Cell:
         self.outcomes: list = []
         diagnostics = SimpleNamespace(count=lambda reason, _: self.refused.update([reason]))
         self.handler = RequestHandler(
-            self.pipeline, diagnostics, lambda: self.publishers, 0.0, lambda plan: "made", self.note
+            self.pipeline, diagnostics, lambda: self.publishers, 0.0, lambda plan, changes: "made", self.note
         )
 
     def note(self, success, asked, sentence, plan_id):

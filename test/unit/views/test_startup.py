@@ -32,7 +32,7 @@ GOOD = Seen(
         ({"feedback": False}, "the first pose of the arm", "mqtt_bridge"),
         ({"twin": False}, "the twin", "virtual_robot"),
         ({"scene": False}, "the scene", "/kr120/scene"),
-        ({"link": Word("NEEDS_RESET", "it braked")}, "a reset", "rosservice call /kr120/reset"),
+        ({"link": Word("NEEDS_RESET", "it braked")}, "a reset", "twin --robot kr120 reset"),
         ({"link": Word("RESYNC", "")}, "twin and arm to take the same pose", "by itself"),
         ({"sync": Word("HOLDING", "joint_a3")}, "the gate to open", "agree"),
         ({"sync": Word("STOPPED", "held too long")}, "the gate to open", "reset"),
@@ -216,6 +216,18 @@ FINE = {
         ({"servo": "perfect"}, "servo:=perfect: expected ideal or realistic"),
         ({"gateway_kind": "bare"}, "gateway_kind:=bare: expected rsi or plc"),
         ({"gateway_kind": "plc", "track": "true"}, "track:=true with gateway_kind:=plc: "),
+        ({"console": "maybe"}, "console:=maybe: expected true or false"),
+        ({"console_port": "0"}, "console_port:=0: expected a whole number from 1 to 65535"),
+        ({"console_key": "/nope"}, "console_key:=/nope: expected the absolute path"),
+        ({"console": "true", "arm": "none"}, "console:=true with arm:=none: nothing is told by MQTT"),
+        ({"console": "true", "console_certificate": "/a"}, "console_key:='': expected a file, because"),
+        ({"console": "true", "console_key": "/a"}, "console_certificate:='': expected a file, because"),
+        (
+            {"console": "true", "console_listen": "0.0.0.0"},
+            "console_listen:=0.0.0.0: expected loopback, or console_cert",
+        ),
+        ({"console": "true", "bridge_account": "/a"}, "console_broker_ca:='' with bridge_account: expected the ca.crt"),
+        ({"console": "true", "broker_host": "b.cell"}, "console_broker_ca:='' with broker_host:=b.cell: expected"),
     ],
 )
 def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
@@ -233,6 +245,14 @@ def test_arguments_that_can_work_pass():
     for fine in ({"rsi_controller": "krc4"}, {"rsi_listen": "127.0.0.2"}, {"gateway": "false"}, {"arm": "none"}):
         assert preflight.problem(FINE | network | fine, "/a".__eq__) == ""
     assert preflight.problem(FINE | {"broker": "false", "broker_config": "/nope"}, "/a".__eq__) == ""
+
+
+def test_a_console_on_a_site_and_one_on_this_machine_can_work():
+    site = {"bridge_account": "/a", "broker_host": "b.cell", "console_broker_ca": "/a", "console_listen": "0.0.0.0"}
+    assert preflight.problem(FINE | {"console": "true"}, "/a".__eq__) == ""
+    tls = {"console_certificate": "/a", "console_key": "/a"}
+    assert preflight.problem(FINE | {"console": "true"} | site | tls, "/a".__eq__) == ""
+    assert preflight.problem(FINE | {"console": "false", "console_listen": "0.0.0.0"}, "/a".__eq__) == "", "not started"
 
 
 def test_a_bare_plc_needs_neither_gateway_nor_its_account_here():

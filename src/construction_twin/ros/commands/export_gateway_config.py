@@ -12,6 +12,7 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.master import await_master
+from construction_twin.rsi.ethernet_xml import tool_channels
 
 
 def main() -> None:
@@ -40,5 +41,6 @@ def main() -> None:
         f"{arguments.output}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; RSI on UDP port "
         f"{layout.port}, SENTYPE {layout.sentype}, "
         + ("read-only" if layout.onlysend else f"channels {', '.join(layout.receive)}")
+        + (f"; tool {config.tool.name}, {', '.join(tool_channels(layout))}" if config.tool else "; no tool")
         + (f"; not filled, so they stay as they are: {', '.join(layout.not_filled)}" if layout.not_filled else "")
     )

@@ -30,6 +30,7 @@ from construction_twin.ros.nodes import (
     pca_monitor,
     planner,
     tool_marker,
+    work,
 )
 from construction_twin.ros.shared.arm_listener import NeighbourSettings
 from construction_twin.ros.shared.gateway_config import gateway_config
@@ -43,6 +44,7 @@ Settings = TypeVar("Settings", bound=pydantic.BaseModel)
 _BROKER = {"host": "127.0.0.1", "port": 18830}
 _MARKER = {"self_collision": "", "tf_prefix": "", "reviewer": "operator"}
 _PLANNER = {"self_collision": "", "tf_prefix": ""}
+_WORK = {"model": "", "cell": "", "self_collision": "", "tf_prefix": "", "review_file": "", "arm": "mock"}
 
 
 def _model(model: type[Settings], values: Values) -> Settings:
@@ -71,12 +73,17 @@ def _pca_monitor(values: Values, given: Given, robot: RobotModel) -> None:
     Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), 0)
 
 
+def tool_settings(given: Given) -> Values:
+    """Return what launch/link.launch loads of a tool file; nothing without one."""
+    return {"tool": read_mapping(given["tool"], "a tool")} if given.get("tool") else {}
+
+
 def _gateway(values: Values, given: Given, robot: RobotModel) -> None:
     gateway_config(robot, values | {"decimals": _decimals(given), "cycle": int(given.get("rsi_cycle", "4"))})
 
 
 def _mock_rsi(values: Values, given: Given, robot: RobotModel) -> None:
-    launched: Values = {"gateway_host": "127.0.0.1", "cycle": int(given.get("rsi_cycle", "4"))}
+    launched: Values = {"gateway_host": "127.0.0.1", "cycle": int(given.get("rsi_cycle", "4"))} | tool_settings(given)
     if given.get("ethernet_xml"):
         launched["ethernet_xml"] = read_text(given["ethernet_xml"])
     build_controller(_model(MockSettings, values | launched), robot)
@@ -146,6 +153,7 @@ NODE_FILES = (
     NodeFile("executor", _executor),
     NodeFile("pca_monitor", _pca_monitor),
     NodeFile("tool_marker", _of(tool_marker.Settings, _MARKER), lambda given: is_true(given, "tool_marker")),
+    NodeFile("work", _of(work.Settings, _WORK), lambda given: bool(given.get("work_model"))),
     NodeFile("separation", _separation, lambda given: is_true(given, "separation")),
 )
 

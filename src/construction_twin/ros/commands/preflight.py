@@ -7,6 +7,7 @@ that run on the master, and at the ports. It changes nothing but who may start t
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import socket
 import sys
@@ -24,9 +25,10 @@ from construction_twin.core.network import port_is_free
 from construction_twin.core.validation import configuration_error
 from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
+from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
-from construction_twin.ros.commands.node_files import node_files_problem, read_mapping
+from construction_twin.ros.commands.node_files import node_files_problem, read_mapping, tool_settings
 from construction_twin.ros.messages.joint_goals import control_messages
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.ros.shared.master import running
@@ -41,11 +43,13 @@ from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.views.preflight import has_gateway_here, is_bare, is_true, notes, problem
 from construction_twin.views.roslaunch_call import RoslaunchCall, argument_problem, known_arguments
+from construction_twin.work.extras import check_extras
+from construction_twin.work.site import read_site
 
 #: Nodes of one robot, in its namespace: a second one of a name would end the first.
 ROBOT_NODES = (
     "executor", "pca_monitor", "virtual_robot", "mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi", "planner", "scene",
-    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation",
+    "neighbour", "follow_joint_trajectory", "startup", "preview", "sync_view", "static_frames", "tool_marker", "separation", "work",
     "joint_velocities", "joint_state_publisher",
     "robot_state_publisher", "physical_state_publisher", "preview_state_publisher", "rsi_gateway",
     "plc",
@@ -90,7 +94,31 @@ def _check_ethernet_xml(given: Given, robot: RobotModel) -> None:
     settings = read_mapping(str(_package() / "config" / "gateway.yaml"), "link settings")
     cycle = int(given.get("rsi_cycle", "4"))
     given_here = {"decimals": int(given.get("decimals", "3")), "cycle": cycle, "ethernet_xml": read_text(path)}
-    gateway_config(robot, settings | given_here)
+    gateway_config(robot, settings | given_here | tool_settings(given))
+
+
+def _check_tool(given: Given, _robot: RobotModel) -> None:
+    """Check the tool file; whether the Ethernet XML fits it is asked with that."""
+    if given["tool"]:
+        read_tool(given["tool"])
+
+
+def _check_work(given: Given, robot: RobotModel) -> None:
+    """Check that a building model can be worked on: packages, cell file, and that the robot's tool and scene are the cell's."""
+    if not given["work_model"]:
+        return
+    check_extras()
+    if not readable(given["work_model"]):
+        raise ConfigurationError("its path", given["work_model"], "the absolute path of a file that can be read")
+    cell = given.get("work_cell", "")
+    if not readable(cell):
+        raise ConfigurationError("work_cell", cell, "the absolute path of a cell file")
+    site = read_site(cell)
+    for name, named in (("tool", site.file.tool), ("scene", site.file.scene)):
+        wanted = (Path(cell).resolve().parent / named).resolve()
+        given_path = given.get(name, "")
+        if not given_path.startswith("/") or Path(given_path).resolve() != wanted:
+            raise ConfigurationError(name, given_path, f"{wanted}, as {cell} says; give {name}:={wanted}")
 
 
 def _check_scene(given: Given, robot: RobotModel) -> None:
@@ -157,6 +185,20 @@ def _check_trace(given: Given, _robot: RobotModel) -> None:
     check_writable(path.parent)
 
 
+def _check_console(given: Given, _robot: RobotModel) -> None:
+    """Find what the console needs before it is started again and again without it."""
+    if not is_true(given, "console"):
+        return
+    if importlib.util.find_spec("websockets") is None:
+        raise ConfigurationError("the Python package websockets", "missing", "installed; run setup/setup.sh console")
+    page = given.get("console_page", "none")
+    if page != "none" and not (page.startswith("/") and Path(page, "index.html").is_file()):
+        expected = "the absolute path of the page's folder; run setup/setup.sh console, which builds it, or give none"
+        raise ConfigurationError("console_page", page, expected)
+    if is_true(given, "console_files"):
+        check_writable(ros_home() / "construction_twin" / "console")
+
+
 def _check_action(given: Given, _robot: RobotModel) -> None:
     """Find the messages of the action before a node is started again and again without them."""
     if is_true(given, "follow_joint_trajectory"):
@@ -167,7 +209,9 @@ def _check_action(given: Given, _robot: RobotModel) -> None:
 CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("robot_config", _check_estimates),
     ("self_collision", _check_self_collision),
+    ("tool", _check_tool),
     ("ethernet_xml", _check_ethernet_xml),
+    ("work_model", _check_work),
     ("scene", _check_scene),
     ("cell", _check_cell),
     ("bridge_account", _check_account("bridge_account")),
@@ -179,6 +223,7 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("transition_file", _check_folder_of("transition_file")),
     ("gateway_trace", _check_trace),
     ("follow_joint_trajectory", _check_action),
+    ("console", _check_console),
 )
 
 
@@ -233,6 +278,9 @@ def running_problem(given: Given, uri: str) -> str:
             f"robot:={robot}: it runs already on {uri}: {nodes[0]}{others}; a second start would end them one by one. End that "
             f"launch first, or give this robot a name of its own, e.g. robot:={robot}_2"
         )
+    consoles = running(["/console"], uri) if is_true(given, "console") else []
+    if consoles:
+        return f"console:=true: a console runs already on {uri}; use that one, and give console:=false console_files:=true here"
     windows = running(["/view"], uri) if is_true(given, "gui") else []
     if windows:
         return f"gui:=true: rviz runs already on {uri}: {windows[0]}; a second one would end it. Use view.launch, or leave it out"
@@ -265,6 +313,12 @@ def port_problem(given: Given) -> str:
                 f"broker_config:={given['broker_config']}: TCP port {number} of its listener is taken, probably by another MQTT "
                 "broker; end that one, or use it with broker:=false"
             )
+    page_port, page_host = given.get("console_port", ""), given.get("console_listen", "127.0.0.1")
+    if is_true(given, "console") and page_port and not port_is_free(socket.SOCK_STREAM, int(page_port), page_host):
+        return (
+            f"console_port:={page_port}: TCP port {page_port} on {page_host} is taken, or {page_host} is no address here; "
+            f"give a free one, e.g. console_port:={int(page_port) + 10}"
+        )
     listens = is_true(given, "broker") and not listeners
     if listens and port and not port_is_free(socket.SOCK_STREAM, int(port)):
         return (

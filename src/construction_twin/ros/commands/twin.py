@@ -19,6 +19,7 @@ from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.urdf import parse_urdf
+from construction_twin.ros.commands.twin_work import WorkCommand
 from construction_twin.ros.commands.watch import watch
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher
@@ -79,8 +80,13 @@ class Command:
         print(self._client.plan_to_joints(self._robot().home, options.duration or 0.0, options.speed or 0.0))
         return Exit.DONE
 
+    def _back(self) -> Exit:
+        print(self._client.trigger("plan_way_back"))
+        return Exit.DONE
+
     def _show(self) -> Exit:
-        self._print_plan(self._under_review(self._listener()))
+        listener = self._listener()
+        self._print_plan(self._under_review(listener), listener)
         return Exit.DONE
 
     def _export(self) -> Exit:
@@ -102,11 +108,23 @@ class Command:
         print(self._client.preview(self._options.speed))
         return Exit.DONE
 
-    def _approve(self) -> Exit:
+    def _work(self) -> Exit:
+        """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
+        work = WorkCommand(self._options, self._namespace, account_name())
+        if self._options.step != "approve":
+            return work.run()
+        return self._approve(work.plan_under_review())
+
+    def _approve(self, expected: str = "") -> Exit:
+        """Approve the plan under review; refuse another one than `expected`, if that is given."""
         options = self._options
         listener = self._listener()
         plan = self._under_review(listener)
-        self._print_plan(plan)
+        if expected and plan.id != expected:
+            raise RequestRefused(
+                f"plan {plan.id} is under review, not {expected} of the task; see `twin show`, `twin work list`"
+            )
+        self._print_plan(plan, listener)
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
             return Exit.NOT_CONFIRMED
@@ -205,8 +223,8 @@ class Command:
     def _reported(listener: RobotListener, name: str) -> bool:
         return listener.newest(name) is not None
 
-    def _print_plan(self, plan: Plan) -> None:
-        print("\n".join(plan_lines(plan, self._robot().linear)))
+    def _print_plan(self, plan: Plan, listener: RobotListener) -> None:
+        print("\n".join(plan_lines(plan, self._robot().linear, listener.changes(plan.id))))
 
     def _verdict(self, plan: Plan, approve: bool) -> str:
         reviewer = self._options.reviewer or account_name()

@@ -6,6 +6,7 @@ Numbers are converted without loss: float64 fields unchanged, times as whole nan
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import genpy
 import numpy as np
@@ -17,9 +18,16 @@ from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Plan as PlanMsg
+from construction_twin.msg import Segment as SegmentMsg
+from construction_twin.msg import Signal as SignalMsg
+from construction_twin.msg import ToolSwitch
+from construction_twin.msg import WorkSegment as WorkSegmentMsg
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
+from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
+from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
+from construction_twin.scene.scene_change import SceneChange
 
 
 def trajectory_to_msg(trajectory: Trajectory) -> JointTrajectory:
@@ -56,7 +64,7 @@ def trajectory_from_msg(msg: JointTrajectory) -> Trajectory:
     )
 
 
-def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
+def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Sequence[SceneChange] = ()) -> PlanMsg:
     """Return the message.
 
     Parameters
@@ -66,12 +74,15 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
         tf frame that is the robot's base: of `tool_path` and of the clearance's point.
     tool_path : array, shape (k, 3)
         Position of the tool at the waypoints [m].
+    changes : sequence of SceneChange, optional
+        Of a work plan: what each of its segments does to the scene, for displays. Default: not told.
 
     Returns
     -------
     msg : construction_twin/Plan
     """
     clearance, usage = plan.report.clearance, plan.report.usage
+    told = changes or [SceneChange()] * len(plan.segments)
     msg = PlanMsg(
         id=plan.id,
         hash=plan.hash,
@@ -90,6 +101,8 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray) -> PlanMsg:
         velocity_use=list(usage.velocity),
         acceleration_use=list(usage.acceleration),
         jerk_use=list(usage.jerk),
+        task=plan.task,
+        segments=[segment_to_msg(segment, change) for segment, change in zip(plan.segments, told, strict=True)],
     )
     msg.header.stamp = genpy.Time(0, plan.created_ns)
     msg.header.frame_id = frame_id
@@ -114,7 +127,69 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
         planning_time=msg.planning_time,
         trajectory=trajectory_from_msg(msg.trajectory),
         report=_report_from_msg(msg),
+        task=msg.task,
+        segments=tuple(map(segment_from_msg, msg.segments)),
     )
+
+
+def segment_to_msg(segment: Segment, change: SceneChange = SceneChange()) -> SegmentMsg:
+    """Return the message; `change` is what makes of its scene the one after it."""
+    return SegmentMsg(
+        name=segment.name,
+        end=segment.end,
+        engaged=segment.engaged,
+        requires=list(map(signal_to_msg, segment.requires)),
+        switches=list(map(switch_to_msg, segment.switches)),
+        scene=segment.scene,
+        scene_after=segment.scene_after,
+        put=list(map(object_to_msg, change.put)),
+        remove=list(change.remove),
+    )
+
+
+def segment_from_msg(msg: SegmentMsg) -> Segment:
+    """Return the segment, without its change of the scene (`change_from_msg`)."""
+    return Segment(
+        name=msg.name,
+        end=msg.end,
+        engaged=msg.engaged,
+        requires=tuple(map(signal_from_msg, msg.requires)),
+        switches=tuple(map(switch_from_msg, msg.switches)),
+        scene=msg.scene,
+        scene_after=msg.scene_after,
+    )
+
+
+def change_from_msg(msg: SegmentMsg | WorkSegmentMsg) -> SceneChange:
+    """Return what a segment does to the scene.
+
+    Raises
+    ------
+    SceneError
+        If an object does not describe one.
+    """
+    return SceneChange(tuple(map(object_from_msg, msg.put)), tuple(msg.remove))
+
+
+def switch_to_msg(switch: Switch) -> ToolSwitch:
+    """Return the message."""
+    confirm = list(map(signal_to_msg, switch.confirm))
+    return ToolSwitch(output=switch.output, value=switch.value, confirm=confirm, timeout=switch.timeout)
+
+
+def switch_from_msg(msg: ToolSwitch) -> Switch:
+    """Return the switch."""
+    return Switch(msg.output, msg.value, tuple(map(signal_from_msg, msg.confirm)), msg.timeout)
+
+
+def signal_to_msg(signal: Signal) -> SignalMsg:
+    """Return the message."""
+    return SignalMsg(name=signal.name, value=signal.value)
+
+
+def signal_from_msg(msg: SignalMsg) -> Signal:
+    """Return the signal."""
+    return Signal(msg.name, msg.value)
 
 
 def _report_from_msg(msg: PlanMsg) -> PlanReport:

@@ -14,8 +14,10 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SceneObject as ObjectMsg
+from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Colours r, g, b, a in rviz: contacts are the most visible, fixed objects (the floor) the least.
@@ -118,15 +120,34 @@ def tf_frame(tf_prefix: str, link: str) -> str:
     return f"{tf_prefix}/{link}" if tf_prefix else link
 
 
-def _marker(item: SceneObject, touching: bool, base_link: str, tf_prefix: str) -> Marker:
+def body_marker(item: SceneObject, frame_id: str, colour: tuple[float, ...], pose: Pose | None = None) -> Marker:
+    """Return an object's shape for rviz, in a namespace of its name.
+
+    Parameters
+    ----------
+    item : SceneObject
+    frame_id : str
+        tf frame that it moves with.
+    colour : tuple of float, length 4
+        r, g, b, a.
+    pose : Pose, optional
+        In that frame. Default: the object's own.
+    """
     marker = Marker(ns=item.name, type=_TYPES[item.shape], action=Marker.ADD, frame_locked=True)
-    marker.header.frame_id = tf_frame(tf_prefix, item.link or base_link)
-    marker.pose = PoseMsg(Point(*item.position), Quaternion(*item.quaternion))
+    marker.header.frame_id = frame_id
+    position, quaternion = item.position, item.quaternion
+    if pose is not None:
+        position, quaternion = pose.position.tolist(), rotation_to_quaternion(pose.rotation).tolist()
+    marker.pose = PoseMsg(Point(*position), Quaternion(*quaternion))
     marker.scale = Vector3(*_scale(item))
-    marker.color = ColorRGBA(*_colour(item, touching))
+    marker.color = ColorRGBA(*colour)
     if item.mesh:
         marker.mesh_resource = f"file://{item.mesh}"
     return marker
+
+
+def _marker(item: SceneObject, touching: bool, base_link: str, tf_prefix: str) -> Marker:
+    return body_marker(item, tf_frame(tf_prefix, item.link or base_link), _colour(item, touching))
 
 
 def _scale(item: SceneObject) -> tuple[float, ...]:

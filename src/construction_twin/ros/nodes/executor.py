@@ -1,4 +1,7 @@
-"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`."""
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
+
+Of a work plan also `tool_command`, from what `tool` says; `engagement`, and the service `release_engagement`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -22,16 +25,32 @@ from construction_twin.execution.approval import AUTO_APPROVE, Approval, Without
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.speed_limit import LimitState, SpeedLimit
+from construction_twin.execution.states import ACTIVE
+from construction_twin.execution.tool_report import NO_ARM, ToolReport
+from construction_twin.execution.way_back import check_way_back
 from construction_twin.monitor.gate import SyncState
-from construction_twin.msg import Conflict, Execution, Link, Plan, Review, Scene, Sync
+from construction_twin.msg import (
+    Conflict,
+    Engagement,
+    Execution,
+    Link,
+    Plan,
+    Review,
+    Scene,
+    Sync,
+    ToolCommand,
+    ToolState,
+)
 from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.review.queue import EXECUTOR, Verdict
-from construction_twin.review.record import Responsibility, ReviewLog
+from construction_twin.review.record import Release, Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import NodeSettings, read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.transport.cycle import Cycles
@@ -39,6 +58,9 @@ from construction_twin.ros.transport.joint_stream import JointPublisher, JointSu
 from construction_twin.ros.transport.publisher import Publisher, Sink
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import (
+    ReleaseEngagement,
+    ReleaseEngagementRequest,
+    ReleaseEngagementResponse,
     ReviewPlan,
     ReviewPlanRequest,
     ReviewPlanResponse,
@@ -89,6 +111,10 @@ class Said(NamedTuple):
     steady: bool
     #: A limit that follows a sensor changes all the time: a hundredth is worth a message, none of it a line in the log.
     limit: float
+    segment: int
+    at_boundary: bool
+    expected_scene: str
+    engaged: bool
 
 
 @dataclass(frozen=True)
@@ -98,12 +124,14 @@ class Outputs:
     Attributes
     ----------
     next : JointPublisher
-    execution, review : Publisher
+    execution, review, tool_command, engagement : Publisher
     """
 
     next: Sink
     execution: Sink
     review: Sink
+    tool_command: Sink
+    engagement: Sink
 
 
 class ExecutorNode:
@@ -116,6 +144,8 @@ class ExecutorNode:
     limit : SpeedLimit
     log : ReviewLog
     outputs : Outputs
+    engagements : EngagementFile
+        What it says at the start holds: the executor before this one ended inside an engaged segment.
     diagnostics : callable
         Takes `report`; returns the node's NodeDiagnostics.
     without_person : WithoutPerson, optional
@@ -129,6 +159,7 @@ class ExecutorNode:
         limit: SpeedLimit,
         log: ReviewLog,
         outputs: Outputs,
+        engagements: EngagementFile,
         diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
         without_person: WithoutPerson = WithoutPerson(),
     ):
@@ -138,7 +169,10 @@ class ExecutorNode:
         self._limit_state: LimitState | None = None
         self._log = log
         self._outputs = outputs
+        self._engagements = engagements
+        self._told_engagement: tuple | None = None
         self._record_problem = ""
+        self._engagement_problem = ""
         self._said = DeferredLog()
         self._started = rospy.Time.now()
         self._lock = threading.Lock()
@@ -149,6 +183,10 @@ class ExecutorNode:
         self._reported: Said | None = None
         self._told: tuple = ()
         self._diagnostics = diagnostics(self.report)
+        found = engagements.read()
+        if found is not None:
+            executor.engagement.found(found if found.reason else replace(found, reason=ENDED))
+            rospy.logwarn("%s", executor.engaged())
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -222,14 +260,36 @@ class ExecutorNode:
             self._diagnostics.refuse("plan", str(error))
             return
         with self._lock:
+            keeper = self._executor.engagement
+            way_back = keeper.present if keeper.engaged else None
+        problem = ""
+        if way_back is not None:
+            # outside of the lock: it takes many cycles' time
+            try:
+                check_way_back(plan, way_back)
+            except ReviewError as error:
+                problem = str(error)
+        with self._lock:
             try:
                 if message.header.stamp < self._started:
                     raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
-                self._executor.offer(plan)
+                if problem:
+                    raise ReviewError(problem)
+                self._executor.offer(plan, way_back)
             except ReviewError as error:
                 # displays that show it as waiting take it away
                 self._executor.turn_down(plan, str(error))
                 self._diagnostics.refuse("plan", str(error))
+
+    def on_tool(self, message: ToolState) -> None:
+        """Take what is known of the tool."""
+        try:
+            report = tool_report_from_msg(message)
+        except PayloadError as error:
+            self._diagnostics.refuse(error.reason, str(error))
+            return
+        with self._lock:
+            self._executor.on_tool(report, time.monotonic_ns())
 
     def on_link(self, message: Link) -> None:
         """Take the link's state; a new session ends what is being executed."""
@@ -286,6 +346,30 @@ class ExecutorNode:
         self._said.add(rospy.logwarn, "stop_plan: %s", sentence)
         return StopPlanResponse(True, sentence)
 
+    def on_release(self, request: ReleaseEngagementRequest) -> ReleaseEngagementResponse:
+        """Take a person's word that the arm was freed; recorded before it counts."""
+        person, reason = request.person.strip(), request.reason.strip()
+        try:
+            if not person or not reason:
+                raise ExecutionError("a release needs the name of a person, and how the arm was freed")
+            with self._lock:
+                left = self._executor.check_release()
+            release = Release(person, reason, left.plan_id, left.task, left.segment)
+            self._log.append(release)
+            try:
+                with self._lock:
+                    self._executor.release(left)
+            except ExecutionError as error:
+                # something happened while it was written down: the record is corrected
+                self._log.append(replace(release, refused=str(error)))
+                raise
+        except ConstructionTwinError as error:
+            rospy.logwarn("release_engagement refused: %s", error)
+            return ReleaseEngagementResponse(False, str(error))
+        sentence = f"the arm, left in segment {left.segment!r} of plan {left.plan_id}, was freed by {person}: {reason}"
+        rospy.logwarn("release_engagement: %s", sentence)
+        return ReleaseEngagementResponse(True, sentence)
+
     def on_pause(self, _request) -> TriggerResponse:
         """Brake on the path and keep the plan."""
         return self._on_trigger("pause", lambda: self._executor.pause(now_ns()))
@@ -318,6 +402,7 @@ class ExecutorNode:
             Whether there is a node that says which scene is the present one.
         """
         self.write_records()
+        self.keep_engagement()
         with self._lock:
             self._executor.queue.scene_alive = scene_alive
         if self._without_person == WithoutPerson():
@@ -341,6 +426,29 @@ class ExecutorNode:
             return
         self._record_problem = ""
 
+    def keep_engagement(self) -> None:
+        """Write down where the arm is about to be, or was left, and tell the planner; not for the path of the setpoints."""
+        with self._lock:
+            keeper, tool = self._executor.engagement, self._executor.tool
+            present, settled, engaged = keeper.present, keeper.settled, keeper.engaged
+        if not settled:
+            try:
+                self._engagements.write(present)
+            except ExecutionError as error:
+                self._engagement_problem = str(error)
+                rospy.logerr_throttle(5.0, "%s", error)
+                return
+            with self._lock:
+                keeper.on_written(present)
+        self._engagement_problem = ""
+        left = present if engaged else None
+        told = left, left.requires(tool) if left is not None else ()
+        if told != self._told_engagement:
+            self._told_engagement = told
+            message = engagement_to_msg(left, tool)
+            message.header.stamp = rospy.Time.now()
+            self._outputs.engagement.publish(message)
+
     # -- reports
 
     def _publish_verdict(self, verdict: Verdict) -> None:
@@ -360,7 +468,7 @@ class ExecutorNode:
         """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal."""
         executor = self._executor
         with self._lock:
-            events = executor.take_events()
+            events, orders, work = executor.take_events(), executor.take_orders(), executor.work
             said = Said(
                 executor.state,
                 executor.reason,
@@ -368,12 +476,20 @@ class ExecutorNode:
                 executor.outcome,
                 executor.steady,
                 round(self._limit.limit, 2),
+                work.number if work is not None else -1,
+                work is not None and work.at_boundary and executor.state in ACTIVE,
+                work.expected_scene if work is not None and executor.state in ACTIVE else "",
+                executor.engagement.engaged,
             )
             told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
             limit, limit_state, limit_reason = self._limit.limit, self._limit.state, self._limit.reason
             plan, rate = executor.plan, executor.rate
             # with the state: a stop that comes after this stamp is not known to the report
             stamp = now_ns()
+        for order in orders:
+            command = order_to_msg(order)
+            command.header.stamp = to_time(stamp)
+            self._outputs.tool_command.publish(command)
         if said != self._reported:
             self._reported = said
             self._outputs.execution.publish(_execution(said, plan, rate, limit, stamp))
@@ -401,8 +517,12 @@ class ExecutorNode:
             "records lost": log.lost,
             "SHA-256 of the last record": log.state.head,
         }
-        if self._record_problem:
-            return Report(ERROR, self._record_problem, values)
+        if problem := self._record_problem or self._engagement_problem:
+            return Report(ERROR, problem, values)
+        with self._lock:
+            engaged = executor.engaged() if executor.engagement.engaged else ""
+        if engaged:
+            return Report(WARN, engaged, values)
         slow = self._limit.state in (LimitState.SILENT, LimitState.MISSING)
         level = WARN if slow or executor.state in (ExecutorState.WAITING, ExecutorState.HELD) else OK
         return Report(level, f"{executor.state.name}: {executor.reason}", values)
@@ -417,9 +537,16 @@ def _execution(said: Said, plan: PlanContent | None, rate: float, limit: float, 
         outcome=said.outcome,
         rate=rate,
         speed_limit=limit,
+        segment=said.segment,
+        at_boundary=said.at_boundary,
+        wants_scene=bool(said.expected_scene),
+        expected_scene=said.expected_scene,
+        engaged=said.engaged,
     )
     message.header.stamp = to_time(stamp)
     if plan is not None:
+        if said.segment >= 0:
+            message.segment_name = plan.segments[said.segment].name
         message.plan_id = plan.id
         message.plan_start = to_time(said.plan_start)
         message.duration = plan.trajectory.duration
@@ -435,6 +562,8 @@ def start() -> ExecutorNode:
     executor.neighbour = ConflictVerdicts(settings.neighbour)
     if settings.arm != "none":
         executor.on_link(False, "no report of the link yet")
+    else:
+        executor.on_tool(ToolReport(reason=NO_ARM), time.monotonic_ns())
     log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
     node = ExecutorNode(
         robot,
@@ -445,7 +574,11 @@ def start() -> ExecutorNode:
             JointPublisher("next/joint_states", names),
             Publisher("execution", Execution, queue_size=10, latch=True),
             Publisher("review", Review, queue_size=10, latch=True),
+            # not latched: a bridge that is started again must not take a switch that was meant for another moment
+            Publisher("tool_command", ToolCommand, queue_size=50, tcp_nodelay=True),
+            Publisher("engagement", Engagement, queue_size=5, latch=True),
         ),
+        EngagementFile(log.path.with_name(f"{log.path.stem}_engagement.json"), names),
         functools.partial(NodeDiagnostics, robot.name),
         WithoutPerson(settings.auto_approve, settings.auto_approve_sources),
     )
@@ -459,9 +592,11 @@ def start() -> ExecutorNode:
         Subscriber("conflict", Conflict, node.on_conflict, refuse, queue_size=20, tcp_nodelay=True)
     if settings.arm != "none":
         Subscriber("link", Link, node.on_link, refuse, queue_size=5)
+        Subscriber("tool", ToolState, node.on_tool, refuse, queue_size=20, tcp_nodelay=True)
     Service("review_plan", ReviewPlan, node.on_review)
     Service("stop", Trigger, node.on_stop)
     Service("stop_plan", StopPlan, node.on_stop_plan)
+    Service("release_engagement", ReleaseEngagement, node.on_release)
     Service("pause", Trigger, node.on_pause)
     Service("resume", Trigger, node.on_resume)
     rospy.Timer(rospy.Duration(BACKGROUND_PERIOD), lambda _: node.work_off(scene.get_num_connections() > 0))

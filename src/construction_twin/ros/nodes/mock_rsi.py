@@ -117,6 +117,7 @@ class MockRsiNode:
             "correction_monitor_deg": to_wire(controller.correction_monitor, linear),
             "stamp": stamp,
             "faults": self._mock.faults.active,
+            "tool": self._tool(),
             "stop_ramp": self._ramp(),
             "counters": self._mock.counters,
             "config": self._settings.model_dump(exclude={"ethernet_xml"}),
@@ -132,6 +133,11 @@ class MockRsiNode:
             "time": ramp.cycles * self._controller.config.period,
             "distance_deg": to_wire(ramp.distance, self._robot.linear),
         }
+
+    def _tool(self) -> dict | None:
+        """Return `$OUT` and `$IN` of the tool; None without one."""
+        tool = self._controller.tool
+        return None if tool is None else {"outputs": dict(tool.outputs), "inputs": dict(tool.inputs)}
 
     # -- in other threads
 

@@ -27,6 +27,7 @@ from construction_twin.link.speed_forwarder import SpeedForwarder
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.link.tool_link import ToolLink, ToolReport, tool_report
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
@@ -41,7 +42,7 @@ from construction_twin.mqtt.messages import (
     read_state_properties,
 )
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.msg import Feedback, Link, SpeedLimit
+from construction_twin.msg import Execution, Feedback, Link, SpeedLimit, Sync, ToolCommand, ToolState
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
@@ -80,11 +81,14 @@ class Outputs:
     physical, feedback : JointPublisher
         The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
     link : Publisher
+    tool : Publisher or None
+        None: nobody is told of the tool.
     """
 
     physical: Sink
     feedback: Sink
     link: Sink
+    tool: Sink | None = None
 
 
 class MqttBridge:
@@ -134,6 +138,12 @@ class MqttBridge:
         kind = BareSupervisor if bare else LinkSupervisor
         self._supervisor: LinkSupervisor = kind.of(config, lambda: uuid.uuid4().hex, mirrors)
         self._speed = SpeedForwarder(config.speed_limit_deadline)
+        self._tool = ToolLink(lambda: uuid.uuid4().hex)
+        # orders what is published on `tool`: it comes from several threads
+        self._tool_lock = threading.Lock()
+        self._tool_told: ToolReport | None = None
+        #: Id of the plan that the executor plays, or has played last.
+        self._played = ""
         self._sequence = 0
         self._state_check = StateCheck(settings.max_state_age)
         self._states = 0
@@ -191,6 +201,7 @@ class MqttBridge:
             # repeated for as long as its source sends: no line in the log
             self._publish_control(Control(str(self._speed.number), armed, "speed_limit", limit))
         self._publish_link()
+        self._publish_tool()
 
     # -- ROS to MQTT
 
@@ -223,6 +234,64 @@ class MqttBridge:
                 self._speed.on_limit(message.limit, source, time.monotonic_ns())
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
+
+    def on_tool_command(self, message: ToolCommand) -> None:
+        """Take a switch, or the wish that none of those that are armed fires."""
+        if message.verb not in (ToolCommand.ARM, ToolCommand.VOID):
+            self._diagnostics.refuse("tool_command", f"tool_command with verb {message.verb}; expected ARM or VOID")
+            return
+        with self._lock:
+            supervisor, control = self._supervisor, None
+            session = supervisor.session
+            if message.verb == ToolCommand.VOID:
+                control = self._tool.void(session) if supervisor.sends_control else None
+            else:
+                armed = supervisor.state is LinkState.ARMED and supervisor.sends_control
+                obstacle = "" if armed else f"the link is {supervisor.state.name}: {supervisor.reason}"
+                if armed and (not message.plan_id or message.plan_id != self._played):
+                    obstacle = f"switch of plan {message.plan_id!r}, but the executor plays {self._played!r}"
+                stamp = message.stamp.to_nsec()
+                control = self._tool.switch(message.id, message.output, bool(message.value), stamp, session, obstacle)
+        if control is not None:
+            self._publish_control(control)
+        self._publish_tool()
+        rospy.loginfo("tool: %s", "void" if message.verb == ToolCommand.VOID else f"{message.id} {message.output}")
+
+    def on_execution(self, message: Execution) -> None:
+        """Take which plan is played: only its switches are armed."""
+        with self._lock:
+            self._played = message.plan_id
+
+    def on_sync(self, message: Sync) -> None:
+        """Take what the monitor says of its gate: nothing that is armed fires while it holds, whatever the executor does."""
+        with self._lock:
+            supervisor = self._supervisor
+            session = supervisor.session
+            control = self._tool.on_gate(message.state == Sync.IN_SYNC, session) if supervisor.sends_control else None
+        if control is not None:
+            self._publish_control(control)
+            rospy.loginfo("tool: void, the monitor's gate is closed")
+
+    def _publish_tool(self) -> None:
+        """Tell what is known of the tool, when it has changed."""
+        if self._outputs.tool is None:
+            return
+        with self._tool_lock:
+            with self._lock:
+                report = self._tool.report(self._tool_obstacle())
+            if report == self._tool_told:
+                return
+            self._tool_told = report
+            self._outputs.tool.publish(_tool_message(report))
+
+    def _tool_obstacle(self) -> str:
+        """Return why the gateway's last word on the tool is not one on the present; "" when it is."""
+        if not self._supervisor.sends_control:
+            return "a bare PLC has no tool here: no switch is possible"
+        state = self._supervisor.state
+        if state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
+            return f"the link is {state.name}: {self._supervisor.reason}"
+        return ""
 
     def _publish_control(self, control: Control) -> None:
         self._client.publish(self._topics.control, control.to_json(), qos=1)
@@ -282,6 +351,7 @@ class MqttBridge:
         try:
             status = parse_presence(payload)
             values = status_values(status)
+            tool_report(status)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
@@ -290,11 +360,13 @@ class MqttBridge:
             problem = self._supervisor.inputs.why_not_believed(status, now)
             if not problem:
                 self._supervisor.on_status(status, now)
+                self._tool.on_status(status)
                 self._gateway_values = values
         if problem:
             self._diagnostics.refuse("status", problem)
         elif status.get("state") == "offline":
             self._state_check.restart()
+        self._publish_tool()
 
     def on_answer(self, payload: bytes) -> None:
         """Take the gateway's answer to a control message."""
@@ -309,6 +381,8 @@ class MqttBridge:
             )
         with self._lock:
             self._supervisor.on_answer(answer, time.monotonic_ns())
+            self._tool.on_answer(answer)
+        self._publish_tool()
 
     # -- services
 
@@ -493,6 +567,19 @@ class MqttBridge:
         return Report(level, f"{state.name}: {reason}", values)
 
 
+def _tool_message(report: ToolReport) -> ToolState:
+    message = ToolState(known=report.known, tool=report.tool, reason=report.reason)
+    message.header.stamp = rospy.Time.now()
+    message.outputs = [name for name, _ in report.outputs]
+    message.output_values = [value for _, value in report.outputs]
+    message.inputs = [name for name, _ in report.inputs]
+    message.input_values = [value for _, value in report.inputs]
+    message.switch_ids = [id for id, _, _ in report.switches]
+    message.switch_states = [told.value for _, told, _ in report.switches]
+    message.switch_reasons = [reason for _, _, reason in report.switches]
+    return message
+
+
 def start() -> MqttBridge:
     """Return the bridge with its parameters, topics and services, connecting to the broker."""
     settings = read_parameters(Settings)
@@ -511,6 +598,7 @@ def start() -> MqttBridge:
             JointPublisher("physical/joint_states", robot.joint_names),
             JointPublisher("physical/feedback", robot.joint_names, Feedback),
             Publisher("link", Link, queue_size=10, latch=True),
+            Publisher("tool", ToolState, queue_size=50, latch=True),
         ),
         functools.partial(NodeDiagnostics, robot.name),
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
@@ -524,6 +612,10 @@ def start() -> MqttBridge:
     Service("halt", Trigger, bridge.on_halt)
     Service("mirror", SetBool, bridge.on_mirror)
     Subscriber("speed_limit", SpeedLimit, bridge.on_speed_limit, bridge.refuse, queue_size=5)
+    Subscriber("tool_command", ToolCommand, bridge.on_tool_command, bridge.refuse, queue_size=50, tcp_nodelay=True)
+    # what makes a switch void must not wait behind others
+    Subscriber("sync", Sync, bridge.on_sync, bridge.refuse, queue_size=50, tcp_nodelay=True)
+    Subscriber("execution", Execution, bridge.on_execution, bridge.refuse, queue_size=10, tcp_nodelay=True)
     return bridge
 
 

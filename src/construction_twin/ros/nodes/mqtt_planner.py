@@ -1,5 +1,7 @@
 """mqtt_planner: for programs that plan elsewhere. Takes their motions by MQTT, for review, and shows them everything on `view`.
 
+What consoles want beside that is in `ros.shared.console_feed` and `ros.shared.request_desk`.
+
 A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds. The poses come from
 ROS topics in bundles, see LatestPose, so that the bridge does nothing more for `view` than for any other subscriber.
 """
@@ -7,26 +9,26 @@ ROS topics in bundles, see LatestPose, so that the bridge does nothing more for 
 from __future__ import annotations
 
 import functools
-import hashlib
-import queue
+import math
 import secrets
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import genpy
 import pydantic
 import rospy
 from paho.mqtt.client import MQTTMessage
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import (
     Joints,
-    SenderPace,
     TrajectoryRequest,
     checked_sender,
     last_level,
@@ -41,6 +43,7 @@ from construction_twin.link.remote_view import (
     PlanProgress,
     PoseView,
     Seen,
+    SegmentNow,
     SyncView,
     ViewWriter,
 )
@@ -48,16 +51,30 @@ from construction_twin.link.remote_view import Report as ExecutionReport
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.msg import Execution, Link, Sync
+from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
+from construction_twin.ros.shared.pose_judge import PoseJudge
+from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.shared.request_desk import PlanServices, RequestDesk, Surroundings
+from construction_twin.ros.shared.request_line import Request, RequestLine
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.srv import PlanTrajectory, PlanTrajectoryResponse
+from construction_twin.srv import (
+    PlanCartesian,
+    PlanToJoints,
+    PlanToPose,
+    PlanTrajectory,
+    PlanTrajectoryResponse,
+    WorkPlanTask,
+)
 
 #: Motions that may wait while one is checked; a person sends one at a time.
 WAITING = 4
@@ -70,11 +87,27 @@ SERVICE_TIMEOUT = 1.0
 #: What `sync` and `link` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE = 0.5, 3.0
 
+_Message = TypeVar("_Message")
+#: A message and its age [s]; None: there is none, or it is too old.
+_Report = tuple[_Message, float] | None
+
 
 class Settings(MqttSettings):
-    """Private parameters; see config/mqtt_planner.yaml. `trajectories`: whether motions are taken by MQTT."""
+    """Private parameters; see config/mqtt_planner.yaml.
+
+    Attributes
+    ----------
+    trajectories : bool
+        Whether motions, and wishes for plans, are taken by MQTT.
+    self_collision : str
+        YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
+    private : str
+        Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
+    """
 
     trajectories: bool = True
+    self_collision: str = ""
+    private: str = ""
     max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
     view_rate: float = pydantic.Field(ge=1.0, le=50.0)
     max_pose_age: float = pydantic.Field(gt=0.0, le=5.0)
@@ -86,15 +119,6 @@ class Poses:
 
     twin: LatestPose | None
     arm: LatestPose | None
-
-
-@dataclass(frozen=True)
-class _Waiting:
-    """A motion that waits: of which account, and the digest of its message."""
-
-    request: TrajectoryRequest
-    sender: str
-    digest: bytes
 
 
 class MqttPlanner:
@@ -138,10 +162,11 @@ class MqttPlanner:
         self._plan_trajectory = plan_trajectory
         self._lock = threading.Lock()
         self._writing = threading.Lock()
-        self._waiting: queue.Queue[_Waiting] = queue.Queue(WAITING)
-        #: Digest of a message to its answer and when that was given; b"": it is being checked.
-        self._answered: dict[bytes, tuple[bytes, float]] = {}
-        self._pace = SenderPace(SENDER_PAUSE)
+        #: The broker knows accounts, and by a site's rules each account writes on its own topics only.
+        self._proven = broker.account is not None
+        self._feed: ConsoleFeed | None = None
+        self._desk: RequestDesk | None = None
+        self._looks_around = bool(settings.private)
         self._counts: Counter[str] = Counter()
         self._sync: tuple[Sync, float] | None = None
         self._link: tuple[Link, float] | None = None
@@ -151,6 +176,9 @@ class MqttPlanner:
         self._poses = Poses(None, None)
         self._connection = report_of(broker)
         self._diagnostics = diagnostics(self.report)
+        self._line = RequestLine(
+            WAITING, REPEAT_WINDOW, SENDER_PAUSE, lambda: time.monotonic(), self._answer, self._diagnostics.refuse
+        )
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -162,6 +190,34 @@ class MqttPlanner:
         self._poses = poses
         self._executor_is_there = executor_is_there
 
+    @property
+    def joints(self) -> Joints:
+        """The robot's joints."""
+        return self._joints
+
+    def is_engaged(self) -> bool:
+        """Return whether only the way back can be planned."""
+        with self._lock:
+            return self._execution is not None and bool(self._execution[0].engaged)
+
+    @property
+    def line(self) -> RequestLine:
+        """Where requests wait for their turn."""
+        return self._line
+
+    def serve_consoles(self, feed: ConsoleFeed, desk: RequestDesk) -> None:
+        """Take what tells consoles more than `view`, and what carries out their wishes."""
+        self._feed, self._desk = feed, desk
+
+    def publish_now(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
+        """Publish where there is a connection; what could be sent later only would be of the past."""
+        if self._client.is_connected():
+            self._client.publish(topic, payload, qos=qos, retain=retain)
+
+    def source_of(self, account: str) -> str:
+        """Return who asks on the topic of an account, for the reviewer."""
+        return source_of("", account, self._proven)
+
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
         on_message = {}
@@ -169,28 +225,30 @@ class MqttPlanner:
             on_message = {
                 self._topics.trajectory: lambda message: self._on_message("", message),
                 self._topics.trajectory_from("+"): lambda message: self._on_message(last_level(message.topic), message),
+                self._topics.plan_request("+"): self._on_plan_request,
             }
+        if self._desk is not None:
+            on_message[self._topics.ik("+")] = self._on_ik
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     def run(self) -> None:
         """Check motions, and show everything, until shutdown."""
         viewer = threading.Thread(target=self._show, name="view", daemon=True)
         viewer.start()
+        if self._desk is not None:
+            threading.Thread(target=self._desk.run, args=(self._looks_around,), name="ik", daemon=True).start()
         while not rospy.is_shutdown():
             self.run_waiting(0.2)
         viewer.join(1.0)
         self._client.publish(self._topics.view, self._writer.offline(), qos=1)
+        if self._feed is not None:
+            self._feed.farewell()
         self._client.disconnect()
         self._client.loop_stop()
 
     def run_waiting(self, patience: float = 0.0) -> None:
-        """Check all motions that wait; wait so long [s] for the first one."""
-        try:
-            self._carry_out(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
-            while True:
-                self._carry_out(self._waiting.get_nowait())
-        except queue.Empty:
-            return
+        """Carry out all requests that wait; wait so long [s] for the first one."""
+        self._line.run(patience)
 
     # -- motions from MQTT
 
@@ -200,12 +258,17 @@ class MqttPlanner:
             self._connection.refused(reason_code)
             return
         self._connection.connected()
+        topics = [(self._topics.ik("+"), 0)] if self._desk is not None else []
         if self._settings.trajectories:
-            topics = [(self._topics.trajectory, 1), (self._topics.trajectory_from("+"), 1)]
+            topics += [(self._topics.trajectory, 1), (self._topics.trajectory_from("+"), 1)]
+            topics += [(self._topics.plan_request("+"), 1)] if self._desk is not None else []
+        if topics:
             client.subscribe(subscriptions(client, topics))
         # the broker answers it, and so shows whether this account may write here
         info = client.publish(self._topics.view, self._present(), qos=1)
         self._connection.watch_publish(client, self._topics.view, info.mid)
+        if self._feed is not None:
+            self._feed.welcome()
 
     def on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         """Report the end of the connection."""
@@ -213,6 +276,15 @@ class MqttPlanner:
 
     def _on_message(self, sender: str, message: MQTTMessage) -> None:
         self.on_trajectory(sender, bytes(message.payload), message.retain)
+
+    def _on_plan_request(self, message: MQTTMessage) -> None:
+        # the answers, which are ours, stand on a topic of the same form
+        if self._desk is not None and message.topic != self._topics.plan_request_ack:
+            self._desk.on_plan_request(last_level(message.topic), bytes(message.payload), message.retain)
+
+    def _on_ik(self, message: MQTTMessage) -> None:
+        if self._desk is not None:
+            self._desk.on_ik(last_level(message.topic), bytes(message.payload), message.retain)
 
     def on_trajectory(self, sender: str, payload: bytes, retained: bool) -> None:
         """Take a motion; it is checked in the main thread.
@@ -233,51 +305,23 @@ class MqttPlanner:
         except PayloadError as error:
             self._refuse(error.reason, str(error), request, sender)
             return
-        digest = hashlib.sha256(sender.encode() + b"\0" + payload).digest()
-        if self._is_repeated(digest, asked.id):
-            return
-        now = time.monotonic()
-        wait = self._pace.wait(sender, now)
-        problem = f"one motion in {SENDER_PAUSE:g} s is taken from a sender; try again in {wait:.1f} s" if wait else ""
-        if not problem:
-            try:
-                self._waiting.put_nowait(_Waiting(asked, sender, digest))
-            except queue.Full:
-                problem = f"{WAITING} trajectories are waiting already; try again"
-            else:
-                self._pace.take(sender, now)
-        if problem:
-            with self._lock:
-                del self._answered[digest]
-            self._refuse("busy", problem, asked.id, sender)
-
-    def _is_repeated(self, digest: bytes, request: str) -> bool:
-        """Return whether the same message came before; one that was answered is answered alike. If not, note it."""
-        now = time.monotonic()
-        with self._lock:
-            self._answered = {
-                key: (answer, at)
-                for key, (answer, at) in self._answered.items()
-                if not answer or now - at <= REPEAT_WINDOW
-            }
-            if digest not in self._answered:
-                self._answered[digest] = b"", now
-                return False
-            answer, _ = self._answered[digest]
-        self._diagnostics.refuse(
-            "repeated", f"trajectory {request!r} came again within {REPEAT_WINDOW:g} s of its answer, or before it"
-        )
-        if answer:
-            self._client.publish(self._topics.trajectory_ack, answer, qos=1)
-        return True
+        self._line.take(
+            Request(
+                "trajectory", asked.id, sender, payload, self._topics.trajectory_ack,
+                lambda: self._carry_out(asked, sender),
+                lambda sentence: trajectory_answer(asked.id, sender, False, sentence),
+            )
+        )  # fmt: skip
 
     def _refuse(self, reason: str, sentence: str, request: str, sender: str) -> None:
         self._diagnostics.refuse(reason, sentence)
-        self._client.publish(self._topics.trajectory_ack, trajectory_answer(request, sender, False, sentence), qos=1)
+        self._answer(self._topics.trajectory_ack, trajectory_answer(request, sender, False, sentence))
 
-    def _carry_out(self, waiting: _Waiting) -> None:
-        """Have a motion checked and timed, and tell the sender what became of it."""
-        asked, sender = waiting.request, waiting.sender
+    def _answer(self, topic: str, payload: bytes, qos: int = 1) -> None:
+        self._client.publish(topic, payload, qos=qos)
+
+    def _carry_out(self, asked: TrajectoryRequest, sender: str) -> bytes:
+        """Have a motion checked and timed; return the answer."""
         try:
             rospy.wait_for_service(self._plan_trajectory.resolved_name, SERVICE_TIMEOUT)
             answer = self._plan_trajectory(
@@ -285,21 +329,17 @@ class MqttPlanner:
                 speed_scale=asked.speed_scale,
                 acceleration_scale=asked.acceleration_scale,
                 retime=True,
-                source=source_of(asked, sender, proven=self._broker.account is not None),
+                source=source_of(asked.source, sender, self._proven),
             )
         except (rospy.ROSException, *NO_ANSWER) as error:
             sentence = f"{self._plan_trajectory.resolved_name} does not answer: {error}; does the planner run?"
-            content = trajectory_answer(asked.id, sender, False, sentence)
-        else:
-            plan = {"plan_id": answer.plan_id, "plan_hash": answer.plan_hash, "duration": answer.duration}
-            notes = [*asked.notes, *_timing_notes(asked, answer)]
-            content = trajectory_answer(asked.id, sender, answer.success, answer.message, **plan, notes=notes)
-            with self._lock:
-                self._counts["under review" if answer.success else "no plan"] += 1
-            rospy.loginfo("trajectory %r from %s: %s", asked.id, sender or "an unknown sender", answer.message)
+            return trajectory_answer(asked.id, sender, False, sentence)
+        plan = {"plan_id": answer.plan_id, "plan_hash": answer.plan_hash, "duration": answer.duration}
+        notes = [*asked.notes, *_timing_notes(asked, answer)]
         with self._lock:
-            self._answered[waiting.digest] = content, time.monotonic()
-        self._client.publish(self._topics.trajectory_ack, content, qos=1)
+            self._counts["under review" if answer.success else "no plan"] += 1
+        rospy.loginfo("trajectory %r from %s: %s", asked.id, sender or "an unknown sender", answer.message)
+        return trajectory_answer(asked.id, sender, answer.success, answer.message, **plan, notes=notes)
 
     # -- what is shown
 
@@ -312,6 +352,8 @@ class MqttPlanner:
         """Take the bridge's report."""
         with self._lock:
             self._link = message, time.monotonic()
+        if self._feed is not None:
+            self._feed.on_link(message)
 
     def on_execution(self, message: Execution) -> None:
         """Take the executor's report."""
@@ -337,25 +379,45 @@ class MqttPlanner:
         return payload
 
     def _present(self) -> bytes:
+        seen = self.seen()
+        if self._feed is not None:
+            self._feed.note_poses(seen.twin is not None, seen.arm is not None)
         with self._writing:
-            return self._writer.write(now_ns(), self.seen())
+            return self._writer.write(now_ns(), seen)
+
+    def _reports(self) -> tuple[_Report[Link], _Report[Sync], _Report[Execution]]:
+        """Return what was reported, with its age; None for what is silent."""
+        now = time.monotonic()
+        with self._lock:
+            link, sync, execution = self._link, self._sync, self._execution
+        return (
+            (link[0], now - link[1]) if link is not None and now - link[1] <= LINK_AGE else None,
+            (sync[0], now - sync[1]) if sync is not None and now - sync[1] <= SYNC_AGE else None,
+            (execution[0], now - execution[1]) if execution is not None and self._executor_is_there() else None,
+        )
 
     def seen(self) -> Seen:
         """Return what is known now."""
+        link, sync, execution = self._reports()
         with self._lock:
-            sync, link, execution = self._sync, self._link, self._execution
             progress = self._progress.at(now_ns() / NANOSECONDS)
-        twin, arm = _pose_view(self._poses.twin, self._settings), _pose_view(self._poses.arm, self._settings)
-        now = time.monotonic()
+        round_trip = sync[0].round_trip if sync is not None else math.nan
         return Seen(
-            twin,
-            arm,
-            _sync_view(sync[0], now - sync[1]) if sync is not None and now - sync[1] <= SYNC_AGE else None,
-            _link_view(link[0], now - link[1]) if link is not None and now - link[1] <= LINK_AGE else None,
-            _execution_view(execution[0], now - execution[1], progress)
-            if execution is not None and self._executor_is_there()
-            else None,
+            _pose_view(self._poses.twin, self._settings),
+            _pose_view(self._poses.arm, self._settings),
+            _sync_view(*sync) if sync is not None else None,
+            _link_view(*link, round_trip) if link is not None else None,
+            _execution_view(*execution, progress) if execution is not None else None,
+            self._feed.plan if self._feed is not None else "",
+            self._desk.closest() if self._desk is not None else None,
         )
+
+    def tell(self) -> None:
+        """Tell the status line, where it is due."""
+        if self._feed is None:
+            return
+        link, sync, execution = (report[0] if report is not None else None for report in self._reports())
+        self._feed.tell(link, sync, execution, time.monotonic())
 
     def _show(self) -> None:
         """Show everything `view_rate` times a second."""
@@ -363,6 +425,7 @@ class MqttPlanner:
         due = time.monotonic()
         while not rospy.is_shutdown():
             self.show()
+            self.tell()
             # after a pause of the machine the next one is a whole period away: nobody needs what was missed
             due = max(due + period, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
@@ -373,7 +436,8 @@ class MqttPlanner:
         """Return the state for `/diagnostics`."""
         with self._lock:
             values: dict[str, object] = {f"trajectories {name}": n for name, n in sorted(self._counts.items())}
-        values["trajectories waiting"] = self._waiting.qsize()
+        values["trajectories waiting"] = self._line.waiting
+        values |= self._desk.counts if self._desk is not None else {}
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         taken = (
@@ -384,12 +448,13 @@ class MqttPlanner:
         return Report(OK, taken, values)
 
 
-def source_of(asked: TrajectoryRequest, sender: str, proven: bool) -> str:
+def source_of(says: str, sender: str, proven: bool) -> str:
     """Return who asked, for the reviewer.
 
     Parameters
     ----------
-    asked : TrajectoryRequest
+    says : str
+        What the sender says of itself; empty: nothing.
     sender : str
         The account in the topic's name; empty when there is none.
     proven : bool
@@ -399,7 +464,7 @@ def source_of(asked: TrajectoryRequest, sender: str, proven: bool) -> str:
         known = "MQTT, sender not known"
     else:
         known = f"MQTT account {sender}" if proven else f"MQTT, on the topic of {sender}"
-    return f"{known}, which says it is {asked.source!r}" if asked.source else known
+    return f"{known}, which says it is {says!r}" if says else known
 
 
 def trajectory_message(asked: TrajectoryRequest, joints: Joints) -> JointTrajectory:
@@ -449,7 +514,8 @@ def _sync_view(message: Sync, age: float) -> SyncView:
     )
 
 
-def _link_view(message: Link, age: float) -> LinkView:
+def _link_view(message: Link, age: float, round_trip: float) -> LinkView:
+    counters = {pair.key: pair.value for pair in message.gateway_counters}
     return LinkView(
         state=message.text,
         reason=message.reason,
@@ -457,6 +523,9 @@ def _link_view(message: Link, age: float) -> LinkView:
         gateway_state=message.gateway_state,
         gateway_kind=message.gateway_kind,
         responsible=message.responsible,
+        round_trip_ms=round_trip * 1e3,
+        # a counter appears with its first use
+        late=int(counters.get("late_replies", "0")) if counters else None,
     )
 
 
@@ -471,7 +540,53 @@ def _execution_view(message: Execution, age: float, progress: float) -> Executio
         progress=progress,
         rate=message.rate,
         speed_limit=message.speed_limit,
+        segment=SegmentNow(message.segment, message.segment_name, bool(message.at_boundary))
+        if message.segment >= 0
+        else None,
     )
+
+
+def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: Poses) -> None:
+    """Give the node what consoles want beside motions and `view`."""
+    topics = Topics(settings.prefix, robot.name)
+    files = None
+    if settings.private:
+        files = PrivateFiles(ros_home() / settings.private, robot.name)
+        for problem in files.write_robot(robot.urdf):
+            node.refuse("mesh", problem)
+        if not rospy.has_param("work"):
+            files.drop_building()
+    deployment = deployment_of(rospy.get_param("startup", None), rospy.get_namespace().rstrip("/"))
+    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files)
+    services = PlanServices(
+        rospy.ServiceProxy("plan_to_joints", PlanToJoints),
+        rospy.ServiceProxy("plan_to_pose", PlanToPose),
+        rospy.ServiceProxy("plan_cartesian", PlanCartesian),
+        rospy.ServiceProxy("plan_way_back", Trigger),
+        rospy.ServiceProxy("work/plan", WorkPlanTask),
+    )
+    work = Subscriber("work/tasks", WorkTasks, feed.on_tasks, node.refuse, queue_size=2)
+    around = Surroundings(
+        twin=lambda: _positions(poses.twin, settings.max_pose_age),
+        has_work=lambda: work.get_num_connections() > 0,
+        is_engaged=node.is_engaged,
+    )
+    desk = RequestDesk(
+        topics, node.joints, node.line, services, PoseJudge(robot, settings.self_collision, lambda: feed.scene), around,
+        node.publish_now, node.refuse, node.source_of,
+    )  # fmt: skip
+    node.serve_consoles(feed, desk)
+    Subscriber("scene", SceneMsg, feed.on_scene, node.refuse, queue_size=2)
+    Subscriber("plan", Plan, feed.on_plan, node.refuse, queue_size=5)
+    Subscriber("review", Review, feed.on_review, node.refuse, queue_size=10)
+
+
+def _positions(stream: LatestPose | None, oldest: float) -> tuple[float, ...]:
+    """Return the newest pose, empty while it is not known."""
+    try:
+        return stream.newest(oldest).positions if stream is not None else ()
+    except (PoseUnknownError, PayloadError):
+        return ()
 
 
 def start() -> MqttPlanner:
@@ -497,6 +612,7 @@ def start() -> MqttPlanner:
     )
     executions = Subscriber("execution", Execution, node.on_execution, node.refuse, queue_size=10)
     node.listen(poses, lambda: executions.get_num_connections() > 0)
+    _consoles(node, settings, robot, poses)
     Subscriber("sync", Sync, node.on_sync, node.refuse, queue_size=1)
     Subscriber("link", Link, node.on_link, node.refuse, queue_size=1)
     node.connect()

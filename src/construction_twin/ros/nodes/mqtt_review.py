@@ -1,4 +1,7 @@
-"""mqtt_review: the plan under review on MQTT, and verdicts from there to `review_plan`. A node of its own: the bridge has 4 ms."""
+"""mqtt_review: the plan under review on MQTT, and what people do about it: verdicts to `review_plan`, `stop`, `pause`, `resume`.
+
+A node of its own: the bridge has 4 ms.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +10,40 @@ import math
 import queue
 import threading
 import time
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable
 
 import pydantic
 import rospy
+from paho.mqtt.client import MQTTMessage
+from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.link.remote_review import PlanBoard, PlanView, RemoteReview, parse_review, review_answer
+from construction_twin.core.motion_errors import PlanningError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.remote_review import (
+    PlanBoard,
+    PlanView,
+    RemoteReview,
+    SegmentView,
+    parse_review,
+    recorded_reason,
+    review_answer,
+)
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
-from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
+from construction_twin.mqtt.messages import Topics, account_of
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Link, Plan, Review
+from construction_twin.robot.segments import segments_content
+from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
-from construction_twin.ros.transport.persistent_service import NO_ANSWER
+from construction_twin.ros.shared.remote_interventions import RemoteInterventions
+from construction_twin.ros.transport.persistent_service import NO_ANSWER, PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import ReviewPlan
 
@@ -31,6 +51,11 @@ from construction_twin.srv import ReviewPlan
 WAITING = 8
 #: Longest wait for `review_plan` to exist [s].
 SERVICE_TIMEOUT = 1.0
+#: Why a verdict on `review` is refused where the broker knows accounts.
+_NAMELESS = (
+    "a verdict on review names nobody: on a broker with accounts publish it on review/<account>; if the broker refuses that, its "
+    "rules are old: run make_site again"
+)
 #: Period at which the node compares what the broker holds with what it should hold [s].
 CHECK_PERIOD = 1.0
 
@@ -56,6 +81,7 @@ class MqttReview:
         Not connected yet.
     review_plan : rospy.ServiceProxy
         The executor's service.
+    interventions : RemoteInterventions
     diagnostics : callable
         Takes `report`; returns the node's NodeDiagnostics.
     """
@@ -67,6 +93,7 @@ class MqttReview:
         broker: Broker,
         client: PlainClient,
         review_plan: rospy.ServiceProxy,
+        interventions: RemoteInterventions,
         diagnostics: Callable[[Callable[[], Report]], NodeDiagnostics],
     ):
         self._settings = settings
@@ -83,13 +110,18 @@ class MqttReview:
         self._client = client
         self._connection = report_of(broker)
         self._diagnostics = diagnostics(self.report)
+        self._interventions = interventions
+        interventions.refuse = self._diagnostics.refuse
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
         on_message = {
-            self._topics.review: lambda message: self.on_review(bytes(message.payload), message.retain),
+            self._topics.review: lambda message: self.on_review("", bytes(message.payload), message.retain),
+            self._topics.review_by("+"): self._on_review_by,
             self._topics.plan: lambda message: self.on_own_plan(bytes(message.payload)),
+            **self._interventions.on_message,
         }
+        self._interventions.start()
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
@@ -111,8 +143,12 @@ class MqttReview:
     # -- ROS to MQTT
 
     def on_plan(self, message: Plan) -> None:
-        """Show a plan."""
-        payload = plan_view(message).to_json(self._settings.path_points)
+        """Show a plan; a work plan whose hash is not that of what would be shown is refused."""
+        try:
+            payload = plan_view(message).to_json(self._settings.path_points)
+        except PlanningError as error:
+            self._diagnostics.refuse("plan", str(error))
+            return
         with self._lock:
             self._board.on_plan(message.id, payload)
         self._publish_plan()
@@ -154,7 +190,8 @@ class MqttReview:
             return
         self._connection.connected()
         self._seen = b""
-        client.subscribe(subscriptions(client, [(self._topics.review, 1), (self._topics.plan, 1)]))
+        topics = [self._topics.review, self._topics.review_by("+"), self._topics.plan, *self._interventions.on_message]
+        client.subscribe(subscriptions(client, [(topic, 1) for topic in topics]))
         info = client.publish(self._topics.plan, self._board.payload, qos=1, retain=True)
         self._connection.watch_publish(client, self._topics.plan, info.mid)
 
@@ -166,13 +203,24 @@ class MqttReview:
         """Note what the broker holds."""
         self._seen = payload
 
-    def on_review(self, payload: bytes, retained: bool) -> None:
-        """Take a verdict; it is carried out in the main thread."""
+    def _on_review_by(self, message: MQTTMessage) -> None:
         try:
-            review = parse_review(payload, retained)
+            account = account_of(message.topic)
         except PayloadError as error:
-            self._diagnostics.refuse(error.reason, str(error))
-            self._answer(None, False, str(error))
+            self._refuse_review(error, "")
+            return
+        # an account is never empty: that is an answer of this node
+        if account:
+            self.on_review(account, bytes(message.payload), message.retain)
+
+    def on_review(self, account: str, payload: bytes, retained: bool) -> None:
+        """Take a verdict from `review/<account>`, or with "" from `review`; it is carried out in the main thread."""
+        try:
+            if not account and self._settings.account:
+                raise PayloadError("sender", _NAMELESS)
+            review = parse_review(payload, retained, account)
+        except PayloadError as error:
+            self._refuse_review(error, account)
             return
         try:
             self._reviews.put_nowait(review)
@@ -181,12 +229,16 @@ class MqttReview:
             self._diagnostics.refuse("busy", sentence)
             self._answer(review, False, sentence)
 
+    def _refuse_review(self, error: PayloadError, account: str) -> None:
+        self._diagnostics.refuse(error.reason, str(error))
+        self._answer(None, False, str(error), account)
+
     def carry_out(self, review: RemoteReview) -> None:
         """Give a verdict to the executor, and its answer to the reviewer."""
         try:
             rospy.wait_for_service(self._review_plan.resolved_name, SERVICE_TIMEOUT)
             answer = self._review_plan(
-                review.plan_id, review.plan_hash, review.approves, review.reviewer, _reason(review)
+                review.plan_id, review.plan_hash, review.approves, review.reviewer, recorded_reason(review)
             )
             ok, sentence = answer.success, answer.message
         except (rospy.ROSException, *NO_ANSWER) as error:
@@ -196,8 +248,8 @@ class MqttReview:
         rospy.loginfo("%s of plan %s by %s: %s", review.verdict, review.plan_id, review.reviewer, sentence)
         self._answer(review, ok, sentence)
 
-    def _answer(self, review: RemoteReview | None, ok: bool, sentence: str) -> None:
-        self._client.publish(self._topics.review_ack, review_answer(review, ok, sentence), qos=1)
+    def _answer(self, review: RemoteReview | None, ok: bool, sentence: str, account: str = "") -> None:
+        self._client.publish(self._topics.review_ack, review_answer(review, ok, sentence, account), qos=1)
 
     # -- reports
 
@@ -205,20 +257,21 @@ class MqttReview:
         """Return the state for `/diagnostics`."""
         with self._lock:
             values = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
+        values |= self._interventions.report()
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         return Report(OK, "a plan is shown" if self._board.payload else "no plan to review", values)
-
-
-def _reason(review: RemoteReview) -> str:
-    """Return the reviewer's words, marked: what came by MQTT was not said at this machine."""
-    return f"by MQTT: {review.reason}" if review.reason else "by MQTT"
 
 
 def plan_view(message: Plan) -> PlanView:
     """Return what is shown of a plan; what a planner has not measured is left empty.
 
     Numbers cross unchanged. Every measured plan has its fractions of the velocity limits, so their absence means that none was.
+
+    Raises
+    ------
+    PlanningError
+        If a work plan is not what its hash says.
     """
     points = message.trajectory.points
     clearance = None
@@ -249,7 +302,58 @@ def plan_view(message: Plan) -> PlanView:
             "acceleration": message.acceleration_use,
             "jerk": message.jerk_use,
         },
+        task=message.task,
+        segments=segment_views(message),
+        content=_content(message),
+        trajectory=_trajectory(message),
     )
+
+
+def segment_views(message: Plan) -> list[SegmentView]:
+    """Return what is shown of a work plan's segments."""
+    times = [point.time_from_start.to_nsec() for point in message.trajectory.points]
+    return [
+        SegmentView(
+            name=segment.name,
+            end=segment.end,
+            engaged=segment.engaged,
+            requires={signal.name: signal.value for signal in segment.requires},
+            switches=[
+                {
+                    "output": switch.output,
+                    "value": switch.value,
+                    "confirm": {signal.name: signal.value for signal in switch.confirm},
+                    "timeout": switch.timeout,
+                }
+                for switch in segment.switches
+            ],
+            scene=segment.scene,
+            scene_after=segment.scene_after,
+            put=[item.name for item in segment.put],
+            remove=segment.remove,
+            end_waypoint=min(bisect_left(times, round(segment.end * NANOSECONDS)), max(len(times) - 1, 0)),
+        )
+        for segment in message.segments
+    ]
+
+
+def _content(message: Plan) -> str:
+    """Return the text that a work plan's hash covers; "" for other plans."""
+    if not message.segments:
+        return ""
+    plan = plan_from_msg(message)
+    return segments_content(plan.trajectory.content_hash(), plan.task, plan.segments)
+
+
+def _trajectory(message: Plan) -> dict[str, list]:
+    """Return what the trajectory's hash covers, as it is in the message: who shows the plan compares."""
+    points = message.trajectory.points
+    return {
+        "times": [point.time_from_start.to_nsec() / NANOSECONDS for point in points],
+        "positions": [point.positions for point in points],
+        "velocities": [point.velocities for point in points],
+        "accelerations": [point.accelerations for point in points],
+    }
 
 
 def _xyz(point) -> tuple[float, float, float]:
@@ -262,9 +366,15 @@ def start() -> MqttReview:
     robot = robot_from_parameters().name
     broker = broker_of(settings)
     # the last will takes the plan away: while this node does not run, a verdict on it would not be heard
-    client = make_client(broker, unique_id(robot, "review"), Topics(settings.prefix, robot).plan, will="")
+    topics = Topics(settings.prefix, robot)
+    client = make_client(broker, unique_id(robot, "review"), topics.plan, will="")
     review_plan = rospy.ServiceProxy("review_plan", ReviewPlan)
-    node = MqttReview(settings, robot, broker, client, review_plan, functools.partial(NodeDiagnostics, robot))
+    # only `stop` may be called twice
+    services = {name: rospy.ServiceProxy(name, Trigger) for name in (PAUSE, RESUME)}
+    services[STOP] = PersistentService(STOP, Trigger)
+    interventions = RemoteInterventions(topics, services, lambda topic, payload: client.publish(topic, payload, qos=1))
+    diagnostics = functools.partial(NodeDiagnostics, robot)
+    node = MqttReview(settings, robot, broker, client, review_plan, interventions, diagnostics)
     node.connect()
     Subscriber("plan", Plan, node.on_plan, node.refuse, queue_size=5)
     Subscriber("review", Review, node.on_verdict, node.refuse, queue_size=10)

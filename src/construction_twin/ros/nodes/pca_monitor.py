@@ -231,6 +231,9 @@ class PcaMonitorNode:
         if not message.trajectory.points:
             self._diagnostics.refuse("plan", f"plan {message.id} has no points; expected at least a start and a goal")
             return
+        if message.segments:
+            # its rest is dropped: tool and scene may be in between, so that whoever gave the task plans it anew
+            return
         goal = message.trajectory.points[-1].positions
         self._goals.on_plan(message.id, goal, message.velocity_use, message.acceleration_use)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -12,19 +12,29 @@ import pydantic
 import rospy
 import tf2_ros
 from geometry_msgs.msg import PoseStamped
+from std_srvs.srv import Trigger, TriggerResponse
 from trajectory_msgs.msg import JointTrajectory
 
-from construction_twin.core.motion_errors import PlanningError, SceneError
+from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
+from construction_twin.execution.way_back import scene_problem
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.msg import Engagement, PlanOutcome
 from construction_twin.msg import Plan as PlanMsg
-from construction_twin.msg import PlanOutcome
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
+from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.messages.convert import plan_to_msg, pose_from_msg, pose_from_transform_msg
+from construction_twin.ros.messages.convert import (
+    plan_to_msg,
+    pose_from_msg,
+    pose_from_transform_msg,
+    signal_from_msg,
+    trajectory_from_msg,
+)
 from construction_twin.ros.messages.plan_requests import (
+    asked_segments,
     check_asked,
     plan_request,
     read_waypoints,
@@ -43,6 +53,7 @@ from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
     PlanCartesian,
@@ -55,6 +66,8 @@ from construction_twin.srv import (
     PlanToPoseResponse,
     PlanTrajectory,
     PlanTrajectoryResponse,
+    PlanWork,
+    PlanWorkResponse,
 )
 
 
@@ -84,7 +97,8 @@ class Settings(PlannerSettings):
 class PlannerNode:
     """Services `plan_to_joints`, `plan_to_pose`, `plan_cartesian`, `plan_from_csv`, `plan_trajectory`; topic `joint_trajectory`.
 
-    Latched topics `plan` and `plan_outcome`; listens to `twin/joint_states`, `scene` and tf.
+    For work plans the services `plan_work` and `plan_way_back`. Latched topics `plan` and `plan_outcome`; listens to
+    `twin/joint_states`, `scene`, `engagement` and tf.
     """
 
     def __init__(self):
@@ -109,6 +123,8 @@ class PlannerNode:
         self._outcome_publisher = Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
         refuse = self._diagnostics.refuse
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names, refuse)
+        self._engagement: Engagement | None = None
+        Subscriber("engagement", Engagement, self._on_engagement, refuse, queue_size=1)
         self._scene_subscriber = Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1)
         self._requests = RequestHandler(
             self._pipeline,
@@ -118,6 +134,7 @@ class PlannerNode:
             self._publish,
             self._publish_outcome,
             self._space,
+            self._demand_free,
         )
         Subscriber("joint_trajectory", JointTrajectory, self._on_trajectory, refuse, queue_size=10)
         Service("plan_to_joints", PlanToJoints, self._on_plan_to_joints)
@@ -125,6 +142,8 @@ class PlannerNode:
         Service("plan_cartesian", PlanCartesian, self._on_plan_cartesian)
         Service("plan_from_csv", PlanFromCsv, self._on_plan_from_csv)
         Service("plan_trajectory", PlanTrajectory, self._on_plan_trajectory)
+        Service("plan_work", PlanWork, self._on_plan_work)
+        Service("plan_way_back", Trigger, self._on_plan_way_back)
 
     def _make_pipeline(self) -> PlanningPipeline:
         settings = self._settings
@@ -153,6 +172,14 @@ class PlannerNode:
         except SceneError as error:
             self._pipeline.refuse_scene(error)
             self._diagnostics.refuse("scene", str(error))
+
+    def _on_engagement(self, msg: Engagement) -> None:
+        self._engagement = msg if msg.engaged else None
+
+    def _demand_free(self) -> None:
+        left = self._engagement
+        if left is not None:
+            raise EngagedError(left.task, left.segment, left.reason)
 
     # -- requests
 
@@ -195,6 +222,41 @@ class PlannerNode:
         answer = self._requests.answer_read(read, asked)
         return PlanTrajectoryResponse(*answer.fields, answer.retimed)
 
+    def _on_plan_work(self, request) -> PlanWorkResponse:
+        changes: list[SceneChange] = []
+
+        def read() -> Callable[[PlanRequest], Plan]:
+            segments = asked_segments(request.segments)
+            changes.extend(segment.change for segment in segments)
+            return lambda asked: self._pipeline.work(request.task, segments, self._present_pose(), asked)
+
+        asked = PlanRequest(str(uuid.uuid4()), now_ns(), request.source or f"task {request.task}")
+        return PlanWorkResponse(*self._requests.answer_read(read, asked, changes).fields)
+
+    def _on_plan_way_back(self, _request) -> TriggerResponse:
+        left = self._engagement
+
+        def read() -> Callable[[PlanRequest], Plan]:
+            if left is None:
+                raise PlanningError(
+                    "the arm was not left inside an engaged segment: there is no way back, any motion can be planned"
+                )
+            path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
+            requires = tuple(map(signal_from_msg, left.requires))
+
+            def plan(asked: PlanRequest) -> Plan:
+                made = self._pipeline.way_back(left.task, path, requires, self._present_pose(), asked)
+                if made.scene not in left.scenes:
+                    raise PlanningError(f"there is no way back now: {scene_problem(made.scene, left.scenes)}")
+                return made
+
+            return plan
+
+        source = f"way back out of {left.segment!r}: {left.reason}" if left is not None else "way back"
+        asked = PlanRequest(str(uuid.uuid4()), now_ns(), source)
+        answer = self._requests.answer_read(read, asked, back=True)
+        return TriggerResponse(answer.success, answer.sentence)
+
     def _on_trajectory(self, msg: JointTrajectory) -> None:
         caller = caller_of(msg)
         asked = PlanRequest(str(uuid.uuid4()), now_ns(), f"joint_trajectory from {caller}")
@@ -212,9 +274,9 @@ class PlannerNode:
     def _request(self, request, source: str = "request") -> PlanRequest:
         return plan_request(request, str(uuid.uuid4()), now_ns(), source)
 
-    def _publish(self, plan: Plan) -> str:
+    def _publish(self, plan: Plan, changes: Sequence[SceneChange]) -> str:
         tool_path = np.array([self._chain.forward(q).position for q in plan.trajectory.positions])
-        self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path))
+        self._publisher.publish(plan_to_msg(plan, self._base_frame, tool_path, changes))
         self._plans += 1
         return _sentence(plan)
 

@@ -12,9 +12,12 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
-from construction_twin.kinematics.chain import Chain
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.msg import Execution, Plan, Review
-from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
+from construction_twin.ros.messages.scene_convert import body_marker, scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -22,9 +25,12 @@ from construction_twin.ros.transport.joint_stream import JointPublisher, now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import PreviewPlan, PreviewPlanRequest, PreviewPlanResponse
-from construction_twin.views.preview import TEXT_SIZE, PlanPicture, Preview, picture
+from construction_twin.views.preview import TEXT_SIZE, PlanPicture, Preview, ToldWork, picture
 from construction_twin.views.sync_picture import headline_height
+from construction_twin.views.work_picture import MOST_BODIES, WorkPath, WorkStates, work_states
 
 #: How long a preview waits for the plan that was made just before [s].
 PLAN_TIMEOUT = 1.0
@@ -33,16 +39,25 @@ TWIN_TIMEOUT = 0.5
 PINK = ColorRGBA(1.0, 0.25, 0.65, 1.0)
 ORANGE = ColorRGBA(1.0, 0.45, 0.0, 0.9)
 DARK = ColorRGBA(0.1, 0.1, 0.15, 1.0)
-#: Width of the tool path and diameter of the closest point [m].
-LINE_WIDTH, POINT_SIZE = 0.012, 0.06
+#: The tool path of a work plan, neighbouring segments in two shades: free motion, and engaged.
+PINKS = (PINK, ColorRGBA(0.8, 0.05, 0.4, 1.0))
+BLUES = (ColorRGBA(0.1, 0.35, 1.0, 1.0), ColorRGBA(0.0, 0.7, 0.95, 1.0))
+#: What the ghost carries, what is carried from one segment into the next, and what stands in the end.
+GRIPPED, ON_THE_WAY, PLACED = (0.2, 0.65, 0.35, 0.6), (0.1, 0.35, 1.0, 0.18), (0.1, 0.85, 0.3, 0.6)
+#: Width of the tool path, diameters of the closest point and of the end of a segment, height of its name and where that stands [m].
+LINE_WIDTH, POINT_SIZE, MARK_SIZE, LABEL_SIZE = 0.012, 0.06, 0.035, 0.065
+LABEL_AT = (0.0, 0.0, 0.1)
+#: The line of an engaged segment is so much wider: the way there and the way back often lie on each other.
+WIDER = 1.7
 
 
 class Settings(pydantic.BaseModel):
-    """Private parameters, given in launch/twin.launch: poses of the ghost per second."""
+    """Private parameters, given in launch/twin.launch: poses of the ghost per second, and what stands before its links in tf."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     frame_rate: float = pydantic.Field(ge=1, le=250)
+    tf_prefix: str
 
 
 class PreviewNode:
@@ -52,7 +67,13 @@ class PreviewNode:
         settings = read_parameters(Settings)
         self._robot = robot_from_parameters()
         self._chain = Chain(self._robot)
+        self._tf_prefix = settings.tf_prefix
         self._preview = Preview()
+        self._scene: Scene | None = None
+        self._changes: dict[str, tuple[SceneChange, ...]] = {}
+        self._states: WorkStates | None = None
+        self._gripped: tuple[SceneObject, ...] = ()
+        self._still: list[Marker] = []
         self._news = threading.Condition()
         self._frame = ""
         self._drawn: str | None = None
@@ -61,6 +82,7 @@ class PreviewNode:
         self._markers = Publisher("plan_markers", MarkerArray, queue_size=2, latch=True)
         refuse = self._diagnostics.refuse
         self._twin = LatestPose("twin/joint_states", self._robot.joint_names, refuse)
+        Subscriber("scene", SceneMsg, self._on_scene, refuse, queue_size=1)
         Subscriber("review", Review, self._on_review, refuse, queue_size=5)
         Subscriber("execution", Execution, self._on_execution, refuse, queue_size=10)
         Subscriber("plan", Plan, self._on_plan, refuse, queue_size=2)
@@ -72,14 +94,30 @@ class PreviewNode:
     def _on_plan(self, message: Plan) -> None:
         try:
             plan = plan_from_msg(message)
+            changes = tuple(map(change_from_msg, message.segments))
         except ConstructionTwinError as error:
             self._diagnostics.refuse("plan", str(error))
             return
         with self._news:
             self._frame = message.header.frame_id
+            self._changes = {plan.id: changes}
             self._preview.on_plan(plan)
             self._draw()
             self._news.notify_all()
+
+    def _on_scene(self, message: SceneMsg) -> None:
+        try:
+            scene = scene_from_msg(message)
+        except SceneError as error:
+            self._diagnostics.refuse("scene", str(error))
+            return
+        with self._news:
+            self._scene = scene
+            plan = self._preview.under_review
+            # after a start of this node the plan may come before the scene that it begins in
+            if plan is not None and plan.segments and plan.scene == scene.hash:
+                self._drawn = None
+                self._draw()
 
     def _on_review(self, message: Review) -> None:
         with self._news:
@@ -119,7 +157,9 @@ class PreviewNode:
         with self._news:
             if twin is not None:
                 self._preview.on_twin(twin)
-            pose = self._preview.pose(time.monotonic())
+            now = time.monotonic()
+            pose = self._preview.pose(now)
+            self._grip(now)
         if pose is not None:
             self._ghost.publish(now_ns(), pose)
 
@@ -132,12 +172,37 @@ class PreviewNode:
         if name == self._drawn:
             return
         self._drawn = name
-        markers = [Marker(ns="plan", action=Marker.DELETEALL)]
+        self._still, self._states = [Marker(ns="plan", action=Marker.DELETEALL)], None
+        self._gripped = ()
         if plan is not None:
             chain = self._chain
             headline = headline_height(float(chain.shoulder[2]), chain.arm_length)
-            markers += plan_markers(picture(plan, chain.skeleton, headline), self._frame)
-        self._markers.publish(MarkerArray(markers=markers))
+            told = None
+            if plan.segments:
+                changes = self._changes.get(plan.id, ())
+                self._states = work_states(plan, changes, self._scene)
+                told = ToldWork(changes, self._states, chain.forward, self._robot.tip_link)
+            self._still += plan_markers(picture(plan, chain.skeleton, headline, told), self._frame)
+        self._publish()
+        self._grip(time.monotonic())
+
+    def _grip(self, now: float) -> None:
+        """Let the ghost carry what the arm will carry where the ghost is; the twin shows what is carried during execution."""
+        gripped: tuple[SceneObject, ...] = ()
+        if self._states is not None and self._preview.under_review is not None:
+            number = self._preview.segment(now)
+            gripped = self._states.carried[-1 if number is None else number][:MOST_BODIES]
+        if gripped != self._gripped:
+            self._gripped = gripped
+            self._publish()
+
+    def _publish(self) -> None:
+        """Publish all that is drawn: who listens later hears the last message only."""
+        grip = [
+            _body(item, tf_frame(self._tf_prefix, item.link), GRIPPED, "plan_grip", number)
+            for number, item in enumerate(self._gripped)
+        ]
+        self._markers.publish(MarkerArray(markers=[*self._still, *grip]))
 
     def _report(self) -> Report:
         plan = self._preview.plan
@@ -145,20 +210,50 @@ class PreviewNode:
 
 
 def plan_markers(drawing: PlanPicture, frame: str) -> list[Marker]:
-    """Return a plan's markers in the frame of its points: tool path, closest point, text."""
+    """Return a plan's markers in the frame of its points: tool path, closest point, text; of a work plan segments and bodies."""
     path = _marker(frame, 0, Marker.LINE_STRIP, PINK, LINE_WIDTH)
     path.points = [Point(*point) for point in drawing.path.tolist()]
     text = _marker(frame, 1, Marker.TEXT_VIEW_FACING, DARK, TEXT_SIZE)
     text.text, text.pose.position = drawing.text, Point(*drawing.text_at)
-    if drawing.closest is None:
-        return [path, text]
-    closest = _marker(frame, 2, Marker.SPHERE, ORANGE, POINT_SIZE)
-    closest.pose.position = Point(*drawing.closest)
-    return [path, text, closest]
+    markers = [path, text] if drawing.work is None else [*work_markers(drawing.work, frame), text]
+    if drawing.closest is not None:
+        closest = _marker(frame, 2, Marker.SPHERE, ORANGE, POINT_SIZE)
+        closest.pose.position = Point(*drawing.closest)
+        markers.append(closest)
+    return markers
 
 
-def _marker(frame: str, number: int, kind: int, color: ColorRGBA, size: float) -> Marker:
-    marker = Marker(ns="plan", id=number, type=kind, action=Marker.ADD, color=color)
+def work_markers(work: WorkPath, frame: str) -> list[Marker]:
+    """Return a work plan's markers: the tool path of each segment, where it ends and its name, and what is carried and placed."""
+    markers = []
+    for number, (points, engaged) in enumerate(zip(work.parts, work.engaged)):
+        colour, width = (BLUES[number % 2], WIDER * LINE_WIDTH) if engaged else (PINKS[number % 2], LINE_WIDTH)
+        part = _marker(frame, number, Marker.LINE_STRIP, colour, width, "plan_path")
+        part.points = [Point(*point) for point in points.tolist()]
+        markers.append(part)
+    for number, (label, point) in enumerate(work.marks):
+        mark = _marker(frame, number, Marker.SPHERE, DARK, MARK_SIZE, "plan_marks")
+        mark.pose.position = Point(*point.tolist())
+        name = _marker(frame, number, Marker.TEXT_VIEW_FACING, DARK, LABEL_SIZE, "plan_names")
+        name.text, name.pose.position = label, Point(*(point + LABEL_AT).tolist())
+        markers += [mark, name]
+    for number, (item, pose) in enumerate(work.on_the_way):
+        markers.append(_body(item, frame, ON_THE_WAY, "plan_on_the_way", number, pose))
+    for number, item in enumerate(work.placed):
+        markers.append(_body(item, frame, PLACED, "plan_placed", number))
+    return markers
+
+
+def _body(
+    item: SceneObject, frame: str, colour: tuple[float, ...], namespace: str, number: int, pose: Pose | None = None
+) -> Marker:
+    marker = body_marker(item, frame, colour, pose)
+    marker.ns, marker.id = namespace, number
+    return marker
+
+
+def _marker(frame: str, number: int, kind: int, color: ColorRGBA, size: float, namespace: str = "plan") -> Marker:
+    marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD, color=color)
     # stamp 0: with the newest transform, as the plan is valid at any time
     marker.header.frame_id = frame
     marker.pose.orientation.w = 1.0

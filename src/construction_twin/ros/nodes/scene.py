@@ -31,6 +31,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
 from construction_twin.scene.lasting_contacts import lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.srv import (
@@ -40,6 +41,8 @@ from construction_twin.srv import (
     AttachObjectResponse,
     DetachObject,
     DetachObjectResponse,
+    EditScene,
+    EditSceneResponse,
     RemoveObject,
     RemoveObjectResponse,
 )
@@ -72,7 +75,7 @@ class Settings(pydantic.BaseModel):
 
 
 class SceneNode:
-    """Services `add_object`, `remove_object`, `attach_object`, `detach_object`, `clear_scene`.
+    """Services `add_object`, `remove_object`, `attach_object`, `detach_object`, `clear_scene`, `edit_scene`.
 
     Latched topics `scene` and `scene_markers`, and `planning_scene` where moveit_msgs is installed; listens to `twin/joint_states`
     and tf.
@@ -112,6 +115,7 @@ class SceneNode:
         Service("attach_object", AttachObject, self._on_attach)
         Service("detach_object", DetachObject, self._on_detach)
         Service("clear_scene", Trigger, self._on_clear)
+        Service("edit_scene", EditScene, self._on_edit)
         self._timer = rospy.Timer(rospy.Duration(1.0 / settings.check_rate), lambda _: self._check())
 
     def _on_add(self, request):
@@ -136,6 +140,13 @@ class SceneNode:
             return cleared, f"removed {', '.join(gone) or 'nothing'}; fixed objects stay"
 
         return self._edit(clear, lambda success, message, **_: TriggerResponse(success, message))
+
+    def _on_edit(self, request):
+        def change() -> tuple[Scene, str]:
+            wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
+            return wanted.between(self._world.scene, request.before, request.after), str(wanted)
+
+        return self._edit(change, EditSceneResponse)
 
     def _add(self, request) -> tuple[Scene, str]:
         item = object_from_msg(request.object)

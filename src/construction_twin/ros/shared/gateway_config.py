@@ -11,8 +11,10 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.tool_config import GatewayTool, ToolOutput, has_hands
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.tool import Tool, tool_of
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
 
@@ -52,7 +54,9 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         Its joint ranges are turned into ranges of the controller's axes (sign and offset).
     settings : Mapping
         The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `ethernet_xml`: the text
-        of the controller's Ethernet XML; `timeout` is a number of the controller's cycles, which its ETHERNET object counts.
+        of the controller's Ethernet XML; `timeout` is a number of the controller's cycles, which its ETHERNET object counts; `tool`
+        is the content of a tool file, {} for none. An Ethernet XML without any channel of a tool makes it a tool without hands:
+        the configuration has none then.
 
     Returns
     -------
@@ -71,6 +75,9 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         ethernet = read_ethernet_xml(settings.pop("ethernet_xml"), "Ethernet XML")
         check_gateway(ethernet.layout, axes, ethernet.where)
         settings["layout"] = ethernet.layout
+    tool = settings.pop("tool", None)
+    if tool and "layout" in settings and has_hands(settings["layout"]):
+        settings["tool"] = gateway_tool(tool_of(tool, "tool"))
     timeout, cycle = settings.pop("timeout", TIMEOUT), settings.get("cycle", 4)
     if type(timeout) is not int or timeout < 1:
         expected = "a whole number of cycles, 1 or more, as Timeout of the controller's ETHERNET object"
@@ -96,6 +103,12 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         raise ConfigurationError("gateway", settings, f"the keys of config/gateway.yaml ({error})") from error
     _check_format(robot, config)
     return config
+
+
+def gateway_tool(tool: Tool) -> GatewayTool:
+    """Return what the gateway must know about a tool."""
+    outputs = tuple(ToolOutput(name, output.on_stop, output.opens) for name, output in tool.outputs.items())
+    return GatewayTool(tool.name, outputs, tool.inputs)
 
 
 def _check_format(robot: RobotModel, config: GatewayConfig) -> None:

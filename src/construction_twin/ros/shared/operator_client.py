@@ -81,7 +81,10 @@ class OperatorClient:
         return self._call("review_plan", ReviewPlan, reviewer=reviewer, reason=reason, **request)
 
     def trigger(self, service: str) -> str:
-        """Call `stop`, `pause`, `resume` or `reset`. A stop is called at once, without waiting for the service to appear."""
+        """Call `stop`, `pause`, `resume`, `reset` or `plan_way_back`.
+
+        A stop is called at once, without waiting for the service to appear.
+        """
         if service == "stop":
             try:
                 return _sentence(self._stop())

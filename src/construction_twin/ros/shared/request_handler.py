@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import rospy
@@ -17,6 +17,7 @@ from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.arm_listener import OtherArm
 from construction_twin.ros.shared.diagnostics import NodeDiagnostics
 from construction_twin.scene.neighbour import Obstacle
+from construction_twin.scene.scene_change import SceneChange
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,13 @@ class RequestHandler:
     scene_timeout : float
         A request waits this long for a scene [s].
     publish : callable
-        Takes the plan; publishes it and returns a sentence about it.
+        Takes the plan, and what a work plan does to the scene; publishes it and returns a sentence about it.
     publish_outcome : callable
         Takes success, request, sentence and the plan's id ("" without a plan).
     space : OccupiedSpace, optional
         The other arm's, which the pipeline asks.
+    demand_free : callable, optional
+        Raises `EngagedError` while the arm is inside an engaged segment that it was left in.
     """
 
     def __init__(
@@ -112,9 +115,10 @@ class RequestHandler:
         diagnostics: NodeDiagnostics,
         scene_publishers: Callable[[], int],
         scene_timeout: float,
-        publish: Callable[[Plan], str],
+        publish: Callable[[Plan, Sequence[SceneChange]], str],
         publish_outcome: Callable[[bool, PlanRequest, str, str], None],
         space: OccupiedSpace | None = None,
+        demand_free: Callable[[], None] = lambda: None,
     ):
         self._pipeline = pipeline
         self._diagnostics = diagnostics
@@ -123,6 +127,7 @@ class RequestHandler:
         self._publish = publish
         self._publish_outcome = publish_outcome
         self._space = space
+        self._demand_free = demand_free
         # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
 
@@ -135,12 +140,31 @@ class RequestHandler:
         """Make and publish a plan; see `answer_read`."""
         return self.answer_read(lambda: make_plan, asked)
 
-    def answer_read(self, read: Callable[[], Callable[[PlanRequest], Plan]], asked: PlanRequest) -> Answer:
-        """Read what a request refers to, then make and publish a plan. Every failure becomes an answer here."""
+    def answer_read(
+        self,
+        read: Callable[[], Callable[[PlanRequest], Plan]],
+        asked: PlanRequest,
+        changes: Sequence[SceneChange] = (),
+        back: bool = False,
+    ) -> Answer:
+        """Read what a request refers to, then make and publish a plan. Every failure becomes an answer here.
+
+        Parameters
+        ----------
+        read : callable
+            Returns what makes the plan.
+        asked : PlanRequest
+        changes : sequence of SceneChange, optional
+            What a work plan does to the scene, published with it; `read` may fill it.
+        back : bool, optional
+            It is the way back out of an engaged segment, the only plan for an arm that was left inside.
+        """
         try:
+            if not back:
+                self._demand_free()
             make_plan = read()  # before taking the lock, so that no request waits while another one reads its file
             with self._busy:
-                return self._make(make_plan, asked)
+                return self._make(make_plan, asked, changes)
         except ConstructionTwinError as error:
             return self._failed(error, asked, str(error))
         except (ArithmeticError, MemoryError, ValueError) as error:
@@ -149,12 +173,14 @@ class RequestHandler:
             kind = type(error).__name__
             return self._failed(error, asked, f"the request cannot be computed ({kind}: {error}); please report it")
 
-    def _make(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Answer:
+    def _make(
+        self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest, changes: Sequence[SceneChange]
+    ) -> Answer:
         if self._space is not None:
             self._space.forget()
         self._demand_scene()
         try:
-            return self._published(make_plan(asked), asked)
+            return self._published(make_plan(asked), asked, changes)
         except ConstructionTwinError as error:
             if self._space is None or not self._space.unknown:
                 raise
@@ -168,8 +194,8 @@ class RequestHandler:
             self._pipeline.forget_scene(seen)
         self._pipeline.wait_for_scene(self._scene_timeout)
 
-    def _published(self, plan: Plan, asked: PlanRequest) -> Answer:
-        sentence = self._publish(plan)
+    def _published(self, plan: Plan, asked: PlanRequest, changes: Sequence[SceneChange]) -> Answer:
+        sentence = self._publish(plan, changes)
         self._publish_outcome(True, asked, sentence, plan.id)
         return Answer(True, sentence, plan.id, plan.hash, plan.trajectory.duration, 1.0, plan.retimed)
 

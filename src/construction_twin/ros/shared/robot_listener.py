@@ -13,11 +13,13 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.motion_errors import SceneError
 from construction_twin.msg import Execution, Link, Plan, Review, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
-from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
 
 #: Streams whose rates are counted, with short names.
@@ -100,6 +102,17 @@ class RobotListener:
         plan = self._plan
         decided = {getattr(self._newest.get(name), "plan_id", None) for name in ("review", "execution")}
         return None if plan is None or plan.id in decided else plan
+
+    def changes(self, plan_id: str) -> tuple[SceneChange, ...]:
+        """Return what the segments of the newest plan do to the scene; nothing if it is another one or they cannot be read."""
+        newest = self.newest("plan")
+        if newest is None or newest.id != plan_id:
+            return ()
+        try:
+            return tuple(map(change_from_msg, newest.segments))
+        except SceneError as error:
+            rospy.logwarn("the objects of plan %s cannot be shown: %s", plan_id, error)
+            return ()
 
     def snapshot(self) -> Snapshot:
         """Return what is known now; rates are those since the last call."""
@@ -229,4 +242,9 @@ def execution_facts(message: Execution | None) -> ExecutionFacts | None:
         duration=message.duration,
         rate=message.rate,
         speed_limit=message.speed_limit,
+        segment=message.segment,
+        segment_name=message.segment_name,
+        at_boundary=message.at_boundary,
+        wants_scene=message.wants_scene,
+        engaged=message.engaged,
     )

@@ -12,7 +12,7 @@ from construction_twin.core.errors import TransitionLogError
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.monitor.transition_log import TransitionLog
 from construction_twin.msg import Transition as TransitionMsg
-from construction_twin.review.record import iso_time
+from construction_twin.review.chained_file import iso_time
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.transport.joint_stream import to_time

@@ -27,7 +27,11 @@ PUBLISHERS = {
     "plan": "planner",
     "scene": "scene",
     "execution": "executor",
+    "engagement": "executor",
+    "tool_command": "executor",
+    "tool": "mqtt_bridge",
     "review": "executor",
+    "work/tasks": "work",
     "conflict": "neighbour",
 }
 #: Requests that other programs may make: heard from everybody, unless `publishers` names one node.

@@ -1,0 +1,131 @@
+"""Work benchmark: how long `work check` takes and what memory, and whether every task of the samples can be planned.
+
+    python benchmarks/work.py --output results/bench/work.json
+
+`check`: rows of 10, 50 and 200 bricks as copies of the sample's, in the brick wall's cell with the stock filled again, all
+processes together. `samples`: every task of both sample models, in order, each in the scene that its turn finds; success is the
+part of the tasks that can be planned, and the median is that of the planning of one task, one at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import sys
+import tempfile
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.ros.commands.work_check_pool import Arm, Setup, check_all
+from construction_twin.work.building import BuildingModel, Element, Task
+from construction_twin.work.element_bodies import element_shapes
+from construction_twin.work.ifc.reading import read_building
+from construction_twin.work.schedule import Schedule
+
+ROOT = Path(__file__).resolve().parents[1]
+COUNTS = (10, 50, 200)
+SAMPLES = ("timber_panel", "brick_wall")
+#: Bricks of one course of the wall that is checked.
+COURSE = 10
+ARM = Arm(
+    ROOT / "urdf/kr120_track.urdf.xacro",
+    ROOT / "config/kr120_track.yaml",
+    ROOT / "config/kr120_track_self_collision.yaml",
+    ROOT / "config/planner.yaml",
+)
+
+
+def sample(name: str) -> BuildingModel:
+    """Return a sample model."""
+    return read_building(ROOT / "models" / f"{name}.ifc")
+
+
+def cell(name: str) -> Path:
+    """Return a sample's cell file."""
+    return ROOT / "config/work" / f"{name}.yaml"
+
+
+def wall(count: int) -> BuildingModel:
+    """Return a straight wall of so many of the sample's bricks, course by course, one task each."""
+    model = sample("brick_wall")
+    brick = next(element for element in model.elements.values() if element.bodies)
+    bricks = [_brick(brick, number) for number in range(count)]
+    tasks = {one.id: Task(one.id, one.name, products=(one.id,)) for one in bricks}
+    return replace(model, elements={one.id: one for one in bricks}, tasks=tasks, sequences=())
+
+
+def _brick(brick: Element, number: int) -> Element:
+    course, place = divmod(number, COURSE)
+    at = brick.model_T_element.position + np.array([0.25 * place + 0.125 * (course % 2), 0.0, 0.071 * course])
+    pose = Pose(at, brick.model_T_element.rotation)
+    return replace(brick, id=f"brick{number:04d}", name=f"Brick {number + 1}", model_T_element=pose)
+
+
+def refilled(folder: Path) -> Path:
+    """Write the brick wall's cell with a rack that is filled again, and return its path."""
+    content = yaml.safe_load(cell("brick_wall").read_text(encoding="utf-8"))
+    for key in ("tool", "recipes", "scene"):
+        content[key] = str((cell("brick_wall").parent / content[key]).resolve())
+    content["racks"]["bricks"]["refill"] = True
+    path = folder / "cell.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def setup(model: BuildingModel, where: Path, folder: Path) -> Setup:
+    """Return what a check needs, with the defaults of the command; mesh files go to `folder`."""
+    jobs = Schedule.of(model).jobs
+    shapes, failures = element_shapes([model.element(job.element) for job in jobs], folder)
+    for failure in failures.values():
+        raise failure
+    return Setup(ARM, where, model, {name: shape.objects for name, shape in shapes.items()}, jobs)
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description="Benchmark of work from a building model.")
+    parser.add_argument("--output", type=Path, default=ROOT / "results/bench/work.json", metavar="FILE")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="default: one per core")
+    parser.add_argument("--counts", type=int, nargs="*", default=list(COUNTS), help="default: 10 50 200")
+    options = parser.parse_args()
+    figures: dict = {
+        "machine": {"system": platform.platform(), "cores": os.cpu_count(), "processes": options.processes},
+        "versions": {name: version(name) for name in ("ifcopenshell", "numpy", "coal", "ompl", "pin", "toppra")},
+        "check": {},
+        "samples": {},
+    }
+    for count in options.counts:
+        with tempfile.TemporaryDirectory() as folder:
+            checked = check_all(setup(wall(count), refilled(Path(folder)), Path(folder)), options.processes)
+        possible = sum(task.possible for task in checked.tasks)
+        figures["check"][str(count)] = {
+            "s": round(checked.seconds, 2), "rss_mb": round(checked.rss_mb, 1), "possible": possible,
+        }  # fmt: skip
+        print(f"check.{count}: {figures['check'][str(count)]}", flush=True)
+    for name in SAMPLES:
+        with tempfile.TemporaryDirectory() as folder:
+            checked = check_all(setup(sample(name), cell(name), Path(folder)), 1)
+        done = [task for task in checked.tasks if task.possible]
+        figures["samples"][name] = {
+            "success": len(done) / len(checked.tasks),
+            "planning_s_median": round(statistics.median(task.planning for task in checked.tasks), 3),
+        }
+        print(f"samples.{name}: {figures['samples'][name]}", flush=True)
+        for task in checked.tasks:
+            if not task.possible:
+                print(f"  {task.name}: {task.stage}: {task.reason}", flush=True)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    print(options.output)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

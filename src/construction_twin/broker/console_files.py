@@ -1,0 +1,91 @@
+"""What a site's console needs: its certificate, and its addresses as links and QR codes.
+
+No password stands in any of them: who scans a code still logs in.
+
+QR codes need the Python package `segno`; without it the addresses are written all the same, and what is missing is said.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+from collections.abc import Iterable
+from pathlib import Path
+
+from construction_twin.broker.access import Site
+from construction_twin.broker.certificates import Authority, make_folder, write_private
+
+_NAME = "construction_twin console"
+#: Size of a module of a QR code in SVG units, or pixels.
+_SCALE = 8
+
+
+class ConsoleFiles:
+    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `addresses.txt`, a QR code per address.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self.certificate = folder / "console.crt"
+
+    def make(self, site: Site, before: Iterable[str], authority: Authority, days: int, renew: bool) -> list[str]:
+        """Make what is missing; return sentences on what was done.
+
+        Parameters
+        ----------
+        site : Site
+        before : iterable of str
+            Names of the console in the last run: for others its certificate is signed anew.
+        authority : Authority
+        days : int
+            Lifetime of a new certificate.
+        renew : bool
+            Sign it anew in any case, for the same key.
+
+        Raises
+        ------
+        ConstructionTwinError
+            When openssl is missing or a name does not fit.
+        """
+        if not site.consoles:
+            return []
+        make_folder(self._folder)
+        said = []
+        if renew or tuple(before) != site.consoles or not self.certificate.exists():
+            authority.issue(_NAME, self._folder / "console.key", self.certificate, days, site.consoles)
+            said.append(f"signed the console's certificate for {', '.join(site.consoles)}")
+        write_private(self._folder / "ca.crt", authority.certificate.read_text(encoding="utf-8"))
+        addresses = site.console_addresses()
+        write_private(self._folder / "addresses.txt", "".join(f"{address}\n" for address in addresses))
+        return said + self._make_codes(site.consoles, addresses)
+
+    def _make_codes(self, hosts: Iterable[str], addresses: Iterable[str]) -> list[str]:
+        if importlib.util.find_spec("segno") is None:
+            return [
+                "no QR codes of the console's addresses: the Python package segno is not installed; run setup/setup.sh console, "
+                f"then this again; the addresses are in {self._folder / 'addresses.txt'}"
+            ]
+        said = []
+        for host, address in zip(hosts, addresses):
+            paths = [self._folder / f"{host.replace(':', '_')}.{kind}" for kind in ("svg", "png")]
+            pictures = [_picture(address, path.suffix[1:]) for path in paths]
+            if all(path.exists() and path.read_bytes() == picture for path, picture in zip(paths, pictures)):
+                continue
+            for path, picture in zip(paths, pictures):
+                write_private(path, picture)
+            said.append(f"made a QR code of {address}: {paths[0]}, {paths[1].name}; it holds the address, no password")
+        return said
+
+
+def _picture(address: str, kind: str) -> bytes:
+    """Return a QR code as SVG or PNG."""
+    # it is there: _make_codes has looked
+    import segno
+
+    buffer = io.BytesIO()
+    segno.make(address, micro=False).save(buffer, kind=kind, scale=_SCALE, light="white")
+    return buffer.getvalue()

@@ -1,0 +1,222 @@
+"""One browser's connection: bytes between its WebSocket and the broker's TCP port, cut off where they are no MQTT or too many.
+
+The broker decides who may do what; the pipe keeps what is not MQTT, too long, too fast or from another site's page away from it. It
+never keeps a packet: a browser that is not connected cannot have one sent later.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+from construction_twin.console.allowance import Allowance
+from construction_twin.console.packets import ClientStream, PacketReader, is_accepted
+from construction_twin.core.errors import PayloadError
+
+log = logging.getLogger("console")
+#: Close codes that the page knows (RFC 6455 leaves 4000 to 4999 to applications).
+BROKER_AWAY, NOT_MQTT, TOO_MUCH, TOO_SLOW = 4001, 4002, 4003, 4004
+#: Bytes that are read from the broker at once.
+_CHUNK = 65536
+#: A broker that answers or takes nothing on TCP is gone after so long [s]. Else a verdict would wait for a quarter of an hour, and
+#: be delivered when the network is back.
+BROKER_SILENCE = 2
+
+
+@dataclass(frozen=True)
+class PipeLimits:
+    """What one connection may do.
+
+    Attributes
+    ----------
+    largest : int
+        Longest packet of a browser [bytes]: a motion is the longest, and is for planners' programs, not for this page.
+    packets_per_s, bytes_per_s : float
+        What a browser may send in the long run.
+    burst_packets, burst_bytes : float
+        And at once.
+    login_s : float
+        Longest wait for the broker, and from then on for the whole CONNECT [s].
+    stall_s : float
+        A browser that takes nothing for so long is cut off [s]: what is shown there is old.
+    """
+
+    largest: int = 65536
+    packets_per_s: float = 50.0
+    bytes_per_s: float = 65536.0
+    burst_packets: float = 200.0
+    burst_bytes: float = 262144.0
+    login_s: float = 5.0
+    stall_s: float = 5.0
+
+
+@dataclass(frozen=True)
+class BrokerAddress:
+    """Where the broker is.
+
+    Attributes
+    ----------
+    host : str
+    port : int
+    tls : ssl.SSLContext or None
+    """
+
+    host: str
+    port: int
+    tls: ssl.SSLContext | None = None
+
+
+class Cut(Exception):
+    """The connection has to end: the close code, and one sentence."""
+
+    def __init__(self, code: int, sentence: str):
+        self.code, self.sentence = code, sentence
+        super().__init__(sentence)
+
+
+async def pipe(
+    browser: ServerConnection,
+    broker: BrokerAddress,
+    limits: PipeLimits,
+    on_login: Callable[[str], None],
+    clock: Callable[[], float] = time.monotonic,
+) -> str:
+    """Carry bytes until one side ends; return in one sentence how it ended.
+
+    Parameters
+    ----------
+    browser : ServerConnection
+    broker : BrokerAddress
+    limits : PipeLimits
+    on_login : callable
+        Called with the account when the broker has accepted it.
+    clock : callable, optional
+        Returns seconds from any origin.
+    """
+    try:
+        connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)
+        reader, writer = await asyncio.wait_for(connecting, limits.login_s)
+    except (OSError, TimeoutError) as error:
+        await browser.close(BROKER_AWAY, "the broker cannot be reached")
+        return f"the broker at {broker.host}:{broker.port} cannot be reached: {str(error) or 'no answer'}"
+    _notice_silence(writer.get_extra_info("socket"))
+    stream = ClientStream(limits.largest)
+    up = asyncio.create_task(_from_browser(browser, writer, stream, limits, clock))
+    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, on_login))
+    try:
+        done, _ = await asyncio.wait((up, down), return_when=asyncio.FIRST_COMPLETED)
+        cut = next((task.exception() for task in done if task.exception() is not None), None)
+        if cut is None:
+            # its DISCONNECT, so that the broker publishes no last will, and what came before it
+            await _finish(writer)
+            return "the browser has left"
+        # what has not reached the broker by now never shall: a verdict that comes late moves an arm that nobody watches
+        writer.transport.abort()
+        if not isinstance(cut, Cut):
+            raise cut
+        # a reason of a close frame has at most 123 bytes
+        await browser.close(cut.code, cut.sentence[:100].encode("ascii", "replace").decode())
+        return cut.sentence
+    finally:
+        for task in (up, down):
+            task.cancel()
+        await asyncio.gather(up, down, return_exceptions=True)
+        writer.transport.abort()
+
+
+def _notice_silence(broker: socket.socket) -> None:
+    broker.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    broker.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)
+    broker.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
+    broker.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, BROKER_SILENCE)
+    broker.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, BROKER_SILENCE * 1000)
+
+
+async def _finish(writer: asyncio.StreamWriter) -> None:
+    writer.close()
+    # a connection that breaks while it ends has ended
+    with contextlib.suppress(OSError, TimeoutError):
+        await asyncio.wait_for(writer.wait_closed(), BROKER_SILENCE)
+
+
+async def _from_browser(
+    browser: ServerConnection, writer: asyncio.StreamWriter, stream: ClientStream, limits: PipeLimits, clock
+) -> None:
+    packets = Allowance(limits.packets_per_s, limits.burst_packets)
+    volume = Allowance(limits.bytes_per_s, limits.burst_bytes)
+    # of the whole CONNECT, not of a frame: byte by byte it would take for ever
+    deadline = asyncio.get_running_loop().time() + limits.login_s
+    while True:
+        try:
+            async with asyncio.timeout_at(None if stream.connected else deadline):
+                message = await browser.recv()
+        except TimeoutError as error:
+            raise Cut(NOT_MQTT, f"no CONNECT within {limits.login_s:g} s") from error
+        except ConnectionClosed:
+            return
+        if isinstance(message, str):
+            raise Cut(NOT_MQTT, "a text frame; MQTT is binary")
+        now = clock()
+        too_much = Cut(
+            TOO_MUCH, f"more than {limits.packets_per_s:g} packets or {limits.bytes_per_s:g} bytes per second"
+        )
+        if not volume.take(len(message), now):
+            raise too_much
+        try:
+            passed = stream.feed(message)
+        except PayloadError as error:
+            raise Cut(TOO_MUCH if error.reason == "size" else NOT_MQTT, str(error)) from error
+        # an empty frame costs time too
+        if not packets.take(max(1, len(passed)), now):
+            raise too_much
+        for packet in passed:
+            writer.write(packet.data)
+        try:
+            await asyncio.wait_for(writer.drain(), BROKER_SILENCE)
+        except TimeoutError as error:
+            raise Cut(BROKER_AWAY, f"the broker took nothing for {BROKER_SILENCE} s") from error
+        except OSError as error:
+            raise Cut(BROKER_AWAY, f"the broker's connection broke: {error}") from error
+
+
+async def _from_broker(
+    browser: ServerConnection, reader: asyncio.StreamReader, stream: ClientStream, limits: PipeLimits, on_login
+) -> None:
+    answer: PacketReader | None = PacketReader(limits.largest)
+    refused = False
+    while True:
+        try:
+            data = await reader.read(_CHUNK)
+        except OSError as error:
+            raise Cut(BROKER_AWAY, f"the broker's connection broke: {error}") from error
+        if not data and stream.ended:
+            return
+        if not data and refused:
+            raise Cut(BROKER_AWAY, "the broker has refused the login")
+        if not data:
+            raise Cut(BROKER_AWAY, "the broker has ended the connection")
+        if answer is not None:
+            try:
+                first = next(iter(answer.feed(data)), None)
+            except PayloadError as error:
+                raise Cut(BROKER_AWAY, f"what answers there is no MQTT broker: {error}") from error
+            if first is not None:
+                answer = None
+                refused = not is_accepted(first)
+                if not refused:
+                    on_login(stream.account)
+        try:
+            await asyncio.wait_for(browser.send(data), limits.stall_s)
+        except TimeoutError as error:
+            raise Cut(TOO_SLOW, f"the browser took nothing for {limits.stall_s:g} s") from error
+        except ConnectionClosed:
+            return

@@ -1,0 +1,97 @@
+"""What the program `console` does with its arguments: settings, or a sentence about what is wrong; serving until a signal."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import signal
+import ssl
+
+from construction_twin.console.pipe import BrokerAddress
+from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
+from construction_twin.console.static_files import read_folder
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.network import is_loopback
+
+
+def settings_of(arguments: argparse.Namespace) -> ServerSettings:
+    """Return the settings that the arguments mean.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the argument.
+    """
+    if bool(arguments.certificate) != bool(arguments.key):
+        raise ConfigurationError("--certificate and --key", None, "both or neither")
+    if not arguments.certificate and not is_loopback(arguments.listen):
+        raise ConfigurationError(
+            "--listen", arguments.listen, "loopback, or --certificate: passwords cross the network"
+        )
+    own = broker_tls = None
+    try:
+        if arguments.certificate:
+            own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+            # a key with a passphrase is refused: nobody is there to type it
+            own.load_cert_chain(arguments.certificate, arguments.key, password="")
+        if arguments.broker_ca:
+            broker_tls = ssl.create_default_context(cafile=str(arguments.broker_ca))
+    except (OSError, ssl.SSLError) as error:
+        where = "--broker-ca" if own or not arguments.certificate else "--certificate and --key"
+        raise ConfigurationError(where, str(error), "readable files in PEM") from error
+    if broker_tls is None and not is_loopback(arguments.broker_host):
+        raise ConfigurationError(
+            "--broker-host", arguments.broker_host, "loopback, or --broker-ca: passwords cross the network"
+        )
+    return ServerSettings(
+        read_folder(arguments.page) if arguments.page else {},
+        arguments.private,
+        arguments.results,
+        BrokerAddress(arguments.broker_host, arguments.broker_port, broker_tls),
+        frozenset(arguments.origin),
+        own,
+    )
+
+
+async def _serve(server: ConsoleServer, host: str, port: int, address: str) -> None:
+    task = asyncio.current_task()
+    assert task is not None
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    ready = asyncio.Event()
+    serving = asyncio.create_task(server.run(host, port, ready))
+    opened = asyncio.create_task(ready.wait())
+    try:
+        await asyncio.wait((serving, opened), return_when=asyncio.FIRST_COMPLETED)
+        if ready.is_set():
+            print(f"console: {address}", flush=True)
+        await serving
+    finally:
+        opened.cancel()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until a signal; return the exit code."""
+    logging.basicConfig(level=logging.INFO, format="console: %(message)s")
+    # one line per connection is ours; the library's would tell every handshake. Its errors are exceptions that nobody foresaw
+    logging.getLogger("websockets").setLevel(logging.ERROR)
+    try:
+        server = ConsoleServer(settings_of(arguments))
+    except ConstructionTwinError as error:
+        print(f"console: {error}")
+        return 1
+    place = f"[{arguments.listen}]" if ":" in arguments.listen else arguments.listen
+    kind = "http" if arguments.page else "ws"
+    secure = "s" if arguments.certificate else ""
+    address = f"{kind}{secure}://{place}:{arguments.port}{'/' if arguments.page else SOCKET}"
+    try:
+        asyncio.run(_serve(server, arguments.listen, arguments.port, address))
+    except asyncio.CancelledError:
+        return 0
+    except OSError as error:
+        print(
+            f"console: {arguments.listen}:{arguments.port}: {error.strerror}; stop what holds it, or give another --port"
+        )
+        return 1
+    return 0

@@ -1,0 +1,307 @@
+"""The console's server: files over HTTP, and WebSockets that are piped to the broker."""
+
+from __future__ import annotations
+
+import asyncio
+import http
+import logging
+import secrets
+import ssl
+import time
+import weakref
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from construction_twin.console.allowance import Allowance
+from construction_twin.console.delivery import deliver
+from construction_twin.console.origin import refusal
+from construction_twin.console.pipe import TOO_MUCH, BrokerAddress, PipeLimits, pipe
+from construction_twin.console.recordings import listing, recordings
+from construction_twin.console.static_files import FileCache, StaticFile, names
+from construction_twin.console.tickets import Tickets
+from construction_twin.console.visitors import Visitor, visitor_type
+from construction_twin.core.errors import ConfigurationError
+
+log = logging.getLogger("console")
+#: Path of the WebSocket, and of what only who is logged in gets.
+SOCKET, PRIVATE = "/mqtt", "/private/"
+#: The subprotocol that MQTT has for WebSockets (MQTT 5.0, section 6).
+SUBPROTOCOL = "mqtt"
+#: A browser that does not answer for so long is gone [s]: what it had sent before, and comes later, is not passed on.
+_PING_S = 3.0
+#: No script, style, picture or connection but this server's own; nothing may frame the page.
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
+    "manifest-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+#: A report is a page of its own, with its figures inside, and no script.
+REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'; sandbox"
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """What the server serves, and to whom.
+
+    Attributes
+    ----------
+    files : Mapping of str to StaticFile
+        The page, for everybody, by path; empty for a console that only pipes.
+    private : Path or None
+        Folder of files for who is logged in: robot model, scene, building model.
+    results : Path or None
+        Folder of the recorded runs.
+    broker : BrokerAddress
+    origins : frozenset of str
+        Further origins whose pages may connect.
+    tls : ssl.SSLContext or None
+    limits : PipeLimits
+    connections, connections_per_peer : int
+        Most WebSockets at once; of TCP connections four times as many, because a browser gets files by several at once.
+    file_stall_s : float
+        Who takes nothing of a file for so long is cut off [s]; the whole file may take any time.
+    """
+
+    files: Mapping[str, StaticFile]
+    private: Path | None
+    results: Path | None
+    broker: BrokerAddress
+    origins: frozenset[str] = frozenset()
+    tls: ssl.SSLContext | None = None
+    limits: PipeLimits = field(default_factory=PipeLimits)
+    connections: int = 64
+    connections_per_peer: int = 16
+    file_stall_s: float = 20.0
+
+
+class ConsoleServer:
+    """Answers requests; knows how many are connected, and who is logged in.
+
+    Parameters
+    ----------
+    settings : ServerSettings
+    """
+
+    def __init__(self, settings: ServerSettings):
+        self._settings = settings
+        self._tickets = Tickets(lambda: secrets.token_urlsafe(24), 0)
+        self._peers: Counter[str] = Counter()
+        # weak: a browser may leave between the answer and its first frame
+        self._given: weakref.WeakKeyDictionary[ServerConnection, str] = weakref.WeakKeyDictionary()
+        self._delivering: set[Visitor] = set()
+        self._cache = FileCache()
+        self._lines = Allowance(rate=1.0, burst=20.0)
+        self._untold = 0
+
+    async def run(self, host: str, port: int, ready: asyncio.Event | None = None) -> None:
+        """Serve until cancelled.
+
+        Parameters
+        ----------
+        host : str
+        port : int
+        ready : asyncio.Event, optional
+            Set when the port is open.
+        """
+        settings = self._settings
+        self._tickets = Tickets(lambda: secrets.token_urlsafe(24), port)
+        async with serve(
+            self._on_socket,
+            host,
+            port,
+            subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]  # a NewType of str
+            process_request=self._on_request,
+            process_response=self._on_response,
+            compression=None,  # what is sent is small, and latency counts
+            max_size=settings.limits.largest + 16,
+            max_queue=16,
+            open_timeout=None,  # a visitor has little time to ask, a file any time to go out
+            close_timeout=1.0,
+            ping_interval=_PING_S,
+            ping_timeout=_PING_S,
+            server_header=None,
+            create_connection=visitor_type(
+                settings.limits.login_s, 4 * settings.connections, 4 * settings.connections_per_peer
+            ),
+            ssl=settings.tls,
+            ssl_handshake_timeout=settings.limits.login_s if settings.tls else None,
+            # the library's would be close_timeout, and what a reader has not taken by then would be dropped
+            ssl_shutdown_timeout=settings.file_stall_s if settings.tls else None,
+        ):
+            if ready is not None:
+                ready.set()
+            try:
+                await asyncio.get_running_loop().create_future()
+            finally:
+                # the library waits for whoever still answers a request
+                for visitor in tuple(self._delivering):
+                    visitor.transport.abort()
+
+    # -- files
+
+    async def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        path = request.path.partition("?")[0]
+        if path == SOCKET:
+            return self._refuse_socket(connection, request)
+        answer = await self._answer_to(path, request)
+        assert isinstance(connection, Visitor)
+        peer = _peer(connection)
+        self._delivering.add(connection)
+        try:
+            if not await deliver(connection, request, answer, self._settings.file_stall_s):
+                self._tell(logging.WARNING, f"{peer} did not take all of {path[:100]!r}")
+        finally:
+            self._delivering.discard(connection)
+        # the connection has ended: the library sends nothing more
+        return answer
+
+    async def _answer_to(self, path: str, request: Request) -> Response:
+        if request.method not in ("GET", "HEAD"):
+            return _answer(http.HTTPStatus.METHOD_NOT_ALLOWED, b"only GET and HEAD\n")
+        if path.startswith(PRIVATE):
+            if not self._tickets.is_known(_joined(request.headers, "Cookie", "; ")):
+                return _answer(http.HTTPStatus.FORBIDDEN, b"log in first\n")
+            # in a thread: reading and compressing must not keep the other connections waiting
+            return await asyncio.to_thread(self._private, path.removeprefix(PRIVATE), request)
+        file = self._settings.files.get("/index.html" if path == "/" else path)
+        if file is None:
+            return _answer(http.HTTPStatus.NOT_FOUND, b"no such page\n")
+        return _file_answer(file, request, POLICY)
+
+    def _private(self, name: str, request: Request) -> Response:
+        settings = self._settings
+        path, policy = None, POLICY
+        if name == "runs.json" and settings.results is not None:
+            return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY)
+        if name.startswith("runs/") and settings.results is not None:
+            path, policy = recordings(settings.results).get(name.removeprefix("runs/")), REPORT_POLICY
+        elif settings.private is not None:
+            path = names(settings.private).get(name)
+        try:
+            file = None if path is None else self._cache.read(path)
+        except ConfigurationError as error:
+            log.warning("%s", error)
+            return _answer(
+                http.HTTPStatus.INTERNAL_SERVER_ERROR, b"the file is too large; the console's log names it\n"
+            )
+        if file is None:
+            return _answer(http.HTTPStatus.NOT_FOUND, b"no such file\n")
+        return _file_answer(file, request, policy)
+
+    # -- the pipe
+
+    def _refuse_socket(self, connection: ServerConnection, request: Request) -> Response | None:
+        settings, headers = self._settings, request.headers
+        peer = _peer(connection)
+        origin, host = _joined(headers, "Origin", ", "), _joined(headers, "Host", ", ")
+        why = refusal(origin, host, settings.tls is not None, settings.origins)
+        spoken = _joined(headers, "Sec-WebSocket-Protocol", ",") or ""
+        if not why and SUBPROTOCOL not in [word.strip() for word in spoken.split(",")]:
+            why = f"no subprotocol {SUBPROTOCOL}"
+        if why:
+            self._tell(logging.WARNING, f"{peer} refused: {why}")
+            return _answer(http.HTTPStatus.FORBIDDEN, f"{why}\n".encode())
+        if self._is_full(peer):
+            self._tell(logging.WARNING, f"{peer} refused: too many connections")
+            return _answer(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many connections\n")
+        return None
+
+    def _is_full(self, peer: str) -> bool:
+        settings = self._settings
+        return self._peers.total() >= settings.connections or self._peers[peer] >= settings.connections_per_peer
+
+    def _tell(self, level: int, sentence: str) -> None:
+        """Write a line that anybody on the network can cause: not more of them than a disk can hold."""
+        if self._lines.take(1.0, time.monotonic()):
+            log.log(level, "%s%s", sentence, f" ({self._untold} lines before it were left out)" if self._untold else "")
+            self._untold = 0
+        else:
+            self._untold += 1
+
+    def _on_response(self, connection: ServerConnection, request: Request, response: Response) -> Response | None:
+        if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
+            ticket = self._tickets.give(_joined(request.headers, "Cookie", "; "))
+            self._given[connection] = ticket
+            response.headers["Set-Cookie"] = self._tickets.cookie(ticket, self._settings.tls is not None, PRIVATE)
+        return None
+
+    async def _on_socket(self, connection: ServerConnection) -> None:
+        peer, ticket = _peer(connection), self._given.pop(connection)
+        # again: others may have come since the request
+        if self._is_full(peer):
+            self._tell(logging.WARNING, f"{peer} refused: too many connections")
+            await connection.close(TOO_MUCH, "too many connections")
+            return
+        self._peers[peer] += 1
+        accounts: list[str] = []
+
+        def on_login(account: str) -> None:
+            accounts.append(account)
+            self._tickets.login(ticket)
+            self._tell(logging.INFO, f"{peer} logged in as {_shown(account)}")
+
+        try:
+            how = await pipe(connection, self._settings.broker, self._settings.limits, on_login)
+            self._tell(logging.INFO, f"{peer}: {how}")
+        finally:
+            if accounts:
+                self._tickets.logout(ticket)
+            self._peers[peer] -= 1
+            if not self._peers[peer]:
+                del self._peers[peer]
+
+
+def _joined(headers: Headers, name: str, between: str) -> str | None:
+    """Return a header, and all of them where a request has several of that name; None when it has none."""
+    return between.join(headers.get_all(name)) or None
+
+
+def _shown(account: str) -> str:
+    """Return an account for the log: a browser chooses the text."""
+    return repr(account[:64]) if account else "nobody (no account)"
+
+
+def _peer(connection: ServerConnection) -> str:
+    return str(connection.remote_address[0])
+
+
+def _answer(status: http.HTTPStatus, body: bytes) -> Response:
+    headers = {
+        "Content-Type": "text/plain; charset=utf-8",
+        "Content-Length": str(len(body)),
+        "Cache-Control": "no-store",
+        "Connection": "close",
+    }
+    return Response(status.value, status.phrase, Headers(headers | _COMMON | {"Content-Security-Policy": POLICY}), body)
+
+
+_COMMON = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+def _file_answer(file: StaticFile, request: Request, policy: str) -> Response:
+    headers = _COMMON | {
+        "Content-Security-Policy": policy,
+        "Content-Type": file.kind,
+        "ETag": file.tag,
+        "Vary": "Accept-Encoding",
+        "Cache-Control": "max-age=31536000, immutable" if file.lasting else "no-cache",
+        "Connection": "close",
+    }
+    if request.headers.get("If-None-Match") == file.tag:
+        return Response(304, "Not Modified", Headers(headers), b"")
+    body = file.body
+    if file.compressed is not None and "gzip" in request.headers.get("Accept-Encoding", ""):
+        headers["Content-Encoding"] = "gzip"
+        body = file.compressed
+    headers["Content-Length"] = str(len(body))
+    return Response(200, "OK", Headers(headers), body)

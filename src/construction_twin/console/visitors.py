@@ -1,0 +1,85 @@
+"""How many TCP connections are open, and that each asks for something soon: before a request nobody is known."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+
+from websockets.asyncio.server import ServerConnection
+from websockets.protocol import State
+
+_END_OF_REQUEST = b"\r\n\r\n"
+
+
+class Visitor(ServerConnection):
+    """A connection of the library on which a request can also be answered without it.
+
+    Until a request is answered, whatever a client sends behind it is forgotten: the library would keep all of it, and take it for
+    frames of a WebSocket.
+    """
+
+    _ending = b""
+    #: The reader writes no more; and neither do we, to a reader who may still write.
+    reader_ended = False
+    written = False
+
+    @property
+    def is_asking(self) -> bool:
+        """True between the end of the request and the answer of the library, which is that there is a WebSocket."""
+        return self.request is not None and self.state is State.CONNECTING
+
+    def data_received(self, data: bytes) -> None:
+        """Pass on what has come (called by asyncio)."""
+        if self.is_asking:
+            return
+        if self.request is None:
+            together = self._ending + data
+            end = together.find(_END_OF_REQUEST)
+            if end >= 0:
+                data = data[: end + len(_END_OF_REQUEST) - len(self._ending)]
+            self._ending = together[1 - len(_END_OF_REQUEST) :]
+        super().data_received(data)
+
+    def eof_received(self) -> bool | None:  # type: ignore[override]  # the library's returns None always
+        """Return whether the connection stays open for what is still to be written (called by asyncio)."""
+        if self.is_asking:
+            self.reader_ended = True
+            # once both have ended nobody else would close it; with TLS there is no such thing as half a connection
+            return not self.written and self.transport.can_write_eof()
+        super().eof_received()
+        return None
+
+
+def visitor_type(request_s: float, most: int, most_per_peer: int) -> type[Visitor]:
+    """Return the class of a server's connections.
+
+    Parameters
+    ----------
+    request_s : float
+        Longest wait for the whole request [s].
+    most, most_per_peer : int
+        Most connections at once, of all and of one address; what is more is closed without an answer.
+    """
+    peers: Counter[str] = Counter()
+
+    class CountedVisitor(Visitor):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            super().connection_made(transport)
+            self.peer = str(transport.get_extra_info("peername")[0])
+            peers[self.peer] += 1
+            self.waiting = asyncio.get_running_loop().call_later(request_s, self.give_up)
+            if peers.total() > most or peers[self.peer] > most_per_peer:
+                self.transport.abort()
+
+        def give_up(self) -> None:
+            if self.request is None:
+                self.transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            self.waiting.cancel()
+            peers[self.peer] -= 1
+            if not peers[self.peer]:
+                del peers[self.peer]
+            super().connection_lost(exc)
+
+    return CountedVisitor

@@ -1,0 +1,109 @@
+"""Exceptions of work from a building model: a branch of the tree in `errors`.
+
+Messages say what, where, the value, what was expected and what to do.
+"""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import ConstructionTwinError
+
+
+class WorkError(ConstructionTwinError):
+    """Root of the errors of work from a building model."""
+
+
+class BuildingError(WorkError):
+    """A building model cannot be used.
+
+    Attributes
+    ----------
+    file : str
+    what : str
+        Which part of it: ``#123=IFCWALL``, ``element '2O2Fr$t4X7Zf8NOew3FLOH'``.
+    found, expected : str
+    """
+
+    def __init__(self, file: str, what: str, found: str, expected: str):
+        self.file, self.what, self.found, self.expected = file, what, found, expected
+        super().__init__(f"{file}: {what}: found {found}, expected {expected}")
+
+
+class ScheduleError(WorkError):
+    """The order of the tasks makes no sense.
+
+    Attributes
+    ----------
+    ids : tuple of str
+        GlobalIds of the tasks or elements concerned.
+    """
+
+    def __init__(self, message: str, ids: tuple[str, ...] = ()):
+        self.ids = ids
+        super().__init__(message)
+
+
+class PlacementError(WorkError):
+    """The model does not stand where the robot is, as far as its figures can tell.
+
+    Attributes
+    ----------
+    ids : tuple of str
+        GlobalIds of the elements concerned; empty: all, or none.
+    """
+
+    def __init__(self, message: str, ids: tuple[str, ...] = ()):
+        self.ids = ids
+        super().__init__(message)
+
+
+class TaskPlanningError(WorkError):
+    """A task cannot be planned.
+
+    Attributes
+    ----------
+    task : str
+        Id of the task, or of the element.
+    stage : str
+        Segment that was not possible with the grip that came furthest; empty: before any.
+    grip : str
+        Name of that grip; empty: none.
+    reason : str
+        Why, as a sentence without the above.
+    """
+
+    def __init__(self, task: str, reason: str, stage: str = "", grip: str = ""):
+        self.task, self.reason, self.stage, self.grip = task, reason, stage, grip
+        where = f", {stage}" if stage else ""
+        held = f" with grip {grip!r}" if grip else ""
+        super().__init__(f"task {task}{where}{held}: {reason}")
+
+
+class LedgerError(WorkError):
+    """What was done cannot be recorded, or its record cannot be read; nothing is done without it.
+
+    Attributes
+    ----------
+    path : str
+    """
+
+    def __init__(self, path: str, problem: str):
+        self.path = path
+        super().__init__(f"{path}: {problem}")
+
+
+class BodyError(WorkError):
+    """An element's geometry cannot be brought into the scene.
+
+    Attributes
+    ----------
+    element : str
+        GlobalId.
+    """
+
+    def __init__(self, element: str, problem: str):
+        self.element, self.problem = element, problem
+        super().__init__(f"element {element}: {problem}")
+
+    def __reduce__(self):
+        # it comes out of worker processes
+        return type(self), (self.element, self.problem)

@@ -1,0 +1,262 @@
+"""What the end of a segment waits for: its switches are armed, fire and are confirmed, and the scene becomes the one planned for.
+
+Pure. Stamps [ns] are those of setpoints; `now` [ns] is on the monotonic clock. The arm stands at rest all the while, and the
+setpoints go on repeating its pose, so that the playout passes the stamps of the switches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.execution.states import ExecutorEvent
+from construction_twin.execution.tool_report import SwitchReport, SwitchState, ToolReport
+from construction_twin.robot.segments import Segment, Signal, Switch
+
+#: A switch is armed for the setpoint this far ahead [ns]: its acknowledgement takes a message there and one back, over a link that
+#: may be wireless, and the playout adds its delay of about 20 ms on top.
+LEAD = NANOSECONDS * 3 // 20 // CYCLE_NS * CYCLE_NS
+#: A switch must have fired this long after it was armed [ns]: the lead, the playout's delay, and a report over a slow link.
+FIRE_TIMEOUT = 3 * NANOSECONDS
+#: What is asked to change the scene must have done so within this time [ns]: longer than a node that was killed takes to come back.
+SCENE_TIMEOUT = 30 * NANOSECONDS
+
+
+@dataclass(frozen=True)
+class ToolOrder:
+    """What is asked of the tool.
+
+    Attributes
+    ----------
+    id : str
+        Of the switch; empty: forget every switch that is armed and has not fired.
+    plan_id : str
+    switch : Switch or None
+    stamp : int
+        Nominal stamp of the setpoint with which it fires [ns].
+    """
+
+    id: str
+    plan_id: str
+    switch: Switch | None = None
+    stamp: int = 0
+
+
+@dataclass(frozen=True)
+class BoundaryEvent:
+    """What has become of the waiting, and why."""
+
+    event: ExecutorEvent
+    reason: str = ""
+
+
+@dataclass
+class _Asked:
+    """One switch, as it was armed last: its place among those of the segment, id, how often, and when it was seen to fire [ns]."""
+
+    switch: Switch
+    place: int
+    id: str = ""
+    attempts: int = 0
+    fired: int | None = None
+
+
+class Boundary:
+    """The end of one segment. What a switch has done is done: none fires twice, whatever is paused and resumed.
+
+    Parameters
+    ----------
+    plan_id : str
+    number : int
+        Of the segment that ends here; -1: before the first.
+    segment : Segment or None
+        That segment.
+    scene_after : str
+        Hash that the scene must have to go on.
+
+    Attributes
+    ----------
+    wants_scene : bool
+        The switches are confirmed, and the scene is not yet `scene_after`.
+    """
+
+    def __init__(self, plan_id: str, number: int, segment: Segment | None, scene_after: str):
+        self.segment = segment
+        self.scene_after = scene_after
+        self.wants_scene = False
+        self._plan_id, self._number = plan_id, number
+        self._asked = [_Asked(switch, place) for place, switch in enumerate(segment.switches)] if segment else []
+        self._armed_at: int | None = None
+        self._voided = False
+        self._confirmed = not self._asked
+        self._wanted_at: int | None = None
+        self._orders: list[ToolOrder] = []
+
+    @property
+    def fired(self) -> bool:
+        """Whether a switch is known to have fired."""
+        return any(asked.fired is not None for asked in self._asked)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether all switches have fired and were confirmed; true without switches."""
+        return self._confirmed
+
+    @property
+    def may_have_switched(self) -> bool:
+        """Whether a switch was armed: it may have fired although nobody has heard of it."""
+        return any(asked.attempts for asked in self._asked)
+
+    @property
+    def done(self) -> bool:
+        """Whether switches and scene are as planned."""
+        return self._confirmed and not self.wants_scene and self._wanted_at is not None
+
+    @property
+    def confirmation(self) -> tuple[Signal, ...]:
+        """What the inputs must read once the switches have fired."""
+        return tuple(signal for asked in self._asked for signal in asked.switch.confirm)
+
+    @property
+    def required(self) -> tuple[Signal, ...]:
+        """What the inputs must read now."""
+        if self._confirmed and self._asked:
+            return self.confirmation
+        return self.segment.requires if self.segment is not None and not self.fired else ()
+
+    def take_orders(self) -> list[ToolOrder]:
+        """Return what is to be asked of the tool since the last call."""
+        orders, self._orders = self._orders, []
+        return orders
+
+    def observe(self, tool: ToolReport, now: int) -> None:
+        """Note what a report says of the switches; also while it is paused."""
+        for asked in self._asked:
+            report = tool.switches.get(asked.id) if asked.id else None
+            if report is not None and report.state is SwitchState.FIRED and asked.fired is None:
+                asked.fired = now
+
+    def void(self) -> None:
+        """Ask that what is armed and has not fired is forgotten: a pause, or the end of the plan."""
+        if not self._voided and any(asked.attempts and asked.fired is None for asked in self._asked):
+            self._orders.append(ToolOrder("", self._plan_id))
+            self._voided = True
+
+    def resume(self, now: int) -> None:
+        """Go on after a pause: what has fired stays so; what is known to be void is armed anew."""
+        if self._armed_at is not None:
+            self._armed_at = now
+        if self._wanted_at is not None:
+            self._wanted_at = now
+
+    def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
+        """Go on by one cycle; return what ends the waiting badly, else None (see `done`).
+
+        Parameters
+        ----------
+        stamp : int
+            Of this cycle's setpoint [ns].
+        now : int
+            [ns]
+        tool : ToolReport
+        scene : str
+            Hash of the present scene; empty: not known.
+        may_switch : bool
+            Whether a switch may be armed now: not while a speed limit of 0 keeps everything still.
+        """
+        self.observe(tool, now)
+        if not self._confirmed:
+            return self._switch(stamp, now, tool, may_switch)
+        if self._wanted_at is None:
+            self._wanted_at = now
+        self.wants_scene = scene != self.scene_after
+        if self.wants_scene and now - self._wanted_at > SCENE_TIMEOUT:
+            waited = f"the scene did not become {self.scene_after[:12]} within {SCENE_TIMEOUT / NANOSECONDS:g} s"
+            return BoundaryEvent(ExecutorEvent.TIMEOUT, f"{waited}; check that the node that changes it runs")
+        return None
+
+    # -- switches
+
+    def _switch(self, stamp: int, now: int, tool: ToolReport, may_switch: bool) -> BoundaryEvent | None:
+        if problem := tool.unknown():
+            return BoundaryEvent(ExecutorEvent.LOST, problem)
+        if self._armed_at is None:
+            if confirmed := self._confirmed_before(tool):
+                return confirmed
+            if may_switch:
+                self._arm(self._asked, stamp, now)
+            return None
+        if not may_switch:
+            # the gateway fires nothing either while everything is kept still
+            self.void()
+        if refused := self._refused(tool):
+            return refused
+        if self._voided:
+            self._arm_again(stamp, now, tool, may_switch)
+        return self._late(now, tool)
+
+    def _confirmed_before(self, tool: ToolReport) -> BoundaryEvent | None:
+        """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
+        for asked in self._asked:
+            if asked.switch.confirm and not tool.problem(asked.switch.confirm):
+                words = (
+                    f"what confirms {_name(asked)} reads so before it was switched; look at the sensor and at the tool"
+                )
+                return BoundaryEvent(ExecutorEvent.LOST, words)
+        return None
+
+    def _arm(self, which: list[_Asked], stamp: int, now: int) -> None:
+        for asked in which:
+            asked.attempts += 1
+            asked.id = f"{self._plan_id}/{self._number}/{asked.place}/{asked.attempts}"
+            self._orders.append(ToolOrder(asked.id, self._plan_id, asked.switch, stamp + LEAD))
+        self._armed_at = now
+
+    def _arm_again(self, stamp: int, now: int, tool: ToolReport, may_switch: bool) -> None:
+        """After a pause: what the gateway says will not fire any more is armed anew, once it has said so of all that are open."""
+        open_ones = [asked for asked in self._asked if asked.fired is None]
+        if not all(_is_void(tool.switches.get(asked.id)) for asked in open_ones):
+            return
+        if may_switch or not open_ones:
+            self._voided = False
+            self._arm(open_ones, stamp, now)
+        else:
+            self._armed_at = now
+
+    def _refused(self, tool: ToolReport) -> BoundaryEvent | None:
+        for asked in self._asked:
+            report = tool.switches.get(asked.id)
+            if asked.fired is not None or report is None:
+                continue
+            if report.state is SwitchState.REFUSED or (_is_void(report) and not self._voided):
+                word = "refused" if report.state is SwitchState.REFUSED else "forgotten"
+                return BoundaryEvent(ExecutorEvent.REFUSED, f"the gateway has {word} {_name(asked)}: {report.reason}")
+        return None
+
+    def _late(self, now: int, tool: ToolReport) -> BoundaryEvent | None:
+        """Confirm what has fired, and tell what takes too long."""
+        assert self._armed_at is not None  # the caller has seen to that
+        late, all_in = None, True
+        for asked in self._asked:
+            if asked.fired is None:
+                all_in = False
+                if now - self._armed_at > FIRE_TIMEOUT:
+                    words = f"{_name(asked)} was not reported as fired within {FIRE_TIMEOUT / NANOSECONDS:g} s"
+                    late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
+            elif problem := tool.problem(asked.switch.confirm):
+                all_in = False
+                if now - asked.fired > asked.switch.timeout * NANOSECONDS:
+                    words = (
+                        f"{_name(asked)} has fired, but was not confirmed within {asked.switch.timeout:g} s: {problem}"
+                    )
+                    late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
+        self._confirmed = all_in
+        return late
+
+
+def _is_void(report: SwitchReport | None) -> bool:
+    return report is not None and report.state is SwitchState.VOID
+
+
+def _name(asked: _Asked) -> str:
+    return f"the switch of {asked.switch.output} to {'on' if asked.switch.value else 'off'}"

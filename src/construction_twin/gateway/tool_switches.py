@@ -1,0 +1,417 @@
+"""The tool's outputs: what replies carry, and the switches that fire in the cycle in which the playout passes their stamps.
+
+Nothing that could open a grip is sent before the outputs have been read back in the present RSI session: until the first switch
+fires, replies carry what was read back, with `Set.Enable` 0, so that the controller leaves its outputs alone. A switch is armed
+ahead, while a stream is followed; it fires once, or is void for good. A brake, a stop, a silent stream, a speed limit of 0, the end
+of the command session or of the RSI session, outputs that are no longer read back: each makes every armed switch void, and what is
+void fires no more. An output that is off without RSI, and that a missed reply has switched off on the controller, stays off: the
+next reply that arrives must not switch it on again.
+
+It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns]. Standard library only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from enum import Enum
+
+from construction_twin.core import state_table
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.tool_config import GatewayTool
+from construction_twin.rsi.layout import RsiLayout
+from construction_twin.rsi.tool_channels import ENABLE, ToolReading
+
+#: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
+MOST_AHEAD = 2.0
+#: Switches that are told, and so many may wait.
+MOST_TOLD = 16
+#: Longest id of a switch, and name of an output [characters].
+LONGEST_TEXT = 160
+#: Ids of switches that are remembered: one is used once.
+MEMORY = 1000
+#: Outputs that read back as something else than commanded for longer than this are told, and nothing is switched [s].
+LONGEST_DIFFERENCE = 0.1
+#: An output that was switched on just now may read back off for so many telegrams: a reply takes effect after it was sent.
+ROUND_TRIP = 5
+#: Inputs that chatter are told no more often than this [s].
+SHORTEST_PAUSE = 0.05
+
+
+class SwitchState(Enum):
+    """States of a switch; the words are those of `status`."""
+
+    ASKED = "asked"  # not judged yet: never told
+    ARMED = "armed"  # acknowledged; fires when the playout passes its stamp
+    FIRED = "fired"  # the output was changed
+    VOID = "void"  # did not fire, and will not any more
+    REFUSED = "refused"
+
+
+class SwitchEvent(Enum):
+    """What can happen to a switch."""
+
+    ACCEPTED = "every check of `switch` is passed"
+    DECLINED = "a check of `switch` is not passed"
+    PASSED = "the playout plays its stamp, or a later one"
+    VOIDED = "a brake, a stop, silence, a speed limit of 0, the end of a session, outputs not read back, or `void`"
+
+
+class SwitchGuard(Enum):
+    """What a row asks for before it applies."""
+
+    NONE = ""
+
+
+class SwitchAction(Enum):
+    """What a row does."""
+
+    NONE = ""
+    SWITCH = "the output has its new value in the same reply"
+
+
+#: Every change of a switch. What no row names changes nothing: fired, void and refused are final.
+SWITCH_TABLE: tuple[state_table.Row[SwitchState, SwitchEvent, SwitchGuard, SwitchAction], ...] = tuple(
+    state_table.Row(state, event, SwitchGuard.NONE, action, target)
+    for state, event, action, target in (
+        (SwitchState.ASKED, SwitchEvent.ACCEPTED, SwitchAction.NONE, SwitchState.ARMED),
+        (SwitchState.ASKED, SwitchEvent.DECLINED, SwitchAction.NONE, SwitchState.REFUSED),
+        (SwitchState.ARMED, SwitchEvent.PASSED, SwitchAction.SWITCH, SwitchState.FIRED),
+        (SwitchState.ARMED, SwitchEvent.VOIDED, SwitchAction.NONE, SwitchState.VOID),
+    )
+)
+_ROWS = state_table.by_cause(SWITCH_TABLE)
+
+
+@dataclass(slots=True)
+class ToolSwitch:
+    """One switch, as `status` tells it.
+
+    Attributes
+    ----------
+    id, output : str
+    value : bool
+    stamp : int
+        Of the setpoint with which it fires [ns].
+    phase : SwitchState
+    reason : str
+        One sentence.
+    """
+
+    id: str
+    output: str
+    value: bool
+    stamp: int
+    phase: SwitchState = SwitchState.ASKED
+    reason: str = ""
+
+    def on(self, event: SwitchEvent, reason: str) -> SwitchAction | None:
+        """Take an event; return what is to be done, None when it changes nothing."""
+        for row in _ROWS[self.phase, event]:
+            if row.target is not None:
+                self.phase, self.reason = row.target, reason
+            return row.action
+        return None
+
+    def report(self) -> dict:
+        """Return it as `status` tells it."""
+        return {
+            "id": self.id,
+            "output": self.output,
+            "value": self.value,
+            "stamp": self.stamp,
+            "state": self.phase.value,
+            "reason": self.reason,
+        }
+
+
+class ToolSwitches:
+    """The outputs of one tool.
+
+    Parameters
+    ----------
+    tool : GatewayTool
+    layout : RsiLayout
+        Of the telegrams.
+    cycle_ns : int
+        The controller's cycle [ns].
+    counters : Counter
+        The gateway's.
+    """
+
+    def __init__(self, tool: GatewayTool, layout: RsiLayout, cycle_ns: int, counters: Counter[str]):
+        self.tool = tool
+        self._names = tuple(output.name for output in tool.outputs)
+        self._off = frozenset(output.name for output in tool.outputs if output.on_stop == "off")
+        self._channels = layout.switched
+        self._counters = counters
+        self._longest_difference = round(LONGEST_DIFFERENCE * NANOSECONDS) // cycle_ns
+        self._pause = -(-round(SHORTEST_PAUSE * NANOSECONDS) // cycle_ns)
+        self._armed: list[ToolSwitch] = []
+        self._told: deque[ToolSwitch] = deque(maxlen=MOST_TOLD)
+        self._used: deque[str] = deque(maxlen=MEMORY)
+        #: Changes since the last call of `take_change`: one that is told at once, one that may wait for others.
+        self._news = True
+        self._changed = False
+        self._heard = self._told_at = 0
+        self._latest: ToolReading | None = None
+        self._begin("no telegram yet")
+
+    def _begin(self, why: str) -> None:
+        self._reading: ToolReading | None = None
+        self._commanded: tuple[bool, ...] = ()
+        self._enabled = False
+        self._differs = 0
+        #: Of the outputs that are `off` without RSI: those that have read back on since they were commanded on.
+        self._seen: set[str] = set()
+        self._since = 0
+        self._dropped = ""
+        self._unknown = why
+        self._replies: dict[bool, tuple[bool, ...]] = {}
+
+    # -- the controller's side
+
+    @property
+    def known(self) -> bool:
+        """Whether the outputs have been read back in this RSI session, and still are."""
+        return not self._unknown
+
+    @property
+    def difference(self) -> str:
+        """Which outputs read back as something else than commanded, in one sentence; "" for none, or not for long."""
+        if self._differs <= self._longest_difference or self._reading is None:
+            return ""
+        words = ("off", "on")
+        pairs = zip(self._names, self._reading.outputs, self._commanded)
+        found = [
+            f"{name} reads back {words[read]}, commanded {words[told]}" for name, read, told in pairs if read != told
+        ]
+        return f"{'; '.join(found)}, for more than {LONGEST_DIFFERENCE:g} s"
+
+    def note(self, reading: ToolReading | None) -> None:
+        """Take what the newest telegram tells; None when it cannot be read."""
+        self._latest = reading
+
+    def begin_session(self) -> None:
+        """Forget what was read back: another RSI session has begun."""
+        self.void("another RSI session began")
+        self._begin("nothing read back yet in this RSI session")
+        self._news = True
+
+    def end_session(self, why: str) -> None:
+        """Forget what was read back: the RSI session is over."""
+        self.void(why)
+        self._latest = None
+        self._begin(why)
+        self._news = True
+
+    def hear(self, obstacle: str = "", missed: bool = False) -> None:
+        """Take the reading of a telegram that is being answered.
+
+        Parameters
+        ----------
+        obstacle : str, optional
+            Why this session is not answered.
+        missed : bool, optional
+            The telegrams show that the controller missed a reply since the last one.
+        """
+        self._heard += 1
+        reading = self._latest
+        why = obstacle or ("" if reading is not None else "telegrams do not tell Out and In, each channel as 0 or 1")
+        if why != self._unknown:
+            self._unknown, self._news = why, True
+            if why:
+                self._counters["tool_read_back_lost"] += 1
+                self.void(f"the outputs are not read back: {why}")
+        if reading is not None and reading is not self._reading:
+            self._compare(reading)
+        if self._enabled:
+            self._drop(reading, missed)
+        if reading is None:
+            return
+        if not self._enabled:
+            # whoever else switches them, a person at the pendant or the KRL program, is right
+            if reading.outputs != self._commanded:
+                self._command(reading.outputs)
+                self._seen.update(name for name, read in zip(self._names, reading.outputs) if read)
+        elif reading.outputs != self._commanded:
+            self._differs += 1
+            if self._differs == self._longest_difference + 1:
+                self._counters["tool_outputs_differ"] += 1
+                self._news = True
+                self.void(self.difference)
+        elif self._differs:
+            self._news = self._news or self._differs > self._longest_difference
+            self._differs = 0
+
+    def _drop(self, reading: ToolReading | None, missed: bool) -> None:
+        """Command off what the controller has switched off at a missed reply: a reply that arrives must not be an edge."""
+        self._since += 1
+        read = dict(zip(self._names, reading.outputs)) if reading is not None else {}
+        dropped = []
+        for name in [name for name, value in zip(self._names, self._commanded) if value and name in self._off]:
+            if not missed and read.get(name) is True:
+                self._seen.add(name)
+            elif missed or (read.get(name) is False and (name in self._seen or self._since > ROUND_TRIP)):
+                dropped.append(name)
+        if dropped:
+            self._command(
+                tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)),
+            )
+            self._dropped = (
+                f"{', '.join(dropped)} went off with a missed reply, and stays off until it is switched on anew"
+            )
+            self._counters["tool_outputs_dropped"] += len(dropped)
+            self.void(self._dropped)
+            self._news = True
+
+    def _compare(self, reading: ToolReading) -> None:
+        before, self._reading = self._reading, reading
+        if before is None or reading.outputs != before.outputs:
+            self._news = True
+        elif reading.inputs != before.inputs:
+            self._counters["tool_input_changes"] += 1
+            self._changed = True
+
+    def play(self, stamp: int) -> None:
+        """Fire what is due: the playout plays the setpoint of `stamp` [ns] in this reply."""
+        while self._armed and self._armed[0].stamp <= stamp:
+            switch = self._armed.pop(0)
+            if switch.on(SwitchEvent.PASSED, "fired") is SwitchAction.SWITCH:
+                self._enabled = True
+                self._dropped = ""
+                self._command(
+                    tuple(
+                        switch.value if name == switch.output else value
+                        for name, value in zip(self._names, self._commanded)
+                    )
+                )
+                self._counters["tool_switches_fired"] += 1
+                self._news = True
+
+    def _command(self, values: tuple[bool, ...]) -> None:
+        self._seen &= {name for name, value in zip(self._names, values) if value}
+        self._commanded, self._differs, self._since = values, 0, 0
+        self._replies.clear()
+
+    def channels(self, ending: bool = False) -> tuple[bool, ...]:
+        """Return what a reply carries, one value per name of `RsiLayout.switched`.
+
+        Parameters
+        ----------
+        ending : bool, optional
+            The reply carries Stop 1: outputs that are `off` without RSI are switched off with it.
+        """
+        if ending not in self._replies:
+            values = dict(zip(self._names, self._commanded))
+            if ending and self._enabled:
+                values |= dict.fromkeys(self._off, False)
+            values[ENABLE] = self._enabled
+            self._replies[ending] = tuple(values.get(name, False) for name in self._channels)
+        return self._replies[ending]
+
+    # -- the command side
+
+    def arm(self, value: object, lead: float | None, obstacle: str) -> str:
+        """Take a `switch`; return "" when it is armed, else in one sentence why not.
+
+        Parameters
+        ----------
+        value : object
+            Of the control message: ``{"id": ..., "output": ..., "value": ..., "stamp": ...}``.
+        lead : float or None
+            How far the stamp lies ahead of the playout [s]; None without one.
+        obstacle : str
+            Why nothing may be switched now, whatever is asked for; "" for nothing.
+        """
+        switch = _switch_of(value)
+        if switch is None:
+            return (
+                f"tool: a switch must have a new id (1 to {LONGEST_TEXT} printable characters), output, value (true or false) "
+                "and stamp (whole number of ns), and nothing else"
+            )
+        if switch.id in self._used:
+            return f"tool: switch {switch.id!r} was asked for before"
+        self._used.append(switch.id)
+        self._told.append(switch)
+        why = obstacle or self._refusal(switch, lead)
+        self._news = True
+        if why:
+            switch.on(SwitchEvent.DECLINED, f"tool: {why}")
+            return switch.reason
+        switch.on(SwitchEvent.ACCEPTED, f"fires with the setpoint of {switch.stamp}")
+        self._armed.append(switch)
+        self._armed.sort(key=lambda waiting: waiting.stamp)
+        return ""
+
+    def _refusal(self, switch: ToolSwitch, lead: float | None) -> str:
+        if self._unknown:
+            return f"the outputs are not known: {self._unknown}"
+        if self.difference:
+            return (
+                f"{self.difference}; switch it back where it was switched, or end the RSI program and start it anew: a new "
+                "session takes the outputs as they read"
+            )
+        if switch.output not in self._names:
+            return f"{self.tool.name} has no output {switch.output!r}; it has {', '.join(self._names)}"
+        if lead is None or lead <= 0.0:
+            return f"the playout has passed the stamp {switch.stamp} already, by {-(lead or 0.0):.3f} s"
+        if lead > MOST_AHEAD:
+            return f"the stamp lies {lead:.3f} s ahead of the playout; at most {MOST_AHEAD:g} s"
+        if len(self._armed) >= MOST_TOLD:
+            return f"{MOST_TOLD} switches wait already"
+        return ""
+
+    def void(self, why: str) -> int:
+        """Make every armed switch void; return how many there were."""
+        count = len(self._armed)
+        for switch in self._armed:
+            switch.on(SwitchEvent.VOIDED, why)
+        self._armed.clear()
+        if count:
+            self._counters["tool_switches_void"] += count
+            self._news = True
+        return count
+
+    # -- status
+
+    def take_change(self) -> bool:
+        """Return whether something is to be told now; inputs that chatter wait until others have been told for a while."""
+        if not self._news and not (self._changed and self._heard - self._told_at >= self._pause):
+            return False
+        self._news = self._changed = False
+        self._told_at = self._heard
+        return True
+
+    def report(self, failure: str = "") -> dict:
+        """Return what `status` says of the tool; `failure`: why nothing of it is true any more."""
+        reading = self._reading
+        unknown = failure or self._unknown or self.difference
+        return {
+            "name": self.tool.name,
+            "known": not unknown,
+            "reason": unknown or self._dropped,
+            "outputs": dict(zip(self._names, reading.outputs)) if reading else {},
+            "commanded": dict(zip(self._names, self._commanded)),
+            "enabled": self._enabled,
+            "inputs": dict(zip(self.tool.inputs, reading.inputs)) if reading else {},
+            "switches": [switch.report() for switch in self._told],
+        }
+
+
+def stamp_of(value: object) -> int | None:
+    """Return the stamp of a switch that is asked for [ns]; None without one."""
+    stamp = value.get("stamp") if isinstance(value, dict) else None
+    return stamp if type(stamp) is int and 0 < stamp < 1 << 63 else None
+
+
+def _switch_of(value: object) -> ToolSwitch | None:
+    stamp = stamp_of(value)
+    if not isinstance(value, dict) or set(value) != {"id", "output", "value", "stamp"} or stamp is None:
+        return None
+    texts = value["id"], value["output"]
+    if not all(isinstance(text, str) and 0 < len(text) <= LONGEST_TEXT and text.isprintable() for text in texts):
+        return None
+    if not isinstance(value["value"], bool):
+        return None
+    return ToolSwitch(*texts, value["value"], stamp)

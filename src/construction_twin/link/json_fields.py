@@ -1,0 +1,63 @@
+"""Fields of a JSON document from elsewhere, read strictly: each function returns what it checked, or raises a PayloadError.
+
+Reasons: ``format`` for keys and their kinds, ``values`` for numbers. Sentences show what was found, cut to a length for a log.
+Standard library only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from construction_twin.core.errors import PayloadError
+
+#: Longest id, name and other short text.
+MAX_TEXT = 64
+#: No position, velocity, acceleration or time of an arm is larger, in whatever unit.
+LARGEST = 1e6
+
+
+def number(value: object, place: str) -> float:
+    """Return a number between -LARGEST and LARGEST; true and false are none."""
+    # true and false are numbers to Python
+    if type(value) not in (int, float) or not -LARGEST <= value <= LARGEST:  # type: ignore[operator]
+        raise PayloadError(
+            "values", f"{place} holds {shown(value)}; expected a number between -{LARGEST:g} and {LARGEST:g}"
+        )
+    return float(value)  # type: ignore[arg-type]
+
+
+def list_of(value: object, place: str) -> list:
+    """Return a list, of whatever."""
+    if not isinstance(value, list):
+        raise PayloadError("format", f"{place} is {shown(value)}; expected a list")
+    return value
+
+
+def text(value: object, key: str) -> str:
+    """Return a printable text of at most MAX_TEXT characters in one line."""
+    if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
+        raise PayloadError(
+            "format", f"{key} is {shown(value)}; expected a text of at most {MAX_TEXT} characters in one line"
+        )
+    return value
+
+
+def keys(document: object, what: str, needed: Sequence[str], known: Sequence[str]) -> None:
+    """Check that a document is an object with every key that is needed, and none that is not known."""
+    if not isinstance(document, dict):
+        raise PayloadError("format", f"{what} is {shown(document)}; expected an object with {', '.join(needed)}")
+    missing = [key for key in needed if key not in document]
+    unknown = [key for key in document if key not in known]
+    if missing or unknown:
+        wrong = f"without {', '.join(missing)}" if missing else f"with the unknown key {shown(unknown[0])}"
+        raise PayloadError("format", f"{what} {wrong}; expected {', '.join(needed)}, known are {', '.join(known)}")
+
+
+def shown(value: object) -> str:
+    """Return what was found, short enough for a sentence; of what is nested only the kind."""
+    if isinstance(value, (dict, list)) and any(isinstance(item, (dict, list)) for item in value):
+        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return f"a whole number of {value.bit_length()} bits"
+    words = repr(value[:8] if isinstance(value, list) else value)
+    return words if len(words) <= 96 else words[:93] + "..."

@@ -1,0 +1,235 @@
+"""The bridge's side of the tool: commands become control messages, statuses and answers become what `tool` tells.
+
+Pure: events in, messages and reports out. A switch is sent once and never again: its stamp is the moment for which it was meant.
+Whether it is armed, has fired or is void only the gateway knows; what it told last stays told until it tells something else.
+Standard library only.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.gateway.tool_switches import MOST_TOLD
+from construction_twin.mqtt.messages import Control
+
+#: Most outputs and inputs of a tool, and the longest text of a status.
+_MOST, _LONGEST = 16, 300
+
+
+class ToldSwitch(Enum):
+    """What is known of a switch; values are those of `ToolState.msg`."""
+
+    ARMED = 0
+    FIRED = 1
+    VOID = 2
+    REFUSED = 3
+
+
+_WORDS = {"armed": ToldSwitch.ARMED, "fired": ToldSwitch.FIRED, "void": ToldSwitch.VOID, "refused": ToldSwitch.REFUSED}
+
+
+@dataclass(frozen=True)
+class ToolReport:
+    """What `tool` tells; see `ToolState.msg`.
+
+    Attributes
+    ----------
+    known : bool
+    tool : str
+    outputs, inputs : tuple of (str, bool)
+    switches : tuple of (str, ToldSwitch, str)
+        Id, state, sentence; oldest first.
+    reason : str
+    """
+
+    known: bool = False
+    tool: str = ""
+    outputs: tuple[tuple[str, bool], ...] = ()
+    inputs: tuple[tuple[str, bool], ...] = ()
+    switches: tuple[tuple[str, ToldSwitch, str], ...] = ()
+    reason: str = "no status of the gateway yet"
+
+
+class ToolLink:
+    """The tool behind one gateway.
+
+    Parameters
+    ----------
+    new_id : callable
+        Returns a new unique id.
+    """
+
+    def __init__(self, new_id: Callable[[], str]):
+        self._new_id = new_id
+        self._switches: OrderedDict[str, tuple[ToldSwitch, str]] = OrderedDict()
+        self._by_control: OrderedDict[str, str] = OrderedDict()
+        self._run = self._session = ""
+        self._status = ToolReport()
+        self._refused = ""
+        #: Switches for which a gate that closed has sent `void`.
+        self._voided: frozenset[str] = frozenset()
+
+    # -- from the executor
+
+    def switch(self, id: str, output: str, value: bool, stamp: int, session: str, obstacle: str) -> Control | None:
+        """Take a switch; return the message for the gateway, None when it is refused here.
+
+        Parameters
+        ----------
+        id, output : str
+        value : bool
+        stamp : int
+            [ns]
+        session : str
+            That commands.
+        obstacle : str
+            Why nothing can be sent now; "" for nothing.
+        """
+        if id in self._switches or id in self._by_control.values():
+            self._refused = f"tool: switch {id!r} was asked for before"
+            return None
+        if obstacle:
+            self._tell(id, ToldSwitch.REFUSED, f"tool: {obstacle}")
+            return None
+        control = Control(
+            self._new_id(), session, "switch", {"id": id, "output": output, "value": value, "stamp": stamp}
+        )
+        self._by_control[control.id] = id
+        while len(self._by_control) > MOST_TOLD:
+            self._by_control.popitem(last=False)
+        return control
+
+    def void(self, session: str) -> Control:
+        """Return the message that makes every armed switch void: also without a session, as a stop."""
+        return Control(self._new_id(), session, "void")
+
+    @property
+    def waiting(self) -> frozenset[str]:
+        """Ids of the switches that are armed, or were sent and not answered yet."""
+        armed = [id for id, (told, _) in self._switches.items() if told is ToldSwitch.ARMED]
+        return frozenset((*armed, *self._by_control.values()))
+
+    def on_gate(self, is_open: bool, session: str) -> Control | None:
+        """Take what the monitor says of its gate; return the message that voids what waits, once; None for nothing."""
+        if is_open or self.waiting <= self._voided:
+            return None
+        self._voided = self.waiting
+        return self.void(session)
+
+    # -- from the gateway
+
+    def on_answer(self, answer: dict) -> None:
+        """Take the gateway's answer to a control message, also to others' and to other verbs."""
+        id = self._by_control.get(str(answer.get("id")))
+        if id is None or answer.get("verb") != "switch":
+            return
+        del self._by_control[str(answer.get("id"))]
+        reason, accepted = str(answer.get("reason"))[:_LONGEST], answer.get("ok") is True
+        if accepted:
+            self._refused = ""
+        self._tell(id, ToldSwitch.ARMED if accepted else ToldSwitch.REFUSED, reason)
+
+    def on_status(self, status: dict) -> None:
+        """Take the gateway's status, which `tool_report` has read before without complaint."""
+        run = str(status.get("run", ""))
+        if run and run != self._run:
+            if self._run:
+                self._lose("the gateway was started again: whether it fired is not known")
+            self._run = run
+        session = status.get("session")
+        if isinstance(session, str) and session and session != self._session:
+            self._session, self._refused = session, ""
+        self._status = tool_report(status)
+        for id, told, reason in self._status.switches:
+            self._tell(id, told, reason)
+
+    def _lose(self, why: str) -> None:
+        # not void: that would say that it has not fired, and may be asked for again
+        armed = [id for id, (told, _) in self._switches.items() if told is ToldSwitch.ARMED]
+        for id in (*armed, *self._by_control.values()):
+            self._tell(id, ToldSwitch.REFUSED, why)
+        self._by_control.clear()
+
+    def _tell(self, id: str, told: ToldSwitch, reason: str) -> None:
+        known = self._switches.get(id)
+        if known is not None and known[0] is not ToldSwitch.ARMED:
+            # final: an older message cannot take it back
+            return
+        self._switches[id] = told, reason
+        if told is ToldSwitch.REFUSED:
+            self._refused = reason
+        while len(self._switches) > MOST_TOLD:
+            self._switches.popitem(last=False)
+
+    # -- to ROS
+
+    def report(self, obstacle: str) -> ToolReport:
+        """Return what `tool` tells.
+
+        Parameters
+        ----------
+        obstacle : str
+            Why the gateway's status says nothing of the present; "" for nothing.
+        """
+        status = self._status
+        switches = tuple((id, told, reason) for id, (told, reason) in self._switches.items())
+        if obstacle:
+            return ToolReport(False, status.tool, status.outputs, status.inputs, switches, obstacle)
+        reason = status.reason or self._refused
+        return ToolReport(status.known, status.tool, status.outputs, status.inputs, switches, reason)
+
+
+def tool_report(status: dict) -> ToolReport:
+    """Return what a gateway's status says of its tool.
+
+    Raises
+    ------
+    PayloadError
+        ``status``, when it is not as the interface says.
+    """
+    if "tool" not in status:
+        return ToolReport(reason="the gateway's configuration has no tool: a robot without hands")
+    tool = status["tool"]
+    switches = tool.get("switches", []) if isinstance(tool, dict) else None
+    if not isinstance(tool, dict) or not isinstance(switches, list) or len(switches) > MOST_TOLD:
+        raise _unreadable("tool")
+    if not isinstance(tool.get("known"), bool):
+        raise _unreadable("tool.known")
+    told = []
+    for switch in switches:
+        word = switch.get("state") if isinstance(switch, dict) else None
+        if not isinstance(word, str) or word not in _WORDS:
+            raise _unreadable("tool.switches")
+        told.append(
+            (_text("tool.switches", switch.get("id")), _WORDS[word], _text("tool.switches", switch.get("reason")))
+        )
+    return ToolReport(
+        tool["known"],
+        _text("tool.name", tool.get("name")),
+        _signals("tool.outputs", tool.get("outputs")),
+        _signals("tool.inputs", tool.get("inputs")),
+        tuple(told),
+        _text("tool.reason", tool.get("reason")),
+    )
+
+
+def _signals(name: str, value: object) -> tuple[tuple[str, bool], ...]:
+    if not isinstance(value, dict) or len(value) > _MOST:
+        raise _unreadable(name)
+    if not all(isinstance(read, bool) and len(signal) <= 64 for signal, read in value.items()):
+        raise _unreadable(name)
+    return tuple(value.items())
+
+
+def _text(name: str, value: object) -> str:
+    if not isinstance(value, str):
+        raise _unreadable(name)
+    return value[:_LONGEST]
+
+
+def _unreadable(name: str) -> PayloadError:
+    return PayloadError("status", f"status message whose {name} is not what the interface says")

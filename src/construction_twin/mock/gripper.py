@@ -1,0 +1,144 @@
+"""The tool at the mock's flange: `$OUT`, `$IN`, the part of the RSI context that connects them, and a simulated gripper.
+
+`$OUT` outlives every RSI session, as on a controller. What the RSI context does with the channels of a reply is one of two:
+
+* gated, as the files in krl/ do it: SETDIGOUT and RESETDIGOUT behind ``Set.Enable``. They act on rising edges, and leave an output
+  alone while the channel is 0, which it is from RSI_ON to the first reply that says otherwise;
+* plain, MAP2DIGOUT alone: every output follows its channel from RSI_ON on, whose first value is 0. A grip that is closed by a 1
+  opens at RSI_ON. The mock can do it, so that a test can show it.
+
+Gripper: `time` after the outputs read what closes (opens) it, the inputs read what confirms that. Pure; cycles are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from construction_twin.rsi.layout import RsiLayout
+from construction_twin.rsi.tool_channels import ENABLE, IN, OUT, names_of
+
+_NOTHING: Mapping[str, bool] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """What is simulated.
+
+    Attributes
+    ----------
+    close, closed : mapping of str to bool
+        Outputs that close the grip, and what the inputs read when it has closed.
+    open, opened : mapping of str to bool
+        The same for opening.
+    time : float
+        From the outputs to the inputs [s].
+    """
+
+    close: Mapping[str, bool] = field(default_factory=dict)
+    closed: Mapping[str, bool] = field(default_factory=dict)
+    open: Mapping[str, bool] = field(default_factory=dict)
+    opened: Mapping[str, bool] = field(default_factory=dict)
+    time: float = 0.2
+
+
+class SimulatedTool:
+    """The tool of one mock controller.
+
+    Parameters
+    ----------
+    layout : RsiLayout
+        With channels of a tool.
+    gripper : Gripper
+    period : float
+        The controller's cycle [s].
+    gated : bool, optional
+        Whether the RSI context leaves the outputs alone while ``Set.Enable`` is 0.
+
+    Attributes
+    ----------
+    outputs, inputs : dict of str to bool
+        `$OUT` and `$IN` by the tool's names.
+    fails, lost, hidden : bool
+        Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
+    """
+
+    def __init__(self, layout: RsiLayout, gripper: Gripper, period: float, gated: bool = True):
+        self._names = layout.switched
+        self._holdon = layout.switched_holdon
+        self._gripper = gripper
+        self._gated = gated
+        self._wait = max(1, round(gripper.time / period))
+        self.outputs = {name: False for name in names_of(OUT, layout.send)}
+        self.inputs = {name: False for name in names_of(IN, layout.send)}
+        self.inputs |= {name: value for name, value in gripper.opened.items() if name in self.inputs}
+        self.fails = self.lost = self.hidden = False
+        self._target: Mapping[str, bool] = _NOTHING
+        self._due = 0
+        self.begin_session()
+
+    @property
+    def signals(self) -> dict[str, bool]:
+        """Values of the channels of SEND by their TAGs."""
+        told = {f"{IN}.{name}": value for name, value in self.inputs.items()}
+        return told | {f"{OUT}.{name}": value for name, value in self.outputs.items()}
+
+    @property
+    def holds(self) -> bool:
+        """Whether the grip is closed, as its inputs tell."""
+        return bool(self._gripper.closed) and self._reads(self.inputs, self._gripper.closed)
+
+    def begin_session(self) -> None:
+        """Begin an RSI session: every channel of a reply is 0 before the first reply; `$OUT` stays."""
+        self._channels = (False,) * len(self._names)
+        self._edges: dict[str, bool | None] = {}
+        if not self._gated:
+            self._map()
+
+    def take(self, switched: tuple[bool, ...]) -> None:
+        """Take the channels of a valid reply."""
+        self._channels = switched
+        self._map()
+
+    def miss(self) -> None:
+        """Take a missed reply: HOLDON decides."""
+        self._channels = tuple([value and held for value, held in zip(self._channels, self._holdon)])
+        self._map()
+
+    def _map(self) -> None:
+        values = dict(zip(self._names, self._channels))
+        enabled = values.pop(ENABLE, False)
+        for name, value in values.items():
+            if not self._gated:
+                self.outputs[name] = value
+                continue
+            # AND of Enable with the channel sets, AND of Enable with its opposite resets, each on a rising edge
+            edge = value if enabled else None
+            if edge is not None and edge is not self._edges.get(name):
+                self.outputs[name] = edge
+            self._edges[name] = edge
+
+    def step(self) -> None:
+        """Let a cycle pass: the inputs follow the outputs."""
+        gripper = self._gripper
+        target = _NOTHING
+        if gripper.close and self._reads(self.outputs, gripper.close):
+            target = gripper.opened if self.fails or self.lost else gripper.closed
+        elif gripper.open and self._reads(self.outputs, gripper.open):
+            target = gripper.opened
+            self.lost = False
+        if target is not self._target:
+            self._target, self._due = target, 1 if self.lost else self._wait
+        if self._due:
+            self._due -= 1
+            if not self._due:
+                self.inputs |= {name: value for name, value in target.items() if name in self.inputs}
+
+    def lose(self) -> None:
+        """Let go of what is held, at once; the outputs stay. It holds again after the next opening and closing."""
+        self.lost = True
+
+    @staticmethod
+    def _reads(values: Mapping[str, bool], wanted: Mapping[str, bool]) -> bool:
+        return all(values.get(name) is value for name, value in wanted.items())

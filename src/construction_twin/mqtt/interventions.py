@@ -1,0 +1,96 @@
+"""`stop`, `pause` and `resume` by MQTT: what a person may press whose account has the right to. Pure; standard library only.
+
+The account is the topic's last level, which a site's broker has checked; the message holds an id of its own and nothing else. What
+is not exactly so is refused (PayloadError).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.mqtt.messages import is_short_text, parse_object
+
+#: What can be asked for.
+STOP, PAUSE, RESUME = "stop", "pause", "resume"
+#: Who answers: the gateway, which brakes the arm, or the executor, which brakes along the path.
+GATEWAY, EXECUTOR = "gateway", "executor"
+#: Longest message that is read [bytes].
+MAX_BYTES = 256
+#: Accounts of which `AnswerPace` knows what they were answered.
+_MOST_ACCOUNTS = 64
+
+
+@dataclass(frozen=True)
+class Intervention:
+    """What a person asks for: `verb` is ``stop``, ``pause`` or ``resume``; `account` is the topic's, `id` the person's own."""
+
+    verb: str
+    account: str
+    id: str
+
+
+def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) -> Intervention:
+    """Return what is asked for in a message on ``<verb>/<account>``.
+
+    Parameters
+    ----------
+    verb, account : str
+        Of the topic.
+    payload : bytes
+        JSON object with `id`, a text of 1 to 64 characters in one line.
+    retained : bool
+        The message's retain flag.
+
+    Raises
+    ------
+    PayloadError
+        ``retained``, or the verb.
+    """
+    if retained:
+        raise PayloadError(
+            "retained", f"retained {verb}: it is unknown when it was given; publish it without the retain flag"
+        )
+    document = parse_object(payload, verb, MAX_BYTES)
+    if set(document) != {"id"} or not is_short_text(document["id"]) or not document["id"].strip():
+        raise PayloadError(
+            verb,
+            f"{verb} with keys {[key[:32] for key in sorted(document)[:8]]}; expected id alone, a text of 1 to 64 characters",
+        )
+    return Intervention(verb, account, document["id"])
+
+
+def intervention_answer(id_: str, account: str, by: str, ok: bool, reason: str) -> bytes:
+    """Return the payload for `stop/ack` or `pause/ack`; `id_` is "" where none could be read."""
+    return json.dumps({"id": id_, "account": account, "ok": ok, "reason": reason, "by": by}).encode()
+
+
+class AnswerPace:
+    """How often one account is answered: who floods a topic must cost no more than the reading.
+
+    Parameters
+    ----------
+    period : int
+        Time between two answers to one account in the long run [ns].
+    at_once : int
+        So many are given without waiting: a person who taps several times is answered each time.
+    """
+
+    def __init__(self, period: int, at_once: int):
+        self._period = period
+        self._ahead = (at_once - 1) * period
+        # when the answers given so far would have been due, one per period [ns]
+        self._due: dict[str, int] = {}
+
+    def take(self, account: str, now: int) -> bool:
+        """Return whether an account may be answered at `now` [ns], and note that it was."""
+        due = max(self._due.get(account, now), now)
+        if due - now > self._ahead:
+            return False
+        if account not in self._due and len(self._due) >= _MOST_ACCOUNTS:
+            self._due = {name: at for name, at in self._due.items() if at > now}
+            if len(self._due) >= _MOST_ACCOUNTS:
+                return False
+        self._due[account] = due + self._period
+        return True

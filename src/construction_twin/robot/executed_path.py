@@ -1,0 +1,94 @@
+"""The path that an arm has executed, and where on it a pose lies: for the way back along it.
+
+Pure. Angles in rad, m for prismatic joints; a distance is the largest over the joints, in the unit of that joint. Times in s from
+the path's beginning.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from construction_twin.core.units import CYCLE
+from construction_twin.robot.trajectory import Trajectory
+
+#: A way back lies this near to the executed path, at every setpoint: 0.5 mm at the tool of an arm of 2.5 m.
+WAY_BACK_TOLERANCE = 2e-4
+#: An arm that a hold or the gateway has brought to rest beside the path may go straight to it from at most this far.
+LARGEST_ENTRY = 0.02
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Where a pose lies on a path, or next to it.
+
+    Attributes
+    ----------
+    time : float
+        Of the nearest point [s]; where the path passes it more than once, the last.
+    distance : float
+        To that point.
+    """
+
+    time: float
+    distance: float
+
+
+@dataclass(frozen=True, eq=False)
+class ExecutedPath:
+    """A trajectory from its beginning to where it was left.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        Begins at rest.
+    end : float
+        Time along it that was reached at most [s], 0 to its duration.
+    """
+
+    trajectory: Trajectory
+    end: float
+
+    def points(self, until: float | None = None) -> np.ndarray:
+        """Return the poses on a grid of at most 4 ms from the beginning to a time, by default `end`; shape (k, n)."""
+        return self.trajectory.sample_many(self._grid(self.end if until is None else until))[0]
+
+    def entry(self, pose: np.ndarray) -> Entry:
+        """Return where a pose, shape (n,), lies on the path or next to it."""
+        times = self._grid(self.end)
+        points = self.trajectory.sample_many(times)[0]
+        fractions, distances = nearest_on_lines(points[:-1], points[1:], np.asarray(pose, dtype=np.float64))
+        near = np.flatnonzero(distances <= distances.min() + WAY_BACK_TOLERANCE)
+        # of a path that passes the pose several times, the last passage; within that, the nearest line
+        breaks = np.flatnonzero(np.diff(near) > 1)
+        last = near[breaks[-1] + 1 :] if len(breaks) else near
+        best = int(last[np.argmin(distances[last])])
+        time = times[best] + fractions[best] * (times[best + 1] - times[best])
+        return Entry(float(time), float(distances[best]))
+
+    def _grid(self, until: float) -> np.ndarray:
+        return np.linspace(0.0, until, max(2, math.ceil(until / CYCLE) + 1))
+
+
+def nearest_on_lines(starts: np.ndarray, ends: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where on straight lines a pose is nearest, and how far that is.
+
+    Parameters
+    ----------
+    starts, ends : array, shape (k, n)
+    pose : array, shape (n,)
+
+    Returns
+    -------
+    fractions : array, shape (k,)
+        0 at the start, 1 at the end.
+    distances : array, shape (k,)
+        Largest over the joints.
+    """
+    way = ends - starts
+    square = (way * way).sum(axis=1)
+    along = ((pose - starts) * way).sum(axis=1)
+    fractions = np.clip(np.divide(along, square, out=np.zeros_like(along), where=square > 0.0), 0.0, 1.0)
+    return fractions, np.abs(starts + fractions[:, None] * way - pose).max(axis=1)

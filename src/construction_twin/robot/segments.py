@@ -1,0 +1,141 @@
+"""A plan of several segments: what happens at the end of each, and in which scene each may be executed.
+
+The segments lie one after the other on one trajectory, which rests where one ends and the next begins. There the tool is switched
+and the scene changes as planned. Times in seconds from the start of the trajectory.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass
+
+from construction_twin.core.motion_errors import TrajectoryError
+
+
+@dataclass(frozen=True)
+class Signal:
+    """An input of the tool, and what it must read.
+
+    Attributes
+    ----------
+    name : str
+        Input of the tool file.
+    value : bool
+    """
+
+    name: str
+    value: bool
+
+
+@dataclass(frozen=True)
+class Switch:
+    """An output of the tool that is switched at rest, at the end of a segment.
+
+    Attributes
+    ----------
+    output : str
+        Output of the tool file.
+    value : bool
+    confirm : tuple of Signal
+        What the tool's inputs must read afterwards, all of them.
+    timeout : float
+        Longest time from the switch to that [s], above 0.
+    """
+
+    output: str
+    value: bool
+    confirm: tuple[Signal, ...]
+    timeout: float
+
+    def __post_init__(self):
+        # 2 and 2.0 are equal, but would give different hashes
+        object.__setattr__(self, "timeout", float(self.timeout))
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One part of a plan, from rest to rest.
+
+    Attributes
+    ----------
+    name : str
+        For people and records: ``carry``, ``set down``.
+    end : float
+        Time of its end in the plan's trajectory [s]; of the last segment: the trajectory's duration.
+    engaged : bool
+        After a stop inside of it, nothing but the way back along the executed path may be planned.
+    requires : tuple of Signal
+        What the tool's inputs must read during all of it.
+    switches : tuple of Switch
+        Fired together at its end.
+    scene : str
+        Hash of the scene it was checked in, which must be present while it is executed.
+    scene_after : str
+        Hash of the scene after its switches: that of the next segment. The same as `scene` where nothing changes.
+    """
+
+    name: str
+    end: float
+    engaged: bool
+    requires: tuple[Signal, ...]
+    switches: tuple[Switch, ...]
+    scene: str
+    scene_after: str
+
+    def __post_init__(self):
+        object.__setattr__(self, "end", float(self.end))
+
+
+def segments_hash(trajectory_hash: str, task: str, segments: tuple[Segment, ...]) -> str:
+    """Return the SHA-256 (hex) over a trajectory's hash, the task, and the ordered segments with switches and scenes.
+
+    Parameters
+    ----------
+    trajectory_hash : str
+        `Trajectory.content_hash`.
+    task : str
+    segments : tuple of Segment
+    """
+    return hashlib.sha256(segments_content(trajectory_hash, task, segments).encode()).hexdigest()
+
+
+def segments_content(trajectory_hash: str, task: str, segments: tuple[Segment, ...]) -> str:
+    """Return the text that `segments_hash` covers: JSON with the keys ``trajectory``, ``task``, ``segments``."""
+    content = {"trajectory": trajectory_hash, "task": task, "segments": [asdict(segment) for segment in segments]}
+    return json.dumps(content, sort_keys=True, allow_nan=False)
+
+
+def check_segments(plan_id: str, scene: str, duration: float, segments: tuple[Segment, ...]) -> None:
+    """Check that segments fill a trajectory and that each begins in the scene in which the one before ended.
+
+    Parameters
+    ----------
+    plan_id : str
+    scene : str
+        Hash of the scene that the plan begins in.
+    duration : float
+        Of the trajectory [s].
+    segments : tuple of Segment
+
+    Raises
+    ------
+    TrajectoryError
+        Naming the segment.
+    """
+    before, present = 0.0, scene
+    for number, segment in enumerate(segments):
+        where = f"plan {plan_id}, segment {number} ({segment.name!r})"
+        if not math.isfinite(segment.end) or segment.end <= before:
+            raise TrajectoryError(f"{where} ends at {segment.end} s; expected after {before} s")
+        if segment.scene != present:
+            raise TrajectoryError(f"{where} is for scene {segment.scene[:12]}; the one before it leaves {present[:12]}")
+        for switch in segment.switches:
+            if not (math.isfinite(switch.timeout) and switch.timeout > 0.0):
+                raise TrajectoryError(
+                    f"{where}: {switch.output} has {switch.timeout} s to be confirmed; expected above 0"
+                )
+        before, present = segment.end, segment.scene_after
+    if segments and before != duration:
+        raise TrajectoryError(f"plan {plan_id}: its last segment ends at {before} s, its trajectory at {duration} s")

@@ -1,0 +1,212 @@
+"""A tool at the flange: where its centre point is, what it looks like, what it weighs, its outputs and inputs.
+
+Read from a YAML file, see config/tools/vacuum_frame.yaml. Metres, kilograms, seconds; degrees only in the file's ``rpy_deg``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+import yaml
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import configuration_error
+from construction_twin.robot.segments import Signal, Switch
+
+_Name = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
+_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
+_Positive = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=1e4)]
+_Vector = tuple[_Finite, _Finite, _Finite]
+
+
+class _Strict(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class Place(_Strict):
+    """A pose in a file.
+
+    Attributes
+    ----------
+    xyz : tuple of float, length 3
+        [m]
+    rpy_deg : tuple of float, length 3
+        About the fixed x, y and z axes, in this order [deg].
+    """
+
+    xyz: _Vector
+    rpy_deg: _Vector = (0.0, 0.0, 0.0)
+
+
+class ToolShape(_Strict):
+    """One body of the tool, in the flange's frame; keys as in config/scene.yaml."""
+
+    shape: Literal["box", "cylinder", "sphere", "mesh"]
+    size: tuple[_Finite, ...] = ()
+    position: _Vector = (0.0, 0.0, 0.0)
+    rpy_deg: _Vector = (0.0, 0.0, 0.0)
+    mesh: str = ""
+
+
+class Cups(_Strict):
+    """Suction cups in the plane of the TCP.
+
+    Attributes
+    ----------
+    radius : float
+        [m]
+    holds : float
+        What one cup holds, safety factor included [kg].
+    at : tuple of tuple of float, length 2
+        Middle of each, x and y in the TCP's frame [m].
+    """
+
+    radius: _Positive
+    holds: _Positive
+    at: Annotated[tuple[tuple[_Finite, _Finite], ...], pydantic.Field(min_length=1)]
+
+
+class Output(_Strict):
+    """One output of the tool.
+
+    Attributes
+    ----------
+    on_stop : str
+        ``keep`` or ``off``: what becomes of it when RSI ends or a reply is missed.
+    opens : bool or None
+        The value that lets go of a workpiece; None: neither does.
+    """
+
+    on_stop: Literal["keep", "off"]
+    opens: bool | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _keeps_the_part(self) -> Output:
+        if self.on_stop == "off" and self.opens is False:
+            raise ValueError("expected on_stop keep, or opens true: one missed reply would drop the part")
+        return self
+
+    @pydantic.field_validator("on_stop", mode="before")
+    @classmethod
+    def _off_in_yaml(cls, value: object) -> object:
+        # an `off` without quotation marks is false in YAML
+        return "off" if value is False else value
+
+
+class Action(_Strict):
+    """What closes or opens the grip.
+
+    Attributes
+    ----------
+    set : mapping of str to bool
+        Outputs and their values.
+    confirm : mapping of str to bool
+        What the inputs must read afterwards.
+    timeout : float
+        [s]
+    """
+
+    set: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
+    confirm: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
+    timeout: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
+
+    def switches(self) -> tuple[Switch, ...]:
+        """Return the switches; each waits for all of the confirmation."""
+        return tuple(Switch(name, value, self.signals(), self.timeout) for name, value in self.set.items())
+
+    def signals(self) -> tuple[Signal, ...]:
+        """Return what the inputs read while the action holds."""
+        return tuple(Signal(name, value) for name, value in self.confirm.items())
+
+
+class Tool(_Strict):
+    """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml.
+
+    Attributes
+    ----------
+    name : str
+    tool0_T_tcp : Place
+    mass, payload, load : float
+        [kg]
+    shapes : mapping of str to ToolShape
+    touch : tuple of str
+    cups : Cups or None
+    outputs : mapping of str to Output
+    inputs : tuple of str
+    grip, release : Action
+    """
+
+    name: _Name
+    tool0_T_tcp: Place
+    mass: _Positive
+    payload: _Positive
+    load: _Positive
+    shapes: dict[_Name, ToolShape]
+    touch: tuple[str, ...] = ()
+    cups: Cups | None = None
+    outputs: Annotated[dict[_Name, Output], pydantic.Field(min_length=1, max_length=8)]
+    inputs: Annotated[tuple[_Name, ...], pydantic.Field(min_length=1, max_length=8)]
+    grip: Action
+    release: Action
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Tool:
+        if len(set(self.inputs)) != len(self.inputs):
+            raise ValueError("expected inputs with different names")
+        if self.mass + self.payload > self.load:
+            raise ValueError(
+                f"expected mass and payload, {self.mass + self.payload:g} kg, within load, {self.load:g} kg"
+            )
+        for name, action in (("grip", self.grip), ("release", self.release)):
+            unknown = sorted((set(action.set) - set(self.outputs)) | (set(action.confirm) - set(self.inputs)))
+            if unknown:
+                raise ValueError(f"expected known outputs and inputs in {name}, not {', '.join(unknown)}")
+        opening = {name: output.opens for name, output in self.outputs.items() if output.opens is not None}
+        if not opening:
+            raise ValueError("expected opens for at least one output: the value that lets go of a workpiece")
+        for name, value in opening.items():
+            if self.grip.set.get(name) is value:
+                raise ValueError(f"expected a grip that does not set {name} to the value that opens")
+            if self.release.set.get(name) is not value:
+                raise ValueError(f"expected a release that sets {name} to the value that opens")
+        return self
+
+
+@dataclass(frozen=True)
+class ToolFile:
+    """A tool, and the folder that its mesh files are relative to.
+
+    Attributes
+    ----------
+    tool : Tool
+    folder : Path
+    """
+
+    tool: Tool
+    folder: Path
+
+
+def read_tool(path: str | Path) -> ToolFile:
+    """Read a tool file.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming file, key, value and what was expected.
+    """
+    try:
+        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(str(path), str(error), "a YAML file of a tool") from error
+    return ToolFile(tool_of(description, str(path)), Path(path).resolve().parent)
+
+
+def tool_of(description: object, where: str) -> Tool:
+    """Return the tool that the content of a tool file describes; ConfigurationError when it is none, naming `where`."""
+    try:
+        return Tool.model_validate(description)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, Tool, where) from error

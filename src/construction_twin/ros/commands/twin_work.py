@@ -1,0 +1,114 @@
+"""The command `twin work`: the tasks of a building model from a terminal. Its options are in `views.arguments`."""
+
+from __future__ import annotations
+
+import argparse
+
+import rospy
+from geometry_msgs.msg import PoseStamped
+
+from construction_twin.core.errors import RequestRefused, SilenceError
+from construction_twin.msg import WorkTasks
+from construction_twin.ros.messages.work_convert import work_facts_from_msg
+from construction_twin.ros.shared.master import expect_publisher
+from construction_twin.ros.shared.operator_client import pose_to_msg
+from construction_twin.srv import WorkDecide, WorkMeasured, WorkPlanTask
+from construction_twin.views.arguments import Exit
+from construction_twin.views.goals import pose_goal
+from construction_twin.views.work_texts import WorkFacts, chosen, list_lines, note_lines, show_lines
+
+_DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "accept": "accept_schedule"}
+
+
+class WorkCommand:
+    """One step of `twin work`.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    namespace : str
+        Of the robot, absolute.
+    account : str
+        The user's name, for the record.
+    """
+
+    def __init__(self, options: argparse.Namespace, namespace: str, account: str):
+        self._options, self._namespace, self._account = options, namespace, account
+
+    def run(self) -> Exit:
+        """Do it.
+
+        Raises
+        ------
+        RequestRefused
+            With the work node's sentence.
+        SilenceError
+            When nobody answers.
+        """
+        step = self._options.step
+        if step in _DECISIONS:
+            self._decide(step)
+        else:
+            getattr(self, f"_{step}")()
+        return Exit.DONE
+
+    def plan_under_review(self) -> str:
+        """Return the id of the plan of a task that waits for approval; refuse when there is none."""
+        work = self._work()
+        found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
+        if not found:
+            raise RequestRefused(f"no plan of a task is under review: {work.reason}; `twin work next` has one planned")
+        return found
+
+    def _list(self) -> None:
+        print("\n".join(list_lines(self._work())))
+
+    def _next(self) -> None:
+        task = chosen(self._work().tasks, self._options.task).id if self._options.task else ""
+        print(self._call("work/plan", WorkPlanTask, task=task).message)
+
+    def _show(self) -> None:
+        work = self._work()
+        print("\n".join(show_lines(work, chosen(work.tasks, self._options.task))))
+
+    def _decide(self, step: str) -> None:
+        options = self._options
+        work = self._work()
+        task = chosen(work.tasks, options.task).id if step != "accept" else ""
+        if step == "accept":
+            # what was left out or understood in some way is known before it is accepted
+            print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
+        answer = options.answer if step == "answer" else ""
+        person = options.person or self._account
+        fields = {"task": task, "decision": _DECISIONS[step], "answer": answer, "person": person}
+        print(self._call("work/decide", WorkDecide, reason=options.reason, **fields).message)
+
+    def _measured(self) -> None:
+        options = self._options
+        pose = PoseStamped(pose=pose_to_msg(pose_goal(options.pose)))
+        pose.header.frame_id = options.frame
+        person = options.person or self._account
+        request = {"element": options.element, "pose": pose, "person": person, "reason": options.reason}
+        print(self._call("work/measured", WorkMeasured, **request).message)
+
+    def _work(self) -> WorkFacts:
+        """Return the newest report of the work node."""
+        topic = f"{self._namespace}/work/tasks"
+        expect_publisher(topic)
+        try:
+            message = rospy.wait_for_message(topic, WorkTasks, self._options.timeout)
+        except rospy.ROSException as error:
+            to_do = "start bringup with work_model and work_cell, or see why the node is down"
+            raise SilenceError(topic, "the work node does not report", to_do) from error
+        return work_facts_from_msg(message)
+
+    def _call(self, name: str, kind: type, **request):
+        service = f"{self._namespace}/{name}"
+        try:
+            rospy.wait_for_service(service, self._options.timeout)
+            answer = rospy.ServiceProxy(service, kind)(**request)
+        except (rospy.ROSException, rospy.ServiceException) as error:
+            raise SilenceError(service, f"no answer ({error})", "see why the node work is down") from error
+        if not answer.success:
+            raise RequestRefused(answer.message)
+        return answer

@@ -1,0 +1,277 @@
+"""work check: what the arm can do of a building model, before anything starts. Runs without a ROS master.
+
+Prints one line per task and writes report.html and check.json. Exit code 0: every task is possible; 1: some are not; 2: it could
+not be checked, after one sentence on standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Iterable
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import check_writable, write_whole
+from construction_twin.kinematics.chain import Chain
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.commands.evaluate import package_file
+from construction_twin.ros.commands.work_check_pool import Arm, Checked, Setup, check_all
+from construction_twin.scene.objects import SceneObject
+from construction_twin.work.building import BuildingModel
+from construction_twin.work.check import CheckedTask
+from construction_twin.work.check_report import Header, as_json, page, row, short_why, why
+from construction_twin.work.extras import check_extras
+from construction_twin.work.ifc.reading import read_building
+from construction_twin.work.placement import check_placement
+from construction_twin.work.proposed_schedule import propose
+from construction_twin.work.schedule import Job, Schedule
+from construction_twin.work.site import Site, pose_of, read_site
+from construction_twin.work.site_scene import Layout
+
+#: By how much bodies may be larger than their element without being told [m].
+_TOLD = 0.0005
+#: What the exit codes mean.
+ALL, SOME, NOT_CHECKED = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """A model with its order and cell, ready to be checked."""
+
+    building: BuildingModel
+    site: Site
+    schedule: Schedule
+    jobs: tuple[Job, ...]
+    notes: tuple[str, ...]
+
+
+def main(arguments: list[str]) -> int:
+    """Check the model named on the command line.
+
+    Parameters
+    ----------
+    arguments : list of str
+        Those after ``check``.
+
+    Returns
+    -------
+    status : int
+        0, 1 or 2, see above.
+    """
+    options = _parser().parse_args(arguments)
+    console = Console(highlight=False)
+    directory = options.output or options.model.with_name(options.model.stem + "_check")
+    try:
+        check_extras()
+        check_writable(directory)
+        arm = _arm(options)
+        robot = arm.robot()
+        work = _work(options, robot)
+        with tempfile.TemporaryDirectory(prefix="work_check_") as folder:
+            pieces, inexact = _pieces(work, Path(folder))
+            # needs the packages of `check_extras`
+            from construction_twin.work.standing import standing
+
+            stands = standing(work.building, [job.element for job in work.jobs], work.site, robot, Path(folder))
+            notes = (*work.notes, *inexact, *stands.notes)
+            for note in notes:
+                console.print(note, markup=False, soft_wrap=True)
+            setup = Setup(
+                arm, options.cell, work.building, pieces, work.jobs, changes=options.changes, robot=options.robot,
+                standing=stands.pieces,
+            )  # fmt: skip
+            checked = _check(setup, options.processes, console)
+            header = _header(options, work, notes, robot, checked)
+            files = _write(directory, header, checked.tasks, setup.layout(robot))
+    except (ConstructionTwinError, OSError) as error:
+        print(f"work check: {error}", file=sys.stderr)
+        return NOT_CHECKED
+    except BrokenProcessPool:
+        print("work check: a process was ended, perhaps for want of memory; try --processes 1", file=sys.stderr)
+        return NOT_CHECKED
+    _print(console, checked, files, options.changes)
+    return ALL if all(task.possible for task in checked.tasks) else SOME
+
+
+def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
+    building = read_building(options.model)
+    site = read_site(options.cell)
+    proposed = not building.tasks
+    if proposed:
+        proposal = propose(building)
+        if options.write_schedule:
+            # ifcopenshell is needed for this only
+            from construction_twin.work.ifc.schedule_writer import write_schedule
+
+            write_schedule(
+                options.model, options.write_schedule, "Proposed order", proposal.tasks, proposal.sequences,
+                datetime.now().replace(microsecond=0), "From the geometry; not accepted yet.",
+            )  # fmt: skip
+        building = proposal.applied(building)
+    schedule = Schedule.of(building, proposed)
+    model_T_base = site.model_T_base(building)
+    base = site.base(building).id if site.file.base_element else ""
+    tool = pose_of(site.tool.tool.tool0_T_tcp)
+    chain = Chain(robot)
+    reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
+    placement = check_placement(building, model_T_base, reach, base)
+    notes = [*building.notes, *schedule.notes, *(remark.text for remark in placement.remarks)]
+    if proposed:
+        notes.insert(
+            0, "The model has no schedule: this order is proposed from its geometry, and a person must accept it."
+        )
+    return _Work(building, site, schedule, schedule.jobs, tuple(notes))
+
+
+def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...]], tuple[str, ...]]:
+    """Return the bodies of the elements that are placed, of those that have any, and what is not exact or missing."""
+    # needs the packages of `check_extras`
+    from construction_twin.work.element_bodies import element_shapes
+
+    elements = [work.building.element(job.element) for job in work.jobs]
+    shapes, failures = element_shapes([element for element in elements if element.bodies], folder)
+    notes = [str(failure) for failure in failures.values()]
+    notes += [
+        f"{work.building.element(name).name!r} ({name}) is checked with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
+        for name, shape in shapes.items()
+        if shape.excess > _TOLD
+    ]
+    return {name: shape.objects for name, shape in shapes.items()}, tuple(notes)
+
+
+def _check(setup: Setup, processes: int, console: Console) -> Checked:
+    columns = (TextColumn("checking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    # without refreshing by itself: that would be a thread, and the processes are forked
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
+        bar = progress.add_task("check", total=len(setup.numbers))
+        progress.refresh()
+        return check_all(setup, processes, lambda _: progress.update(bar, advance=1, refresh=True))
+
+
+def _header(
+    options: argparse.Namespace, work: _Work, notes: tuple[str, ...], robot: RobotModel, checked: Checked
+) -> Header:
+    return Header(
+        work.building.file, work.building.digest, str(options.cell), robot.name, work.schedule.proposed,
+        checked.seconds, checked.rss_mb, notes,
+    )  # fmt: skip
+
+
+def _write(directory: Path, header: Header, tasks: Iterable[CheckedTask], layout: Layout) -> tuple[Path, ...]:
+    found = tuple(tasks)
+    contents = {"report.html": page(header, found, layout), "check.json": as_json(header, found)}
+    directory.mkdir(parents=True, exist_ok=True)
+    for name, text in contents.items():
+        write_whole(directory / name, text)
+    return tuple(directory / name for name in contents)
+
+
+#: Headings of the table in the terminal; whether the column holds words; its greatest width, 0: what is left of the terminal.
+_COLUMNS = {
+    "#": (False, 4), "task": (True, 20), "possible": (False, 8), "grip": (True, 0), "track\nm": (False, 6),
+    "clear\nmm": (False, 5), "time\ns": (False, 5), "why": (True, 9),
+}  # fmt: skip
+#: Width of all columns but `grip` and `why`, with what is between them.
+_BESIDE_GRIP = 66
+
+
+def _print(console: Console, checked: Checked, files: Iterable[Path], changes: float) -> None:
+    impossible = any(not task.possible for task in checked.tasks)
+    # numbers are shown whole; in a narrow terminal words are cut
+    table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
+    widest = max(10, console.width - _BESIDE_GRIP - (_COLUMNS["why"][1] + 2) * impossible)
+    for heading, (words, most) in _COLUMNS.items():
+        if heading != "why" or impossible:
+            justify: Literal["left", "right"] = "left" if words else "right"
+            table.add_column(heading, justify=justify, no_wrap=True, overflow="ellipsis", max_width=most or widest)
+    for task in checked.tasks:
+        place, name, _, possible, grip, track, clearance, duration, _ = row(task)
+        table.add_row(
+            *(place, name, possible, grip, track, clearance, duration),
+            *([short_why(task)] if impossible else []),
+            style="" if task.possible else "red",
+        )
+    console.print(table)
+    for task in checked.tasks:
+        if not task.possible:
+            console.print(f"{task.number + 1} {task.name} ({task.element}): {why(task)}", markup=False, soft_wrap=True)
+    if not all(task.possible for task in checked.tasks):
+        console.print(f"Changes were tried for {changes:g} s in all, the first task of each reason first (--changes)")
+    count = sum(task.possible for task in checked.tasks)
+    console.print(
+        f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"
+    )
+    for file in files:
+        console.print(str(file), markup=False, soft_wrap=True)
+
+
+def _arm(options: argparse.Namespace) -> Arm:
+    kind = ("kr120_track", "kr120_track") if options.track else ("kr120r2500", "kr120")
+    return Arm(
+        options.robot_xacro or package_file(f"urdf/{kind[0]}.urdf.xacro"),
+        options.robot_config or package_file(f"config/{kind[1]}.yaml"),
+        options.self_collision or package_file(f"config/{kind[1]}_self_collision.yaml"),
+        package_file("config/planner.yaml"),
+        options.robot_xacro_args,
+    )
+
+
+def _processes(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 64:
+        raise argparse.ArgumentTypeError(f"{value}: expected 1 to 64")
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{value}: expected 0 to 3600")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="work check", description="What the arm can do of a building model: a table, report.html and check.json."
+    )
+    parser.add_argument("model", type=Path, help="an IFC file")
+    parser.add_argument(
+        "--cell", type=Path, required=True, metavar="FILE", help="cell file, as config/work/timber_panel.yaml"
+    )
+    parser.add_argument("--track", action="store_true", help="the KR 120 on its track (default: without)")
+    parser.add_argument("--robot", default="", metavar="NAME", help="only tasks that this robot may do, e.g. kr120")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: MODEL + _check)")
+    parser.add_argument(
+        "--processes", type=_processes, default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
+        help="tasks that are checked at once (default: one per core, at most 8)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--changes", type=_seconds, default=60.0, metavar="SECONDS",
+        help="how long changes are tried in all, at most 15 s per task, the first task of each reason before others "
+        "(default: 60; 0: not at all)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--write-schedule", type=Path, metavar="FILE", help="also write a proposed order into a copy of the model"
+    )
+    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help="URDF or xacro of another arm")
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
+    parser.add_argument("--robot-config", type=Path, metavar="FILE", help="its robot YAML")
+    parser.add_argument("--self-collision", type=Path, metavar="FILE", help="its self-collision file")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

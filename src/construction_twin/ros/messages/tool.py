@@ -1,0 +1,76 @@
+"""Conversions between the messages of tool and engagement and the library's values; no parameters, no clock."""
+
+from __future__ import annotations
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.execution.boundary import ToolOrder
+from construction_twin.execution.engagement import Engagement
+from construction_twin.execution.tool_report import SwitchReport, SwitchState, ToolReport
+from construction_twin.msg import Engagement as EngagementMsg
+from construction_twin.msg import ToolCommand, ToolState
+from construction_twin.ros.messages.convert import signal_to_msg, trajectory_to_msg
+from construction_twin.ros.transport.joint_stream import to_time
+
+
+def tool_report_from_msg(msg: ToolState) -> ToolReport:
+    """Return the report.
+
+    Raises
+    ------
+    PayloadError
+        ``tool``, when lists that belong together differ in length, or a switch's state is unknown.
+    """
+    together = (
+        ("inputs", msg.inputs, msg.input_values),
+        ("outputs", msg.outputs, msg.output_values),
+        ("switches", msg.switch_ids, msg.switch_states),
+        ("reasons of switches", msg.switch_ids, msg.switch_reasons),
+    )
+    for what, names, values in together:
+        if len(names) != len(values):
+            raise PayloadError("tool", f"{len(names)} {what} have {len(values)} values; expected as many")
+    try:
+        states = [SwitchState(state) for state in msg.switch_states]
+    except ValueError as error:
+        raise PayloadError("tool", f"{error}; expected the state of a switch as in ToolState.msg") from error
+    return ToolReport(
+        known=msg.known,
+        tool=msg.tool,
+        outputs=tuple(msg.outputs),
+        inputs=dict(zip(msg.inputs, map(bool, msg.input_values))),
+        switches=dict(zip(msg.switch_ids, map(SwitchReport, states, msg.switch_reasons))),
+        reason=msg.reason,
+    )
+
+
+def order_to_msg(order: ToolOrder) -> ToolCommand:
+    """Return the message, without its stamp."""
+    switch = order.switch
+    if switch is None:
+        return ToolCommand(verb=ToolCommand.VOID, plan_id=order.plan_id)
+    return ToolCommand(
+        verb=ToolCommand.ARM,
+        id=order.id,
+        plan_id=order.plan_id,
+        output=switch.output,
+        value=switch.value,
+        stamp=to_time(order.stamp),
+    )
+
+
+def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> EngagementMsg:
+    """Return the message, without its stamp; None: the arm is not engaged."""
+    if engagement is None:
+        return EngagementMsg(engaged=False)
+    requires = engagement.requires(tool)
+    return EngagementMsg(
+        engaged=True,
+        plan_id=engagement.plan_id,
+        task=engagement.task,
+        segment=engagement.segment,
+        reason=engagement.reason,
+        trajectory=trajectory_to_msg(engagement.path.trajectory),
+        end=engagement.path.end,
+        requires=[signal_to_msg(signal) for signal in requires],
+        scenes=list(engagement.scenes_of(requires)),
+    )

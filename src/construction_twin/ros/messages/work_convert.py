@@ -1,0 +1,97 @@
+"""Conversions between the messages of work from a building model and the library's values; no parameters, no clock."""
+
+from __future__ import annotations
+
+import math
+
+from construction_twin.msg import Engagement, WorkTask, WorkTasks
+from construction_twin.msg import Segment as SegmentMsg
+from construction_twin.msg import WorkSegment as WorkSegmentMsg
+from construction_twin.ros.messages.convert import signal_to_msg, switch_to_msg, trajectory_to_msg
+from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.views.work_texts import TaskFacts, WorkFacts
+from construction_twin.work.desk import TaskRow
+from construction_twin.work.engaged_scene import Left, Step
+from construction_twin.work.jobs import WorkSegment
+
+
+def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
+    """Return the message of a segment that the planner is asked for."""
+    return WorkSegmentMsg(
+        name=segment.name,
+        trajectory=trajectory_to_msg(segment.trajectory),
+        engaged=segment.engaged,
+        requires=[signal_to_msg(signal) for signal in segment.requires],
+        switches=[switch_to_msg(switch) for switch in segment.switches],
+        put=[object_to_msg(item) for item in segment.put],
+        remove=list(segment.remove),
+    )
+
+
+def step_from_msg(segment: SegmentMsg) -> Step:
+    """Return what a segment of a published plan changes.
+
+    Raises
+    ------
+    SceneError
+        When an object cannot be read.
+    """
+    put = tuple(map(object_from_msg, segment.put))
+    return Step(segment.scene, segment.scene_after, SceneChange(put, tuple(segment.remove)))
+
+
+def left_from_msg(message: Engagement) -> Left:
+    """Return how an arm was left engaged."""
+    return Left(message.plan_id, message.segment, tuple(message.scenes))
+
+
+def task_to_msg(row: TaskRow) -> WorkTask:
+    """Return the message of a task's line in the list; NaN where no deviation is known."""
+    far = row.deviation
+    return WorkTask(
+        id=row.id,
+        name=row.name,
+        element=row.element,
+        element_name=row.element_name,
+        state=row.state,
+        reason=row.reason,
+        after=list(row.after),
+        robot=row.robot,
+        plan_id=row.plan_id,
+        deviation_mm=far.distance * 1e3 if far is not None else math.nan,
+        deviation_deg=math.degrees(far.angle) if far is not None else math.nan,
+        question=row.question,
+        answers=list(row.answers),
+    )
+
+
+def work_facts_from_msg(message: WorkTasks) -> WorkFacts:
+    """Return the work node's report as values."""
+    return WorkFacts(
+        model=message.model,
+        schedule=message.schedule,
+        engaged=message.engaged,
+        next=message.next,
+        reason=message.reason,
+        tasks=tuple(map(_task_facts, message.tasks)),
+        notes=tuple(message.notes),
+    )
+
+
+def _task_facts(message: WorkTask) -> TaskFacts:
+    return TaskFacts(
+        id=message.id,
+        name=message.name,
+        element=message.element,
+        element_name=message.element_name,
+        state=message.state,
+        reason=message.reason,
+        after=tuple(message.after),
+        robot=message.robot,
+        plan_id=message.plan_id,
+        deviation_mm=message.deviation_mm,
+        deviation_deg=message.deviation_deg,
+        question=message.question,
+        answers=tuple(message.answers),
+    )

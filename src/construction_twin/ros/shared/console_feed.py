@@ -1,0 +1,201 @@
+"""What consoles are told beside `view`: the status line, the scene, the tasks of the building model; which plan is under review.
+
+Everything here was published on ROS already; it is put into the words and files that a browser can use.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.link.remote_review import PlanBoard
+from construction_twin.mqtt.messages import Topics
+from construction_twin.msg import Execution, Link, Plan, Review, Sync, WorkTasks
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.ros.messages.console_json import scene_json, tasks_json
+from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.scene.objects import Scene
+from construction_twin.views.startup import Deployment, Seen, Word, first_missing
+from construction_twin.views.status_line import Heard, WorkFacts, status_lines
+
+#: The status line is looked at so often, and sent again without a change after so long [s].
+LOOK, REPEAT = 0.2, 1.0
+
+
+class ConsoleFeed:
+    """Keeps what is retained, and sends it again where the broker may have forgotten it. Topics come in threads of their own.
+
+    Parameters
+    ----------
+    topics : Topics
+    base_link : str
+        Frame of the scene's objects.
+    publish : callable
+        Takes topic, payload, QoS and the retain flag; what cannot be sent now is dropped.
+    refuse : callable
+        Counts a refused input; takes reason and sentence.
+    deployment : Deployment or None
+        What was started; None: what the start waits for is not told.
+    files : PrivateFiles or None
+        Where the scene's meshes go; None: no console was started with this robot.
+    """
+
+    def __init__(
+        self,
+        topics: Topics,
+        base_link: str,
+        publish: Callable[[str, bytes, int, bool], object],
+        refuse: Callable[[str, str], None],
+        deployment: Deployment | None = None,
+        files: PrivateFiles | None = None,
+    ):
+        self._topics, self._base_link = topics, base_link
+        self._publish, self._refuse = publish, refuse
+        self._deployment, self._files = deployment, files
+        self._lock = threading.Lock()
+        self._board = PlanBoard()
+        self._session = ""
+        self._retained: dict[str, bytes] = {}
+        self._scene: Scene | None = None
+        self._work: WorkFacts | None = None
+        self._arm_seen = self._twin_seen = False
+        self._looked = self._told_at = float("-inf")
+        self._told = b""
+
+    # -- from ROS
+
+    def on_plan(self, message: Plan) -> None:
+        """Take a plan for review."""
+        with self._lock:
+            self._board.on_plan(message.id, message.id.encode())
+
+    def on_review(self, message: Review) -> None:
+        """Take a verdict."""
+        with self._lock:
+            self._board.on_verdict(message.plan_id)
+
+    def on_link(self, message: Link) -> None:
+        """Take that another session has made the plan void."""
+        with self._lock:
+            if message.session and self._session and message.session != self._session:
+                self._board.restart()
+            self._session = message.session or self._session
+
+    def on_scene(self, message: SceneMsg) -> None:
+        """Write the scene's meshes, then tell the scene: who hears of a mesh finds its file."""
+        try:
+            scene = scene_from_msg(message)
+            if self._files is not None:
+                self._files.write_scene(scene)
+        except (SceneError, ConfigurationError) as error:
+            self._refuse("scene", str(error))
+            return
+        self._scene = scene
+        self._keep(self._topics.scene, scene_json(scene, self._base_link))
+
+    def on_tasks(self, message: WorkTasks) -> None:
+        """Tell the tasks."""
+        self._work = WorkFacts(
+            states=tuple(task.state for task in message.tasks),
+            engaged=bool(message.engaged),
+            proposed=message.schedule == "proposed",
+            next=message.next,
+            reason=message.reason,
+        )
+        self._keep(self._topics.work_tasks, tasks_json(message))
+
+    # -- to MQTT
+
+    def welcome(self) -> None:
+        """Tell everything again: the broker may have been started anew."""
+        with self._lock:
+            retained = dict(self._retained)
+            self._told_at = float("-inf")
+        for topic, payload in retained.items():
+            self._publish(topic, payload, 1, True)
+
+    def farewell(self) -> None:
+        """Take away what is retained: nobody keeps it up to date any more."""
+        with self._lock:
+            topics = list(self._retained)
+        for topic in topics:
+            self._publish(topic, b"", 1, True)
+
+    def _keep(self, topic: str, payload: bytes) -> None:
+        with self._lock:
+            self._retained[topic] = payload
+        self._publish(topic, payload, 1, True)
+
+    @property
+    def scene(self) -> Scene | None:
+        """The present scene; None while it is not known."""
+        return self._scene
+
+    @property
+    def plan(self) -> str:
+        """Id of the plan under review; empty: none."""
+        with self._lock:
+            return self._board.payload.decode()
+
+    def note_poses(self, twin: bool, arm: bool) -> None:
+        """Take whether a pose of the twin, and of the arm, is known: a start waits for the first of each."""
+        self._twin_seen, self._arm_seen = self._twin_seen or twin, self._arm_seen or arm
+
+    def tell(self, link: Link | None, sync: Sync | None, execution: Execution | None, now: float) -> None:
+        """Send the status line when it has changed, or was not sent for a while.
+
+        Parameters
+        ----------
+        link, sync, execution : messages or None
+            None: silent.
+        now : float
+            Monotonic [s].
+        """
+        if now - self._looked < LOOK:
+            return
+        self._looked = now
+        payload = self._screen(link, sync, execution)
+        if payload == self._told and now - self._told_at < REPEAT:
+            return
+        self._told, self._told_at = payload, now
+        self._publish(self._topics.screen, payload, 1, False)
+
+    def _screen(self, link: Link | None, sync: Sync | None, execution: Execution | None) -> bytes:
+        words = _word(link), _word(sync), _word(execution)
+        deployment = self._deployment
+        heard = Heard(
+            *words,
+            bare=link is not None and link.gateway_kind == "plc",
+            plan=self.plan,
+            engaged=execution is not None and bool(execution.engaged),
+            work=self._work,
+        )
+        if deployment is not None:
+            seen = Seen(*words, feedback=self._arm_seen, twin=self._twin_seen, scene=self._scene is not None)
+            missing = first_missing(seen, deployment)
+            heard = replace(heard, started=True, missing=missing, arm=deployment.arm != "none")
+        return json.dumps([line.document() for line in status_lines(heard)]).encode()
+
+
+def _word(report: Link | Sync | Execution | None) -> Word | None:
+    return None if report is None else Word(report.text, report.reason, getattr(report, "gateway_state", ""))
+
+
+def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deployment | None:
+    """Return what bringup has told the node `startup`; None where that does not run.
+
+    Parameters
+    ----------
+    started : Mapping or None
+        The node's parameters.
+    namespace : str
+    """
+    fields = ("arm", "broker", "rsi", "gateway", "gateway_kind")
+    if started is None or not set(fields) <= set(started):
+        return None
+    return Deployment(namespace=namespace, **{name: started[name] for name in fields})  # type: ignore[arg-type]

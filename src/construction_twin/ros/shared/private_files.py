@@ -1,0 +1,96 @@
+"""The files that a console serves to whom the broker has let in: the robot's model, the scene's meshes, the building.
+
+    <folder>/mesh/<digest>.<suffix>      shared by all robots; the name is the SHA-256 of the original file
+    <folder>/<robot>/robot.urdf, building.glb
+
+A file is written whole or not at all; what is there already under its digest is not written again.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.files import write_whole
+from construction_twin.robot.shown_urdf import shown_urdf
+from construction_twin.scene.mesh_file import binary_stl, parse_mesh
+from construction_twin.scene.objects import Scene, read_mesh_file
+
+#: Where the console serves the folder, and the meshes in it.
+SERVED, MESHES = "/private/", "/private/mesh/"
+
+
+class PrivateFiles:
+    """Writes them for one robot.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it does not exist.
+    robot : str
+        Name of the robot.
+    """
+
+    def __init__(self, folder: Path, robot: str):
+        self._folder = folder
+        self._robot = robot
+
+    def write_robot(self, urdf: str) -> tuple[str, ...]:
+        """Write the robot's model and its meshes; return a sentence for each shape that is left out.
+
+        Raises
+        ------
+        ConfigurationError
+            When the folder takes no files, or the text is no URDF.
+        """
+        try:
+            shown = shown_urdf(urdf, MESHES)
+        except ElementTree.ParseError as error:
+            raise ConfigurationError("robot_description", str(error), "a URDF") from error
+        for name, contents in shown.meshes.items():
+            self._keep(f"mesh/{name}", contents)
+        self._write(f"{self._robot}/robot.urdf", shown.text)
+        return shown.problems
+
+    def write_scene(self, scene: Scene) -> None:
+        """Write the meshes of a scene, as binary STL in the files' own units.
+
+        Raises
+        ------
+        ConfigurationError
+            When the folder takes no files.
+        SceneError
+            When a mesh cannot be read any more.
+        """
+        for item in scene.objects:
+            name = f"mesh/{item.mesh_digest}.stl"
+            if item.mesh and not (self._folder / name).exists():
+                contents = read_mesh_file(item.name, item.mesh)
+                vertices, triangles = parse_mesh(f"object {item.name!r} mesh", item.mesh, contents, (1.0, 1.0, 1.0))
+                self._write(name, binary_stl(vertices[triangles]))
+
+    def write_building(self, glb: bytes) -> None:
+        """Write the building model; ConfigurationError when the folder takes no files."""
+        self._write(f"{self._robot}/building.glb", glb)
+
+    def drop_building(self) -> None:
+        """Take away the building model of an earlier start; ConfigurationError when that is not possible."""
+        try:
+            (self._folder / self._robot / "building.glb").unlink(missing_ok=True)
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def _keep(self, name: str, contents: bytes) -> None:
+        if not (self._folder / name).exists():
+            self._write(name, contents)
+
+    def _write(self, name: str, contents: str | bytes) -> None:
+        try:
+            write_whole(self._folder / name, contents)
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def _refused(self, error: OSError) -> ConfigurationError:
+        found = f"{error.filename or self._folder}: {error.strerror}"
+        return ConfigurationError("private", found, "a folder that files can be written into")

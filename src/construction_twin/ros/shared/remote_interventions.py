@@ -1,0 +1,136 @@
+"""`stop`, `pause` and `resume` by MQTT, carried out by the executor and answered there; part of mqtt_review.
+
+A stop has a thread of its own: nothing else that was asked for is waited for. The gateway reads the same stops itself, so this one
+brakes along the path what the gateway brakes within its limits, and voids the plans that wait.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import rospy
+from paho.mqtt.client import MQTTMessage
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.mqtt.interventions import (
+    EXECUTOR,
+    PAUSE,
+    RESUME,
+    STOP,
+    Intervention,
+    intervention_answer,
+    parse_intervention,
+)
+from construction_twin.mqtt.messages import Topics, account_of
+from construction_twin.ros.transport.persistent_service import NO_ANSWER
+
+#: What may wait while one is carried out, for each of the two threads.
+WAITING = 8
+#: Longest wait for a service of the executor to exist [s].
+SERVICE_TIMEOUT = 1.0
+#: Pauses and resumes that are remembered: QoS 1 may deliver twice, and a recording can be replayed.
+MEMORY = 1000
+
+
+class RemoteInterventions:
+    """Takes interventions from MQTT and gives them to the executor.
+
+    Parameters
+    ----------
+    topics : Topics
+    services : mapping of str to callable
+        The executor's service per verb, as `rospy.ServiceProxy`.
+    publish : callable
+        Takes topic and payload.
+    """
+
+    def __init__(
+        self,
+        topics: Topics,
+        services: Mapping[str, rospy.ServiceProxy],
+        publish: Callable[[str, bytes], object],
+    ):
+        self._services = services
+        self._publish = publish
+        self._acks = {STOP: topics.stop_ack, PAUSE: topics.pause_ack, RESUME: topics.pause_ack}
+        stops: queue.Queue[Intervention] = queue.Queue(WAITING)
+        others: queue.Queue[Intervention] = queue.Queue(WAITING)
+        self._queues = {STOP: stops, PAUSE: others, RESUME: others}
+        self._threads = [
+            threading.Thread(target=self._run, args=(waiting,), name=name, daemon=True)
+            for name, waiting in (("stop", stops), ("pause", others))
+        ]
+        self._known: deque[Intervention] = deque(maxlen=MEMORY)
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()
+        #: Counts a refused input; takes reason and sentence.
+        self.refuse: Callable[[str, str], None] = lambda reason, sentence: None
+        #: What takes the messages of each topic.
+        self.on_message: dict[str, Callable[[MQTTMessage], None]] = {
+            topic("+"): partial(self._take, verb)
+            for verb, topic in ((STOP, topics.stop_by), (PAUSE, topics.pause_by), (RESUME, topics.resume_by))
+        }
+
+    def start(self) -> None:
+        """Begin to carry out."""
+        for thread in self._threads:
+            thread.start()
+
+    def report(self) -> dict[str, int]:
+        """Return the counts for `/diagnostics`."""
+        with self._lock:
+            return {f"interventions {name}": count for name, count in sorted(self._counts.items())}
+
+    def _take(self, verb: str, message: MQTTMessage) -> None:
+        account = id_ = ""
+        try:
+            account = account_of(message.topic)
+            if not account:
+                # an answer, of this node or of the gateway
+                return
+            wanted = parse_intervention(verb, account, bytes(message.payload), message.retain)
+            id_ = wanted.id
+            if verb != STOP:
+                self._check_new(wanted)
+            self._queues[verb].put_nowait(wanted)
+        except PayloadError as error:
+            self.refuse(error.reason, str(error))
+            if error.reason != "repeated":
+                self._answer(verb, id_, account, False, str(error))
+        except queue.Full:
+            sentence = f"{WAITING} are waiting already; try again"
+            self.refuse("busy", f"{verb}: {sentence}")
+            self._answer(verb, id_, account, False, sentence)
+
+    def _check_new(self, wanted: Intervention) -> None:
+        """Refuse one that came before (PayloadError): a `resume` must not start again what was paused since."""
+        if wanted in self._known:
+            raise PayloadError("repeated", f"{wanted.verb} {wanted.id!r} of account {wanted.account} came before")
+        self._known.append(wanted)
+
+    def _run(self, waiting: queue.Queue[Intervention]) -> None:
+        while not rospy.is_shutdown():
+            try:
+                self._carry_out(waiting.get(timeout=0.2))
+            except queue.Empty:
+                continue
+
+    def _carry_out(self, wanted: Intervention) -> None:
+        service = self._services[wanted.verb]
+        try:
+            rospy.wait_for_service(service.resolved_name, SERVICE_TIMEOUT)
+            answer = service()
+            ok, sentence = answer.success, answer.message
+        except (rospy.ROSException, *NO_ANSWER) as error:
+            ok, sentence = False, f"{service.resolved_name} does not answer: {error}; does the executor run?"
+        with self._lock:
+            self._counts["taken" if ok else "not taken"] += 1
+        rospy.loginfo("%s by MQTT account %s: %s", wanted.verb, wanted.account, sentence)
+        self._answer(wanted.verb, wanted.id, wanted.account, ok, sentence)
+
+    def _answer(self, verb: str, id_: str, account: str, ok: bool, sentence: str) -> None:
+        self._publish(self._acks[verb], intervention_answer(id_, account, EXECUTOR, ok, sentence))

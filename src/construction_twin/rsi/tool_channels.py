@@ -1,0 +1,135 @@
+"""The channels of a tool in an Ethernet XML, and how a telegram tells its outputs and inputs.
+
+Names of user channels are free; these mean a tool, ``<name>`` being that of the tool file (small letters, digits and ``_``):
+
+    RECEIVE  Set.<output>  BOOL   what the output shall be
+    RECEIVE  Set.Enable    BOOL   1 once the PC knows the outputs; while it is 0, the RSI context leaves them alone
+    SEND     Out.<output>         the output as read back, 0 or 1
+    SEND     In.<input>           the input, 0 or 1
+
+Read beside the telegram, as `status_channels` is, so that an arm without a tool pays nothing. Standard library only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from construction_twin.core.errors import ConfigurationError
+
+#: Elements of the channels.
+SET, OUT, IN = "Set", "Out", "In"
+#: The channel without which none of the outputs may be changed; no output can have its name.
+ENABLE = "Enable"
+
+_is_name = re.compile(r"[a-z][a-z0-9_]{0,23}").fullmatch
+_ATTRIBUTE = re.compile(rb"([A-Za-z][A-Za-z0-9_]*)\s*=\s*[\"']([^\"'<>]*)[\"']").findall
+_VALUES = {b"0": False, b"1": True}
+
+
+@dataclass(frozen=True, slots=True)
+class ToolReading:
+    """What a telegram tells of a tool.
+
+    Attributes
+    ----------
+    outputs, inputs : tuple of bool
+        In the order of the reader's names.
+    """
+
+    outputs: tuple[bool, ...]
+    inputs: tuple[bool, ...]
+
+
+def is_tool_name(name: str) -> bool:
+    """Return whether an output or input of a tool can be called so."""
+    return _is_name(name) is not None
+
+
+def is_set_channel(tag: str) -> bool:
+    """Return whether a TAG of RECEIVE sets an output of a tool, or is the channel that enables them."""
+    element, _, name = tag.partition(".")
+    return element == SET and (name == ENABLE or is_tool_name(name))
+
+
+def is_signal(tag: str) -> bool:
+    """Return whether a TAG of SEND is an output or an input of a tool."""
+    element, _, name = tag.partition(".")
+    return element in (OUT, IN) and is_tool_name(name)
+
+
+def names_of(element: str, send: Iterable[str]) -> tuple[str, ...]:
+    """Return the outputs (``Out``) or inputs (``In``) of a tool that a controller sends, in the order of its SEND."""
+    parts = (tag.partition(".") for tag in send)
+    return tuple(name for found, _, name in parts if found == element and is_tool_name(name))
+
+
+def grouped(send: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the blocks of a packet: attributes of `Out`, and those of `In`, stand together where the first one does."""
+    blocks: dict[str, list[str]] = {}
+    for tag in send:
+        blocks.setdefault(tag.partition(".")[0] if is_signal(tag) else tag, []).append(tag)
+    return [tuple(block) for block in blocks.values()]
+
+
+class ToolReader:
+    """Reads outputs and inputs of a tool from telegrams that were read as ones before.
+
+    Parameters
+    ----------
+    outputs, inputs : sequence of str
+        Names, in the order wanted.
+    """
+
+    def __init__(self, outputs: Sequence[str], inputs: Sequence[str]):
+        self._wanted = [(element, tuple(names)) for element, names in ((OUT, outputs), (IN, inputs)) if names]
+        self._finds = [re.compile(rb"<%b\s([^<>]*)>" % element.encode()).findall for element, _ in self._wanted]
+        self._texts: list[list[bytes]] | None = None
+        self._reading: ToolReading | None = None
+
+    def read(self, data: bytes) -> ToolReading | None:
+        """Return what a telegram tells; None when a channel is missing, there twice, or neither 0 nor 1."""
+        texts = [find(data) for find in self._finds]
+        if texts != self._texts:
+            # the same for minutes
+            self._texts, self._reading = texts, self._parse(texts)
+        return self._reading
+
+    def _parse(self, texts: list[list[bytes]]) -> ToolReading | None:
+        values: dict[str, tuple[bool, ...]] = {OUT: (), IN: ()}
+        for (element, names), found in zip(self._wanted, texts):
+            attributes = _ATTRIBUTE(found[0]) if len(found) == 1 else []
+            told = {name.decode(): _VALUES.get(value) for name, value in attributes}
+            read = [told.get(name) for name in names]
+            if len(told) != len(attributes) or None in read:
+                return None
+            values[element] = tuple([value is True for value in read])
+        return ToolReading(values[OUT], values[IN])
+
+
+def set_element(switched: Sequence[str], values: Sequence[bool]) -> str:
+    """Return the element of a reply that sets a tool's outputs; "" where there are none.
+
+    Parameters
+    ----------
+    switched : sequence of str
+        Names behind ``Set.``, see `RsiLayout.switched`.
+    values : sequence of bool
+        One per name; none at all: every channel 0, which leaves the outputs alone.
+
+    Raises
+    ------
+    ConfigurationError
+        When the values are not one per name.
+    """
+    values = values or (False,) * len(switched)
+    if len(values) != len(switched):
+        raise ConfigurationError(SET, tuple(values), f"a value for each of {', '.join(switched)}")
+    attributes = " ".join(f'{name}="{int(value)}"' for name, value in zip(switched, values))
+    return f"<{SET} {attributes}/>" if attributes else ""
+
+
+def signal_texts(tags: Sequence[str], signals: Mapping[str, bool]) -> list[int]:
+    """Return the values of channels as a controller sends them; what is not known is 0."""
+    return [int(signals.get(tag, False)) for tag in tags]

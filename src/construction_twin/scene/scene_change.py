@@ -1,0 +1,115 @@
+"""Several changes of a scene as one: objects that go, then objects that come, with the scenes before and after named by their hash.
+
+Where a workpiece of several bodies is gripped or put down, no scene in between is one that anybody planned for. Metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.scene.objects import Scene, SceneObject, one_of
+
+
+@dataclass(frozen=True)
+class SceneChange:
+    """What goes and what comes.
+
+    Attributes
+    ----------
+    put : tuple of SceneObject
+        Added, or put in the place of the object of that name, as a whole: link and touch included. In the place of a fixed object
+        it is fixed, too.
+    remove : tuple of str
+        Names of what goes first. One of them may come again in `put`: it is then another object, which nothing may touch yet.
+
+    Raises
+    ------
+    SceneError
+        If a name is put or removed twice.
+    """
+
+    put: tuple[SceneObject, ...] = ()
+    remove: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        object.__setattr__(self, "put", tuple(self.put))
+        object.__setattr__(self, "remove", tuple(self.remove))
+        _refuse_doubles("put", (item.name for item in self.put))
+        _refuse_doubles("remove", self.remove)
+
+    def apply(self, scene: Scene) -> Scene:
+        """Return the scene after the change.
+
+        What stays forgets the names that are removed in `touch`, as in `Scene.remove`. Whether the names in `touch` and `link` of
+        what comes exist is checked where the scene meets a robot.
+
+        Raises
+        ------
+        SceneError
+            If an object to remove is not in the scene.
+        """
+        objects = {item.name: item for item in scene.objects}
+        for name in self.remove:
+            if name not in objects:
+                known = one_of("the scene's", scene.names)
+                raise SceneError("an object to remove", name, f"{known}; nothing was changed")
+        gone = frozenset(self.remove)
+        if gone:
+            objects = {name: _without(item, gone) for name, item in objects.items() if name not in gone}
+        for item in self.put:
+            present = objects.get(item.name)
+            objects[item.name] = item if present is None else replace(item, fixed=present.fixed)
+        return replace(scene, objects=tuple(objects.values()))
+
+    def between(self, scene: Scene, before: str = "", after: str = "") -> Scene:
+        """Return the scene after the change, if it leads from one expected scene to another.
+
+        Parameters
+        ----------
+        scene : Scene
+        before, after : str, optional
+            Hashes; empty: any.
+
+        Raises
+        ------
+        SceneError
+            If the scene, or what it becomes, is another one; and as in `apply`.
+        """
+        if before and scene.hash != before:
+            raise SceneError(
+                "the scene to change",
+                scene.hash,
+                f"{before}, that this change was made for; plan it anew from this one",
+            )
+        changed = self.apply(scene)
+        if after and changed.hash != after:
+            raise SceneError(
+                "the scene after the change",
+                changed.hash,
+                f"{after}; a mesh file may have changed. Nothing was changed",
+            )
+        return changed
+
+    def __str__(self) -> str:
+        told = [
+            f"{verb} {names[0]!r}" + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+            for verb, names in (("removed", self.remove), ("put", tuple(item.name for item in self.put)))
+            if names
+        ]
+        return ", ".join(told) or "changed nothing"
+
+
+def _without(item: SceneObject, gone: frozenset[str]) -> SceneObject:
+    if gone.isdisjoint(item.touch):
+        return item
+    return replace(item, touch=tuple(name for name in item.touch if name not in gone))
+
+
+def _refuse_doubles(key: str, names: Iterable[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise SceneError(f"a name in {key}", name, "each name once")
+        seen.add(name)

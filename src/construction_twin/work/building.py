@@ -1,0 +1,205 @@
+"""What a building model says, as far as a robot needs it: elements with their geometry, tasks, and their order.
+
+Metres, kilograms, seconds; rotations as matrices. Frames: `model` is the model's own coordinate system in metres (its project's
+placement, without map conversion), `element` is the product's placement. Records only; read by `work.ifc`, used by everything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.kinematics.chain import Pose
+
+#: Values of properties and quantities, as IFC has them.
+Value = str | float | int | bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Extrusion:
+    """A body that is a profile moved along a straight line.
+
+    Attributes
+    ----------
+    outline : array, shape (k, 2)
+        Corners of the profile, counter-clockwise, not repeated at the end [m].
+    holes : tuple of array, shape (k, 2)
+        Corners of its holes, clockwise [m].
+    element_T_profile : Pose
+        Where the profile's plane is.
+    direction : array, shape (3,)
+        Unit vector in the profile's frame along which it is moved; need not be its normal.
+    depth : float
+        [m], above 0.
+    """
+
+    outline: np.ndarray
+    holes: tuple[np.ndarray, ...]
+    element_T_profile: Pose
+    direction: np.ndarray
+    depth: float
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One closed body of an element.
+
+    Attributes
+    ----------
+    vertices : array, shape (n, 3)
+        In the element's frame [m].
+    triangles : array, shape (m, 3)
+        Indices of vertices; outward normals by the right hand.
+    extrusion : Extrusion or None
+        What the body is exactly; None: anything else, or an extrusion that something was cut from.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    extrusion: Extrusion | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Element:
+    """One product of the model.
+
+    Attributes
+    ----------
+    id : str
+        GlobalId; ``#123``, its number in the file, where that is missing, wrong or another one's.
+    ifc_class : str
+        ``IfcMember``.
+    name, type_name, tag, storey, material : str
+        Empty: the model has none.
+    assembly : str
+        GlobalId of the element it is a part of: an IfcElementAssembly, or another (a wall of layers); empty: none.
+    model_T_element : Pose
+    bodies : tuple of Body
+        Empty: the element has no geometry.
+    properties : mapping of str to mapping
+        Values by property set (or quantity set) and name, the type's own included; the element's win. Measures in SI.
+    mass : float or None
+        [kg], from quantities, or density times volume; None: not known.
+    """
+
+    id: str
+    ifc_class: str
+    name: str
+    type_name: str
+    tag: str
+    storey: str
+    material: str
+    assembly: str
+    model_T_element: Pose
+    bodies: tuple[Body, ...]
+    properties: Mapping[str, Mapping[str, Value]]
+    mass: float | None
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task of the schedule.
+
+    Attributes
+    ----------
+    id : str
+        GlobalId.
+    name, description : str
+    parent : str
+        GlobalId of the task it nests in; empty: none.
+    products : tuple of str
+        GlobalIds of the elements it makes (outputs), in the file's order.
+    inputs : tuple of str
+        GlobalIds of what it works on.
+    robots : tuple of str
+        Names of the resources assigned to it; empty: any robot.
+    milestone : bool
+    start, finish : str
+        Scheduled, ISO 8601; empty: not said.
+    duration : float or None
+        [s]
+    """
+
+    id: str
+    name: str
+    description: str = ""
+    parent: str = ""
+    products: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    robots: tuple[str, ...] = ()
+    milestone: bool = False
+    start: str = ""
+    finish: str = ""
+    duration: float | None = None
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One task waits for another.
+
+    Attributes
+    ----------
+    before, after : str
+        GlobalIds of tasks; of nesting tasks it holds for all that they nest.
+    kind : str
+        ``FINISH_START``, ``START_START``, ``FINISH_FINISH`` or ``START_FINISH``: what of `before`, then what of `after`.
+    lag : float
+        [s]; negative: a lead.
+    """
+
+    before: str
+    after: str
+    kind: str = "FINISH_START"
+    lag: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class BuildingModel:
+    """One IFC file.
+
+    Attributes
+    ----------
+    file : str
+        Its name.
+    digest : str
+        SHA-256 of its contents.
+    schema : str
+        ``IFC2X3``, ``IFC4``, ``IFC4X3``.
+    project : str
+    unit : float
+        Metres per length unit of the file.
+    elements : mapping of str to Element
+        By GlobalId, in the file's order.
+    tasks : mapping of str to Task
+        By GlobalId, in the file's order; empty: it has no schedule.
+    sequences : tuple of Sequence
+    notes : tuple of str
+        One sentence for each thing that was left out or understood in a way that the user should know.
+    """
+
+    file: str
+    digest: str
+    schema: str
+    project: str
+    unit: float
+    elements: Mapping[str, Element]
+    tasks: Mapping[str, Task] = field(default_factory=dict)
+    sequences: tuple[Sequence, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def element(self, global_id: str) -> Element:
+        """Return the element of that GlobalId.
+
+        Raises
+        ------
+        BuildingError
+            If there is none.
+        """
+        if global_id not in self.elements:
+            raise BuildingError(
+                self.file, f"element {global_id!r}", "none of that GlobalId", "one of the model's elements"
+            )
+        return self.elements[global_id]

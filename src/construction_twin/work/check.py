@@ -1,0 +1,225 @@
+"""Whether the arm can do each task of a building model, before anything starts, and what would help where it cannot.
+
+In: a layout, the jobs of its schedule, a robot. Out: one `CheckedTask` per job. Each is planned in the scene that its turn finds if
+everything before it stands as designed, from the arm's home pose: so each can be checked on its own.
+What would help is only named after it was tried. SI; time and randomness are arguments; knows no process and no file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.kinematics.solution import InverseKinematics
+from construction_twin.planning.planner import PlannerSettings
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.self_collision import SelfCollision
+from construction_twin.work.jobs import PlaceJob, WorkPlan
+from construction_twin.work.nearest_change import LONGER, longer_track, nearest_change
+from construction_twin.work.schedule import Job
+from construction_twin.work.site import pose_of
+from construction_twin.work.site_scene import Layout, WorkState
+from construction_twin.work.task_planner import SET_DOWN, TaskLimits, TaskPlanner
+
+#: What is tried for a change is searched for less long than the task itself.
+_TRIAL = TaskLimits(budget=2.0, solutions=6, pairs=2, free_budget=1.0)
+#: Points of the tool's path that are kept are this far apart [s].
+_PATH_STEP = 0.1
+_FIGURES = re.compile(r"-?\d+(\.\d+)?")
+
+
+@dataclass(frozen=True)
+class CheckedTask:
+    """What was found for one job.
+
+    Attributes
+    ----------
+    number : int
+        In the order of the schedule, from 0.
+    job, name : str
+        Id of the job, name of its task.
+    element, element_name, ifc_class : str
+    possible : bool
+    grip : str
+        Of the plan, or the one that came furthest; empty: none.
+    track : float or None
+        Value of the first linear joint where the element is set down [m]; None: the robot has none, or there is no plan.
+    clearance : float or None
+        [m], see `WorkPlan`.
+    duration : float or None
+        Of all motions [s], without the waiting for the tool.
+    planning : float
+        Time it took to find out [s].
+    stage, reason : str
+        What was not possible, and why; empty if it is possible.
+    change : str
+        What would help: it was tried, and a plan found; empty: nothing was found.
+    tried : bool
+        Whether changes were looked for.
+    path : tuple of tuple of float, length 3
+        The tool's centre point in the base [m].
+    """
+
+    number: int
+    job: str
+    name: str
+    element: str
+    element_name: str
+    ifc_class: str
+    possible: bool
+    grip: str = ""
+    track: float | None = None
+    clearance: float | None = None
+    duration: float | None = None
+    planning: float = 0.0
+    stage: str = ""
+    reason: str = ""
+    change: str = ""
+    tried: bool = False
+    path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
+
+
+class Checker:
+    """Plans every job of a schedule on its own. Not for use from several threads at once.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    self_collision : SelfCollision
+    settings : PlannerSettings
+        Of the free ways.
+    layout : Layout
+        With the elements of `jobs`, in their order.
+    jobs : sequence of Job
+        In the order of the schedule; those whose element has no geometry are not possible.
+    clock : callable
+        Returns seconds from any fixed origin.
+    rng : numpy Generator
+    limits : TaskLimits, optional
+        For each task; by default those of the work node.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        self_collision: SelfCollision,
+        settings: PlannerSettings,
+        layout: Layout,
+        jobs: Sequence[Job],
+        clock: Callable[[], float],
+        rng: np.random.Generator,
+        limits: TaskLimits = TaskLimits(),
+    ):
+        self._robot, self._layout, self._clock = robot, layout, clock
+        self._jobs = tuple(jobs)
+        self._chain = Chain(robot)
+        solver = inverse_kinematics(self._chain, IkSettings(), rng, clock)
+        site = layout.site
+        self._tool0_T_tcp = pose_of(site.tool.tool.tool0_T_tcp)
+
+        def planner(arm: RobotModel, of_arm: InverseKinematics, within: TaskLimits) -> TaskPlanner:
+            return TaskPlanner(arm, of_arm, settings, self_collision, site.tool, site.recipes, clock, rng, within)
+
+        self._planner = planner(robot, solver, limits)
+        self._trial = planner(robot, solver, _TRIAL)
+        self._longer: dict[float, TaskPlanner] = {}
+
+        def longer(by: float) -> TaskPlanner:
+            if by not in self._longer:
+                other = longer_track(robot, by)
+                assert other is not None
+                self._longer[by] = planner(other, inverse_kinematics(Chain(other), IkSettings(), rng, clock), _TRIAL)
+            return self._longer[by]
+
+        self._longer_tracks = [(by, partial(longer, by)) for by in LONGER] if any(robot.linear) else []
+
+    def check(self, number: int) -> CheckedTask:
+        """Return what was found for one job of the schedule, by its number from 0."""
+        job = self._jobs[number]
+        element = self._layout.building.element(job.element)
+        began = self._clock()
+        found = CheckedTask(number, job.id, job.name, job.element, element.name, element.ifc_class, False)
+        if job.element not in self._layout.order:
+            return replace(found, reason="the element has no geometry")
+        scene, place = self._turn(number)
+        try:
+            plan = self._planner.plan(place, self._robot.home, scene)
+        except ConstructionTwinError as error:
+            found = replace(found, planning=self._clock() - began, reason=str(error))
+            if isinstance(error, TaskPlanningError):
+                found = replace(found, stage=error.stage, grip=error.grip, reason=error.reason)
+            return found
+        return replace(self._described(found, plan), planning=self._clock() - began)
+
+    def changed(self, found: CheckedTask, until: float) -> CheckedTask:
+        """Return a task that is not possible with what would help, as far as it was found in time.
+
+        Parameters
+        ----------
+        found : CheckedTask
+            From `check`.
+        until : float
+            By the clock [s].
+        """
+        if found.possible or not found.stage or self._clock() >= until:
+            return found
+        scene, place = self._turn(found.number)
+        failure = TaskPlanningError(found.job, found.reason, found.stage, found.grip)
+        names = {job.element: self._layout.building.element(job.element).name for job in self._jobs[: found.number]}
+        change = nearest_change(
+            place, self._robot.home, scene, self._trial, names, self._longer_tracks, lambda: self._clock() < until,
+            failure, self._before(found.number),
+        )  # fmt: skip
+        return replace(found, tried=True, change="" if change is None else change.sentence)
+
+    def _before(self, number: int) -> set[str]:
+        """Return the elements that a job waits for, at first or second hand."""
+        jobs = {job.id: job for job in self._jobs}
+        open_jobs, elements = [self._jobs[number]], set()
+        while open_jobs:
+            for wait in open_jobs.pop().after:
+                other = jobs.get(wait.job)
+                if other is not None and other.element not in elements:
+                    elements.add(other.element)
+                    open_jobs.append(other)
+        return elements
+
+    def _turn(self, number: int) -> tuple[Scene, PlaceJob]:
+        """Return scene and job when everything before it stands, of what has geometry."""
+        before = [job.element for job in self._jobs[:number] if job.element in self._layout.order]
+        scene = self._layout.scene(WorkState({one: self._layout.base_T_goal(one) for one in before}))
+        return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
+
+    def _described(self, found: CheckedTask, plan: WorkPlan) -> CheckedTask:
+        at = next(segment for segment in plan.segments if segment.name == SET_DOWN).trajectory.positions[-1]
+        linear = [float(value) for value, is_linear in zip(at, self._robot.linear, strict=True) if is_linear]
+        return replace(
+            found,
+            possible=True,
+            grip=plan.grip,
+            track=linear[0] if linear else None,
+            clearance=float(plan.clearance),
+            duration=float(plan.duration),
+            path=tuple(self._path(plan)),
+        )
+
+    def _path(self, plan: WorkPlan) -> Iterator[tuple[float, float, float]]:
+        for segment in plan.segments:
+            count = max(2, int(segment.trajectory.duration / _PATH_STEP))
+            for q in segment.trajectory.sample_many(np.linspace(0.0, segment.trajectory.duration, count))[0]:
+                x, y, z = product(self._chain.forward(q), self._tool0_T_tcp).position
+                yield round(float(x), 3), round(float(y), 3), round(float(z), 3)
+
+
+def reason_kind(task: CheckedTask) -> str:
+    """Return why a task is not possible, without the figures: tasks of one kind have the same change."""
+    return f"{task.stage}: {_FIGURES.sub('#', task.reason)}"

@@ -1,0 +1,208 @@
+"""Which bodies come close on a straight way on purpose, and the scene's objects with exactly that allowed.
+
+Metres; poses in the robot's base_link. Only what a job names as its support may be touched, and only while the element or the tool
+goes straight to it or from it; every other body keeps the scene's padding all the time. `touch` switches a pair's check off, so
+`deepest` measures on every sample how deep such bodies are in each other; the task planner refuses more than the recipe allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import coal
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.plan import Clearance
+from construction_twin.robot.tool import ToolFile, ToolShape
+from construction_twin.scene.collision_bodies import scene_geometry
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.objects import Scene, SceneObject, product
+from construction_twin.scene.scene_change import SceneChange
+
+#: Distance between the places of a straight way at which bodies are looked at [m].
+STEP = 0.01
+#: Objects whose balls are kept.
+_BALLS = 5000
+#: Before the name of a shape of the tool.
+TOOL = "tool/"
+
+
+def tool_objects(tool: ToolFile, link: str) -> tuple[SceneObject, ...]:
+    """Return a tool's shapes as objects of the scene that a link carries, ``tool/<shape>``.
+
+    Parameters
+    ----------
+    tool : ToolFile
+    link : str
+        The robot's tip link.
+
+    Raises
+    ------
+    SceneError
+        If a shape's size or mesh cannot be used.
+    """
+    return tuple(_tool_object(tool, name, shape, link) for name, shape in tool.tool.shapes.items())
+
+
+def _tool_object(tool: ToolFile, name: str, shape: ToolShape, link: str) -> SceneObject:
+    x, y, z, w = map(float, Rotation.from_euler("xyz", shape.rpy_deg, degrees=True).as_quat(canonical=True))
+    mesh = str((tool.folder / shape.mesh).resolve()) if shape.mesh else ""
+    return SceneObject(
+        f"{TOOL}{name}", shape.shape, shape.size, shape.position, (x, y, z, w), mesh=mesh, link=link, touch=tool.tool.touch
+    )  # fmt: skip
+
+
+class Shapes:
+    """Distances between objects of scenes, each shape built once."""
+
+    def __init__(self) -> None:
+        self._geometries: dict[tuple[str, tuple[float, ...], str], coal.CollisionGeometry] = {}
+        # by identity, with the object itself, so that its identity stays its own
+        self._balls: dict[int, tuple[SceneObject, tuple[float, ...]]] = {}
+
+    def near(
+        self, moving: Sequence[SceneObject], way: Sequence[Pose], others: Iterable[SceneObject], padding: float
+    ) -> tuple[str, ...]:
+        """Return the names of standing objects that come within the padding of objects that move together.
+
+        Parameters
+        ----------
+        moving : sequence of SceneObject
+            In a frame of their own.
+        way : sequence of Pose
+            Of that frame, at most `STEP` apart and without a turn.
+        others : iterable of SceneObject
+            Those that stand.
+        padding : float
+            Of the scene [m].
+        """
+        found = []
+        for other in self._around(moving, way, list(others), padding):
+            if any(self._comes_near(item, way, other, padding + max(item.padding, other.padding)) for item in moving):
+                found.append(other.name)
+        return tuple(found)
+
+    def obstruction(self, scene: Scene, base_T_link: Pose) -> tuple[str, str] | None:
+        """Return a carried and a standing object that are too close with the arm's tip at a pose; None: there are none.
+
+        As `CollisionWorld` checks them, without the arm: what is too close here is so with every joint solution.
+
+        Parameters
+        ----------
+        scene : Scene
+            Everything that is carried, is carried by the tip.
+        base_T_link : Pose
+        """
+        carried = [item for item in scene.objects if item.link]
+        standing = [item for item in scene.objects if not item.link]
+        for item in carried:
+            for other in self._around([item], [base_T_link], standing, scene.padding):
+                if other.name in item.touch or {item.name, item.link} & set(other.touch):
+                    continue
+                margin = scene.padding + max(item.padding, other.padding)
+                if self._distance(item, base_T_link, other, margin) <= margin:
+                    return item.name, other.name
+        return None
+
+    def _around(
+        self, moving: Sequence[SceneObject], way: Sequence[Pose], others: Sequence[SceneObject], padding: float
+    ) -> list[SceneObject]:
+        """Return the standing objects whose balls come near those of moving ones: far fewer than there are in a building."""
+        if not moving or not others:
+            return []
+        balls = np.array([self._ball(other) for other in others])
+        margins = [padding + STEP + max(item.padding, other.padding) for item in moving for other in others]
+        near = np.zeros(len(others), dtype=bool)
+        for item, margin in zip(moving, np.reshape(margins, (len(moving), len(others)))):
+            shape = self._geometry(item)
+            middle = item.pose.rotation @ shape.aabb_center + item.pose.position
+            for pose in way:
+                apart = balls[:, :3] - (pose.rotation @ middle + pose.position)
+                near |= np.linalg.norm(apart, axis=1) <= balls[:, 3] + shape.aabb_radius + margin
+        return [other for other, is_near in zip(others, near) if is_near]
+
+    def _ball(self, item: SceneObject) -> tuple[float, ...]:
+        """Return the middle and the radius of the ball around a standing object [m]."""
+        if id(item) not in self._balls:
+            shape = self._geometry(item)
+            x, y, z = item.pose.rotation @ shape.aabb_center + item.pose.position
+            if len(self._balls) >= _BALLS:
+                self._balls.clear()
+            self._balls[id(item)] = item, (x, y, z, shape.aabb_radius)
+        return self._balls[id(item)][1]
+
+    def _distance(self, item: SceneObject, base_T_frame: Pose, other: SceneObject, limit: float) -> float:
+        """Return the distance of an object in a frame from a standing one; inf if it is surely more than the limit."""
+        first, second = self._geometry(item), self._geometry(other)
+        at, there = product(base_T_frame, item.pose), other.pose
+        apart = at.rotation @ first.aabb_center + at.position - there.rotation @ second.aabb_center - there.position
+        if apart @ apart > (first.aabb_radius + second.aabb_radius + limit) ** 2:
+            return np.inf
+        return coal.distance(
+            first, _transform(at), second, _transform(there), coal.DistanceRequest(), coal.DistanceResult()
+        )
+
+    def _comes_near(self, item: SceneObject, way: Sequence[Pose], other: SceneObject, margin: float) -> bool:
+        # between two places nothing comes closer than half of their distance
+        limit = margin + 0.5 * STEP
+        return any(self._distance(item, pose, other, limit) <= limit for pose in way)
+
+    def _geometry(self, item: SceneObject) -> coal.CollisionGeometry:
+        key = (item.shape, item.size, item.mesh_digest)
+        if key not in self._geometries:
+            shape = scene_geometry(item)
+            shape.computeLocalAABB()
+            self._geometries[key] = shape
+        return self._geometries[key]
+
+
+def _transform(pose: Pose) -> coal.Transform3s:
+    return coal.Transform3s(pose.rotation, pose.position)
+
+
+def straight(start: Pose, end: Pose) -> list[Pose]:
+    """Return poses on the straight way between two of one orientation, at most `STEP` apart, both included."""
+    count = max(1, int(np.ceil(np.linalg.norm(end.position - start.position) / STEP)))
+    fractions = np.linspace(0.0, 1.0, count + 1)[:, None]
+    positions = start.position + fractions * (end.position - start.position)
+    return [Pose(position, start.rotation) for position in positions]
+
+
+def touching(item: SceneObject, names: Iterable[str]) -> SceneObject:
+    """Return an object that may touch others besides those it names already."""
+    return replace(item, touch=(*item.touch, *names))
+
+
+def changed(scene: Scene, items: Iterable[SceneObject]) -> Scene:
+    """Return a scene with objects added or replaced, as the service `edit_scene` does."""
+    return SceneChange(tuple(items)).apply(scene)
+
+
+def difference(before: Scene, after: Scene) -> tuple[SceneObject, ...]:
+    """Return the objects that have to be put into a scene to make another one of it; nothing is removed."""
+    present: Mapping[str, SceneObject] = {item.name: item for item in before.objects}
+    return tuple(
+        item for item in after.objects if item.name not in present or item.contents() != present[item.name].contents()
+    )
+
+
+def deepest(world: CollisionWorld, qs: np.ndarray) -> tuple[Clearance, int] | None:
+    """Return how deep bodies that may touch are in each other on a motion, and in which row; None: nothing may touch.
+
+    Parameters
+    ----------
+    world : CollisionWorld
+    qs : array, shape (m, n)
+        Successive joint values.
+
+    Returns
+    -------
+    clearance : Clearance
+        Negative distance: so deep [m].
+    row : int
+    """
+    pairs = world.of_touching()
+    return None if pairs is None else pairs.clearance_of(qs)

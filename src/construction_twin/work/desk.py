@@ -1,0 +1,541 @@
+"""What is to be done of a building model: the ledger read against schedule, stock and model. Answers and refuses; plans nothing.
+
+Pure but for the ledger's file. Times in ns since 1970, poses in the robot's base_link [m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from construction_twin.core.work_errors import WorkError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.tool import Tool
+from construction_twin.scene.objects import SceneObject, product
+from construction_twin.work.built import Deviation, Piece, deviation, objects_of, pose_of_tuple, pose_tuple
+from construction_twin.work.following import question
+from construction_twin.work.ledger import ACCEPTED, Entry, Ledger
+from construction_twin.work.racks import StockPlan
+from construction_twin.work.schedule import Schedule
+from construction_twin.work.task_states import ANSWERS, PLANNABLE, UNDER_WAY, TaskState
+
+#: Words for where the schedule comes from, as `WorkTasks.msg` has them.
+FROM_MODEL, FROM_PERSON, PROPOSED = "model", "accepted", "proposed"
+
+
+class WorkRefused(WorkError):
+    """What was asked for cannot be done now; the sentence says why and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class ElementFacts:
+    """What is known of an element that is to be placed.
+
+    Attributes
+    ----------
+    name, ifc_class, type_name : str
+    bodies : tuple of SceneObject
+        Convex pieces in the element's frame.
+    base_T_goal : Pose
+    triangles : array, shape (t, 3, 3)
+        For pictures, in the element's frame [m].
+    """
+
+    name: str
+    ifc_class: str
+    type_name: str
+    bodies: tuple[SceneObject, ...]
+    base_T_goal: Pose
+    triangles: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A model in its cell, read.
+
+    Attributes
+    ----------
+    model, digest : str
+        Name of the file, SHA-256 of its contents.
+    cell : str
+        Path of the cell file.
+    schedule : Schedule
+    schedule_digest : str
+        SHA-256 of what a person accepts.
+    elements : mapping of str to ElementFacts
+        By GlobalId, those that are to be placed.
+    stock : StockPlan
+    tool : Tool
+    tool_objects : tuple of SceneObject
+        The tool's shapes, carried by the arm's tip link.
+    notes : tuple of str
+        Sentences for the user.
+    unplannable : mapping of str to str
+        Why an element can never be planned, by GlobalId; it has no slot.
+    standing : tuple of SceneObject
+        What stands where the model has it, and no task makes.
+    """
+
+    model: str
+    digest: str
+    cell: str
+    schedule: Schedule
+    schedule_digest: str
+    elements: Mapping[str, ElementFacts]
+    stock: StockPlan
+    tool: Tool
+    tool_objects: tuple[SceneObject, ...]
+    notes: tuple[str, ...] = ()
+    unplannable: Mapping[str, str] = field(default_factory=dict)
+    standing: tuple[SceneObject, ...] = ()
+
+    @property
+    def after(self) -> dict[str, tuple[str, ...]]:
+        """What each job waits for, in the schedule's order."""
+        return {job.id: tuple(dict.fromkeys(wait.job for wait in job.after)) for job in self.schedule.jobs}
+
+    @property
+    def placed_by(self) -> dict[str, str]:
+        """The element that each job places."""
+        return {job.id: job.element for job in self.schedule.jobs}
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """An element as people see it.
+
+    Attributes
+    ----------
+    element, name : str
+    word : str
+        ``todo``, ``next``, ``stock``, ``carried``, ``placed``, ``off`` or ``skipped``, as in `views.work_markers`.
+    pose : Pose
+        In the base_link, or in the tip link where it is carried.
+    """
+
+    element: str
+    name: str
+    word: str
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class TaskRow:
+    """One task, as people see it; the fields of `WorkTask.msg`."""
+
+    id: str
+    name: str
+    element: str
+    element_name: str
+    state: str
+    reason: str
+    after: tuple[str, ...]
+    robot: str
+    plan_id: str
+    deviation: Deviation | None
+    question: str
+    answers: tuple[str, ...]
+
+
+class Desk:
+    """Answers what can be done, and takes what people say. Not for several threads at once.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    ledger : Ledger
+        Of this model and robot.
+    robot : str
+        Name of the robot.
+    tip_link : str
+        Link that carries the tool.
+
+    Attributes
+    ----------
+    failures : dict of str to str
+        Why a task could not be planned when it was tried last, by id; not on the disk.
+    """
+
+    def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
+        self.prepared, self.ledger = prepared, ledger
+        self._robot, self._tip_link = robot, tip_link
+        self.failures: dict[str, str] = {}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of model, schedule and ledger before anything is accepted or planned."""
+        return (*self.prepared.notes, *self.prepared.schedule.notes, *self.ledger.book.strange)
+
+    # -- the schedule
+
+    @property
+    def schedule_word(self) -> str:
+        """``model``, ``accepted`` or ``proposed``."""
+        if not self.prepared.schedule.proposed:
+            return FROM_MODEL
+        return FROM_PERSON if self.ledger.book.accepted == self.prepared.schedule_digest else PROPOSED
+
+    def accept(self, person: str, reason: str) -> str:
+        """Take a person's word that the proposed schedule is right; return a sentence.
+
+        Raises
+        ------
+        WorkRefused
+        """
+        if self.schedule_word != PROPOSED:
+            raise WorkRefused(f"the schedule is {_SCHEDULES[self.schedule_word]}: there is nothing to accept")
+        self._named(person)
+        self.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=self.prepared.schedule_digest))
+        return f"{person} accepts the proposed schedule of {len(self.prepared.schedule.jobs)} tasks"
+
+    # -- what can be planned
+
+    def busy(self) -> str:
+        """Return the task that is under review or under way; empty: none."""
+        found = self.ledger.book.in_state(TaskState.PLANNED, *UNDER_WAY)
+        return found[0] if found else ""
+
+    def next(self, now: int) -> str:
+        """Return the task that comes next; empty: none can be planned."""
+        return next((job for job in self.ledger.book.tasks if not self.obstacle(job, now)), "")
+
+    def obstacle(self, task: str, now: int) -> str:
+        """Return why a task cannot be planned now, as a sentence; empty: it can.
+
+        Parameters
+        ----------
+        task : str
+        now : int
+            Since 1970 [ns].
+        """
+        book = self.ledger.book
+        if task not in book.tasks:
+            return f"there is no task {task!r}; `twin work list` names them"
+        if self.schedule_word == PROPOSED:
+            return "the schedule is a proposal from the geometry: look at it, then accept it (`twin work accept`)"
+        asking = book.in_state(TaskState.ASKS)
+        if asking:
+            return f"{self.title(asking[0])} asks first: {self._question(asking[0])}"
+        busy = self.busy()
+        if busy:
+            what = "under review" if book.tasks[busy].state is TaskState.PLANNED else "under way"
+            return f"{self.title(busy)} is {what}"
+        held = book.in_state(TaskState.CARRIED)
+        if held and held[0] != task:
+            return f"{self._element(held[0]).name} is in the grip: {self.title(held[0])} comes first"
+        state = book.tasks[task].state
+        if state is TaskState.WAITING:
+            missing = ", ".join(map(self.title, book.missing(task)))
+            return f"{self.title(task)} waits for {missing}"
+        if state not in PLANNABLE:
+            return f"{self.title(task)} is {state.value}"
+        robots = self.prepared.schedule.job(task).robots
+        if robots and self._robot not in robots:
+            return f"{self.title(task)} is for {' or '.join(robots)}, not for {self._robot}"
+        element = self.prepared.schedule.job(task).element
+        if element in self.prepared.unplannable:
+            return f"{self.title(task)} cannot be planned: {self.prepared.unplannable[element]}; skip it when it stands"
+        if state is TaskState.READY and element not in self._present():
+            return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
+        return self._lag(task, now)
+
+    def element_of(self, task: str) -> str:
+        """Return the GlobalId of the element that a task places."""
+        return self.prepared.schedule.job(task).element
+
+    def goal(self, task: str) -> Pose:
+        """Return where the model has a task's element."""
+        return self._element(task).base_T_goal
+
+    # -- what people say
+
+    def skip(self, task: str, person: str, reason: str) -> str:
+        """Take a task out: others no longer wait for it; return a sentence.
+
+        Raises
+        ------
+        WorkRefused
+        """
+        self._known(task)
+        self._named(person)
+        state = self.ledger.book.tasks[task].state
+        if state is TaskState.ASKS:
+            raise WorkRefused(f"{self.title(task)} asks first: {self._question(task)}")
+        if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
+            raise WorkRefused(f"{self.title(task)} is {state.value} and cannot be skipped")
+        self.ledger.add(Entry("skipped", task, self.element_of(task), person=person, reason=reason))
+        return f"{self.title(task)} is skipped: what comes after it no longer waits; take its element out of the stock"
+
+    def redo(self, task: str, person: str, reason: str) -> str:
+        """Have a task done again, its element back in stock; of one that counts as carried, have it asked about; return a sentence.
+
+        Raises
+        ------
+        WorkRefused
+        """
+        self._known(task)
+        self._named(person)
+        book = self.ledger.book
+        if book.tasks[task].state is TaskState.CARRIED:
+            said = reason or "a person doubts that it is in the grip"
+            self.ledger.add(Entry("unknown", task, self.element_of(task), person=person, reason=said))
+            return f"{self.title(task)} asks: {self._question(task)}"
+        if book.tasks[task].state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
+            raise WorkRefused(f"{self.title(task)} is {book.tasks[task].state.value}; it was not done or skipped yet")
+        later = book.followers(task)
+        if later:
+            raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
+        self._slot_free(task)
+        self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
+        return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"
+
+    def lost(self) -> str:
+        """Take note that the tool is surely open: what counts as carried is asked about; return a sentence, empty: nothing is."""
+        held = self.ledger.book.in_state(TaskState.CARRIED)
+        if not held:
+            return ""
+        reason = "the tool says that it holds nothing"
+        self.ledger.add(Entry("unknown", held[0], self.element_of(held[0]), reason=reason))
+        return f"{reason}: {self.title(held[0])} asks: {self._question(held[0])}"
+
+    def answer(self, task: str, answer: str, person: str, reason: str) -> str:
+        """Take the answer to a task's question; return a sentence.
+
+        Raises
+        ------
+        WorkRefused
+        """
+        self._known(task)
+        self._named(person)
+        memory = self.ledger.book.tasks[task]
+        possible = memory.possible_answers()
+        if not possible:
+            raise WorkRefused(f"{self.title(task)} is {memory.state.value} and asks nothing")
+        if answer not in possible:
+            raise WorkRefused(
+                f"{answer!r} is no answer to: {self._question(task)}; expected one of {', '.join(possible)}"
+            )
+        if answer == "in_stock":
+            self._slot_free(task)
+        self.ledger.add(Entry("answered", task, self.element_of(task), answer=answer, person=person, reason=reason))
+        return f"{self.title(task)}: {self._element(task).name}: {ANSWERS[answer]}"
+
+    def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
+        """Take where an element really is.
+
+        Raises
+        ------
+        WorkRefused
+        """
+        self._named(person)
+        task = next((job.id for job in self.prepared.schedule.jobs if job.element == element), "")
+        if not task:
+            raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
+        state = self.ledger.book.tasks[task].state
+        if state not in (TaskState.DONE, TaskState.SKIPPED):
+            raise WorkRefused(f"{self._element(task).name} is not placed yet: {self.title(task)} is {state.value}")
+        found = deviation(pose, self._element(task).base_T_goal)
+        if not (found.distance <= _FARTHEST and np.isfinite(found.angle)):
+            raise WorkRefused(
+                f"the pose is {found.distance:.3g} m from where the model has {self._element(task).name}; "
+                f"expected within {_FARTHEST:g} m, in the robot's base_link"
+            )
+        entry = Entry("measured", task, element, pose=pose_tuple(pose), person=person, reason=reason)
+        self.ledger.add(entry)
+        return found
+
+    # -- what stands where
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether the model was changed and a person has not said yet what of the record is still so: nothing is tidied then."""
+        book = self.ledger.book
+        doubted = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
+        return any(book.tasks[task].before in doubted for task in book.in_state(TaskState.ASKS))
+
+    def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
+        """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
+        wanted = {item.name: item for item in (*self.prepared.tool_objects, *self.prepared.standing)}
+        # what stands, but is no longer in the model, goes only when a person takes it out
+        alone = [element for element in self.ledger.book.left_behind if element not in self.prepared.elements]
+        present = self._present()
+        for job in self.prepared.schedule.jobs:
+            facts, slot = self.prepared.elements[job.element], self.prepared.stock.slots.get(job.element)
+            piece = Piece(facts.bodies, slot.base_T_element if slot is not None else None, facts.base_T_goal)
+            memory = self.ledger.book.tasks[job.id]
+            objects = objects_of(piece, memory, job.element in present, self._tip_link)
+            if objects is None:
+                alone.append(job.element)
+            else:
+                wanted |= {item.name: item for item in objects}
+        return wanted, tuple(alone)
+
+    def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
+        """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
+        facts, memory = self._element(task), self.ledger.book.tasks[task]
+        slot = self.prepared.stock.slots.get(self.element_of(task))
+        places = [(slot.base_T_element, "")] if slot is not None else []
+        if memory.base_T_element:
+            places.append((pose_of_tuple(memory.base_T_element), ""))
+        if memory.tool0_T_element:
+            places.append((pose_of_tuple(memory.tool0_T_element), self._tip_link))
+        places.append((facts.base_T_goal, ""))
+        return tuple(
+            tuple(item.moved(product(place, item.pose), link) for item in facts.bodies) for place, link in places
+        )
+
+    def deviation(self, task: str) -> Deviation | None:
+        """Return how far a placed element stands from the model; None: it is not placed, or where was not measured."""
+        memory = self.ledger.book.tasks[task]
+        if not (memory.placed and memory.base_T_element) or memory.as_planned:
+            return None
+        return deviation(pose_of_tuple(memory.base_T_element), self._element(task).base_T_goal)
+
+    # -- for people
+
+    def appearances(self, now: int) -> tuple[Appearance, ...]:
+        """Return what each element looks like: in stock and where it is to come, or where it is.
+
+        Parameters
+        ----------
+        now : int
+            Since 1970 [ns].
+        """
+        found = []
+        present, following = self._present(), self.next(now)
+        for job in self.prepared.schedule.jobs:
+            memory, facts = self.ledger.book.tasks[job.id], self.prepared.elements[job.element]
+            if memory.placed:
+                far = self.deviation(job.id)
+                where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
+                wrong = far is not None and (far.distance > _OFF or far.angle > _OFF_ANGLE)
+                found.append(Appearance(job.element, facts.name, "off" if wrong else "placed", where))
+                continue
+            word = {job.id == following: "next", memory.state is TaskState.SKIPPED: "skipped"}.get(True, "todo")
+            found.append(Appearance(job.element, facts.name, word, facts.base_T_goal))
+            if memory.in_grip:
+                found.append(Appearance(job.element, facts.name, "carried", pose_of_tuple(memory.tool0_T_element)))
+            elif job.element in present:
+                stock = self.prepared.stock.slots[job.element].base_T_element
+                found.append(Appearance(job.element, facts.name, "stock", stock))
+        return tuple(found)
+
+    def rows(self, now: int) -> tuple[TaskRow, ...]:
+        """Return every task, in order."""
+        return tuple(self._row(task, now) for task in self.ledger.book.tasks)
+
+    def title(self, task: str) -> str:
+        """Return a task's name for sentences."""
+        name = self.prepared.schedule.job(task).name
+        return f"{name!r} ({task})" if name else task
+
+    def summary(self, now: int) -> str:
+        """Return one sentence: what the work waits for."""
+        book = self.ledger.book
+        if not book.tasks:
+            return "the model has no task for this arm"
+        following = self.next(now)
+        if following:
+            return f"{self.title(following)} can be planned"
+        if len(book.in_state(TaskState.DONE, TaskState.SKIPPED)) == len(book.tasks):
+            return "every task is done or skipped"
+        open_ones = [name for name in book.tasks if book.tasks[name].state not in (TaskState.DONE, TaskState.SKIPPED)]
+        return self.obstacle(open_ones[0], now)
+
+    def _row(self, task: str, now: int) -> TaskRow:
+        job, memory = self.prepared.schedule.job(task), self.ledger.book.tasks[task]
+        facts = self._element(task)
+        return TaskRow(
+            id=task,
+            name=job.name,
+            element=job.element,
+            element_name=facts.name,
+            state=memory.state.value,
+            reason=self._reason(task, now),
+            after=tuple(dict.fromkeys(wait.job for wait in job.after)),
+            robot=", ".join(job.robots),
+            plan_id=memory.plan,
+            deviation=self.deviation(task),
+            question=self._question(task),
+            answers=memory.possible_answers(),
+        )
+
+    def _reason(self, task: str, now: int) -> str:
+        memory = self.ledger.book.tasks[task]
+        if memory.state is TaskState.WAITING:
+            return f"waits for {', '.join(map(self.title, self.ledger.book.missing(task)))}"
+        if memory.state in PLANNABLE:
+            return self.failures.get(task) or self.obstacle(task, now) or "can be planned"
+        if memory.state is TaskState.PLANNED:
+            return "its plan waits for a person's approval"
+        if memory.state is TaskState.HELD:
+            return "its element is gone: skip it, or put another into its stock and redo it"
+        if memory.state is TaskState.DONE:
+            if memory.as_planned:
+                return "placed; as planned, not measured"
+            how = f"measured by {memory.measured}" if memory.measured else "by the arm's own pose"
+            return f"placed, {how}" if memory.base_T_element else "placed; where exactly is not known"
+        return ""
+
+    def _question(self, task: str) -> str:
+        return question(self.ledger.book.tasks[task], self._element(task).name)
+
+    def _lag(self, task: str, now: int) -> str:
+        tasks = self.ledger.book.tasks
+        started = {name: memory.begun_ns / 1e9 for name, memory in tasks.items() if memory.begun_ns}
+        finished = {
+            name: memory.settled_ns / 1e9
+            for name, memory in tasks.items()
+            if memory.state in (TaskState.DONE, TaskState.SKIPPED)
+        }
+        # what was skipped has started, too
+        started = {**finished, **started}
+        blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
+        return f"{self.title(task)} waits {blockers[0].text}" if blockers else ""
+
+    def _present(self) -> tuple[str, ...]:
+        """Return the elements that lie in their stock."""
+        return self.prepared.stock.present(self._taken())
+
+    def _slot_free(self, task: str) -> None:
+        """Refuse to count a task's element as back in its stock while another one counts as lying there."""
+        other = self.prepared.stock.instead_of(self.element_of(task), self._taken())
+        if not other:
+            return
+        later = next(job.id for job in self.prepared.schedule.jobs if job.element == other)
+        raise WorkRefused(
+            f"{self.prepared.elements[other].name} counts as delivered in the slot of {self._element(task).name}: "
+            f"take it out and skip {self.title(later)} first; redo that afterwards"
+        )
+
+    def _taken(self) -> list[str]:
+        """Return the elements that do not lie in their stock any more."""
+        taken = []
+        for job in self.prepared.schedule.jobs:
+            memory = self.ledger.book.tasks[job.id]
+            # of a skipped task a person takes the element out, so that the next can be delivered
+            skipped = memory.state is TaskState.SKIPPED
+            if memory.in_grip or memory.placed or memory.gone or skipped:
+                taken.append(job.element)
+        return taken
+
+    def _element(self, task: str) -> ElementFacts:
+        return self.prepared.elements[self.element_of(task)]
+
+    def _known(self, task: str) -> None:
+        if task not in self.ledger.book.tasks:
+            raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
+
+    @staticmethod
+    def _named(person: str) -> None:
+        if not person.strip():
+            raise WorkRefused("who says so? Give the name of a person: it is kept with the record")
+
+
+#: A measured element further than this from its place was not measured in the robot's frame [m].
+_FARTHEST = 10.0
+#: A placed element further than this from where the model has it is shown as off [m], [rad].
+_OFF, _OFF_ANGLE = 0.005, 0.01
+_SCHEDULES = {FROM_MODEL: "the model's own", FROM_PERSON: "accepted already"}

@@ -1,0 +1,436 @@
+"""An element of a building as objects of the scene: few convex pieces that hold all of it and reach little beyond. Metres.
+
+Each body is tried in this order: the extrusion or prism that it is, divided exactly by its profile; one convex hull; divided
+exactly by planes of its own faces; coacd; its surface with a margin. Each result is checked; the first that holds the body and
+reaches no further beyond it than the bound is taken. Mesh files are named by their contents, results by what they were made from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import manifold3d
+import numpy as np
+import shapely
+from scipy.spatial import ConvexHull, QhullError
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.work_errors import BodyError, WorkError
+from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.scene.mesh_file import MOST_TRIANGLES
+from construction_twin.scene.objects import SceneObject
+from construction_twin.work.building import Body, Element, Extrusion
+from construction_twin.work.containment import HELD, excess, lost
+from construction_twin.work.convex_cells import convex_cells
+from construction_twin.work.convex_polygons import convex_polygons
+from construction_twin.work.decomposition import decomposed
+from construction_twin.work.solids import (
+    hull_solid,
+    mesh_of,
+    parts,
+    prism,
+    solid,
+    triangle_area,
+    welded,
+)
+
+#: Changes when the same body would give other pieces.
+_VERSION = 1
+#: Triangles beyond which a body is not divided.
+_MOST_DIVIDED = 20_000
+#: Triangles beyond which a body is not divided by planes of its faces: they are those of curved faces.
+_MOST_CUT = 2000
+#: Largest file of a result [bytes].
+_LARGEST = 8 * 2**20
+#: Ways whose pieces have no overlaps and, together, the volume of the body.
+_EXACT = ("profile", "cut")
+_CUBE = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+#: A hull of this fraction of its box is the box.
+_IS_BOX = 1e-9
+
+
+@dataclass(frozen=True)
+class BodySettings:
+    """What the pieces of an element must keep.
+
+    Attributes
+    ----------
+    bound : float
+        How far a piece may reach beyond the body [m].
+    pieces : int
+        Most pieces of one body that is no prism; a prism may have four times as many.
+    seconds : float
+        Longest time of one decomposition of a curved body [s].
+    margin : float
+        Padding of a body that remains a surface [m].
+    """
+
+    bound: float = 0.005
+    pieces: int = 32
+    seconds: float = 20.0
+    margin: float = 0.005
+
+
+@dataclass(frozen=True)
+class ElementShape:
+    """One element as objects of the scene.
+
+    Attributes
+    ----------
+    element : str
+        GlobalId.
+    objects : tuple of SceneObject
+        ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
+    excess : float
+        How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
+    ways : tuple of str
+        How each body was made: ``profile``, ``hull``, ``cut``, ``coacd``, ``surface``.
+    """
+
+    element: str
+    objects: tuple[SceneObject, ...]
+    excess: float
+    ways: tuple[str, ...]
+
+
+def element_shape(element: Element, folder: Path, settings: BodySettings | None = None) -> ElementShape:
+    """Return an element as objects of the scene.
+
+    Parameters
+    ----------
+    element : Element
+    folder : Path
+        Where mesh files and results are kept; need not exist.
+    settings : BodySettings, optional
+
+    Raises
+    ------
+    BodyError
+        If the element has no geometry, or none that can be used.
+    """
+    return _shape(element.id, element.bodies, folder, settings or BodySettings())
+
+
+def element_shapes(
+    elements: Iterable[Element], folder: Path, settings: BodySettings | None = None, pool: Executor | None = None
+) -> tuple[dict[str, ElementShape], dict[str, BodyError]]:
+    """Return many elements as objects of the scene, and those for which that is not possible; both by GlobalId.
+
+    Parameters
+    ----------
+    elements : iterable of Element
+    folder : Path
+    settings : BodySettings, optional
+    pool : Executor, optional
+        Where they are made; None: here, one after the other.
+    """
+    tasks = [(element.id, element.bodies, folder, settings or BodySettings()) for element in elements]
+    found = map(_shape_or_error, tasks) if pool is None else pool.map(_shape_or_error, tasks, chunksize=4)
+    shapes: dict[str, ElementShape] = {}
+    failures: dict[str, BodyError] = {}
+    for (name, *_), one in zip(tasks, found):
+        if isinstance(one, BodyError):
+            failures[name] = one
+        else:
+            shapes[name] = one
+    return shapes, failures
+
+
+def _shape_or_error(task: tuple[str, tuple[Body, ...], Path, BodySettings]) -> ElementShape | BodyError:
+    try:
+        return _shape(*task)
+    except BodyError as error:
+        return error
+
+
+def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodySettings) -> ElementShape:
+    if not bodies:
+        raise BodyError(element, "found no geometry, expected at least one body; leave it out or give it a shape")
+    objects: list[SceneObject] = []
+    ways, most = [], 0.0
+    for body in bodies:
+        try:
+            way, reach, pieces = _cached(body, folder, settings)
+            for piece in pieces:
+                objects.append(replace(piece, name=f"{element}/{len(objects)}"))
+        except BodyError:
+            raise
+        except ConstructionTwinError as error:
+            raise BodyError(element, str(error)) from error
+        except OSError as error:
+            raise BodyError(element, f"its mesh files cannot be kept in {folder}: {error.strerror}") from error
+        ways.append(way)
+        most = max(most, reach)
+    return ElementShape(element, tuple(objects), most, tuple(ways))
+
+
+def _digest(body: Body, settings: BodySettings) -> str:
+    parts_of = [np.asarray(body.vertices, dtype=float), np.asarray(body.triangles, dtype=np.int64)]
+    if body.extrusion is not None:
+        pose = body.extrusion.element_T_profile
+        parts_of += [
+            body.extrusion.outline,
+            *body.extrusion.holes,
+            pose.position,
+            pose.rotation,
+            body.extrusion.direction,
+        ]
+        parts_of.append(np.array([body.extrusion.depth]))
+    text = hashlib.sha256(json.dumps([_VERSION, asdict(settings), [list(part.shape) for part in parts_of]]).encode())
+    for part in parts_of:
+        text.update(np.ascontiguousarray(part).tobytes())
+    return text.hexdigest()
+
+
+def _cached(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float, list[SceneObject]]:
+    """Return how a body was made, its excess, and its objects; from an earlier run if its files are as they were."""
+    path = folder / f"{_digest(body, settings)}.json"
+    try:
+        kept = json.loads(read_file(path, _LARGEST))
+        pieces = [_object(item, folder) for item in kept["pieces"]]
+        if all(not item.mesh or item.mesh_digest == Path(item.mesh).stem for item in pieces):
+            return kept["way"], kept["excess"], pieces
+    except FileNotFoundError:
+        # not made yet
+        pass
+    except (ValueError, KeyError, TypeError, ConstructionTwinError):
+        # a damaged file, or a mesh that is gone: made anew, and written over
+        path.unlink(missing_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    way, reach, descriptions = _made(body, folder, settings)
+    write_whole(path, json.dumps({"way": way, "excess": reach, "pieces": descriptions}) + "\n")
+    return way, reach, [_object(item, folder) for item in descriptions]
+
+
+def _object(item: dict, folder: Path) -> SceneObject:
+    return SceneObject(
+        "piece", item["shape"], tuple(item["size"]), tuple(item["position"]), tuple(item["quaternion"]),
+        item["padding"], str((folder / item["mesh"]).absolute()) if item["mesh"] else "",
+    )  # fmt: skip
+
+
+def _made(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float, list[dict]]:
+    vertices = np.asarray(body.vertices, dtype=float)
+    triangles = np.asarray(body.triangles, dtype=np.int64)
+    if not len(triangles) or not np.isfinite(vertices).all():
+        raise WorkError(f"found a body of {len(triangles)} triangles, expected triangles with finite corners")
+    if len(triangles) > MOST_TRIANGLES:
+        raise WorkError(f"found a body of {len(triangles)} triangles, expected at most {MOST_TRIANGLES}; simplify it")
+    closed = solid(vertices, triangles)
+    why: list[str] = []
+    for way, pieces in _candidates(body, closed, settings):
+        problem, reach = _judged(vertices, triangles, closed, pieces, settings.bound, way in _EXACT)
+        if not problem:
+            return way, reach, [_description(points, folder) for points in pieces]
+        why.append(f"{way}: {problem}")
+    vertices, triangles = welded(vertices, triangles)
+    if not len(triangles):
+        raise WorkError(f"found a body without area, expected one that can be checked ({'; '.join(why) or 'flat'})")
+    mesh = _write_mesh(vertices, triangles, folder)
+    place = {"size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
+    return "surface", settings.margin, [{"shape": "mesh", **place, "padding": settings.margin, "mesh": mesh}]
+
+
+def _candidates(body: Body, closed: manifold3d.Manifold | None, settings: BodySettings):
+    """Give ways to divide a body, the best first, each when it is asked for."""
+    pieces = _profile_pieces(body, 4 * settings.pieces)
+    if pieces:
+        yield "profile", pieces
+    vertices = np.asarray(body.vertices, dtype=float)
+    if closed is None or len(body.triangles) > _MOST_DIVIDED:
+        yield from _one_hull(vertices)
+        return
+    separate = parts(closed)
+    hulls = [mesh_of(part)[0] for part in separate]
+    if len(hulls) <= settings.pieces:
+        yield "hull", hulls
+    cut = convex_cells(*mesh_of(closed), settings.pieces) if len(body.triangles) <= _MOST_CUT else None
+    if cut is not None:
+        yield "cut", cut
+    for concavity in (settings.bound, 0.4 * settings.bound):
+        found = decomposed(*mesh_of(closed), concavity, settings.pieces, settings.seconds)
+        if found is None:
+            return
+        yield "coacd", _grown(vertices, np.asarray(body.triangles), closed, found, settings.bound)
+
+
+def _one_hull(vertices: np.ndarray):
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:
+        return
+    yield "hull", [hull.points[hull.vertices]]
+
+
+def _profile_pieces(body: Body, most: int) -> list[np.ndarray] | None:
+    """Return the corners of the convex prisms that an extrusion consists of; None if the body is none, or of too many."""
+    try:
+        if body.extrusion is not None:
+            found = [_prisms(body.extrusion)]
+        else:
+            known = prism(np.asarray(body.vertices, dtype=float), np.asarray(body.triangles))
+            if known is None:
+                return None
+            frame, profile, depth = known
+            found = [
+                _extruded(convex_polygons(*_rings(part)), frame[:3, :3], frame[:3, 3], np.array((0.0, 0.0, depth)))
+                for part in shapely.get_parts(profile)
+            ]
+    except WorkError:
+        # an outline that crosses itself: the triangles say what the body is
+        return None
+    pieces = [points for group in found for points in group]
+    return pieces if 0 < len(pieces) <= most else None
+
+
+def _rings(part: shapely.Polygon) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    def ring(line) -> np.ndarray:
+        # without the corners that the triangles of the end left on straight edges
+        simple = np.array(shapely.simplify(line, 1e-9).coords)[:-1]
+        return simple
+
+    return ring(part.exterior), tuple(ring(line) for line in part.interiors)
+
+
+def _prisms(extrusion: Extrusion) -> list[np.ndarray]:
+    pose = extrusion.element_T_profile
+    along = np.asarray(extrusion.direction, dtype=float) * extrusion.depth
+    return _extruded(convex_polygons(extrusion.outline, extrusion.holes), pose.rotation, pose.position, along)
+
+
+def _extruded(
+    polygons: list[np.ndarray], rotation: np.ndarray, position: np.ndarray, along: np.ndarray
+) -> list[np.ndarray]:
+    pieces = []
+    for polygon in polygons:
+        flat = np.column_stack([polygon, np.zeros(len(polygon))])
+        pieces.append(np.concatenate([flat, flat + along]) @ np.asarray(rotation).T + position)
+    return pieces
+
+
+def _judged(
+    vertices: np.ndarray, triangles: np.ndarray, closed: manifold3d.Manifold | None,
+    pieces: Sequence[np.ndarray], bound: float, exact: bool,
+) -> tuple[str, float]:  # fmt: skip
+    """Return what is wrong with pieces, empty if nothing is, and how far they reach beyond the body [m]."""
+    if any(hull_solid(points).is_empty() for points in pieces):
+        return "a flat piece", 0.0
+    if exact and closed is not None:
+        difference = sum(hull_solid(points).volume() for points in pieces) - closed.volume()
+        if abs(difference) > HELD * triangle_area(vertices, triangles):
+            return f"{difference:.3g} m^3 more than the body", 0.0
+    # manifold3d is not asked where faces lie in the same planes: with the same volume, points on the surface suffice
+    outside = lost(vertices, triangles, None if exact else closed, pieces)
+    if outside:
+        return f"{outside * 1e3:.3g} mm of the body are outside of the pieces", 0.0
+    if closed is None:
+        # of what has no inside only a hull that is the body itself, or its exact prisms, are known to reach no further
+        if exact or _is_closed_hull(vertices, triangles, pieces):
+            return "", 0.0
+        return "the body is not closed, so that nobody knows what the pieces have more", 0.0
+    reach = 0.0 if exact else excess(closed, pieces)
+    if reach > bound:
+        return f"a piece reaches {reach * 1e3:.3g} mm beyond the body, expected at most {bound * 1e3:g} mm", reach
+    return "", reach
+
+
+def _is_closed_hull(vertices: np.ndarray, triangles: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
+    """Return whether the triangles cover the whole surface of the one piece: doubled faces do not matter."""
+    if len(pieces) != 1:
+        return False
+    hull = ConvexHull(pieces[0])
+    corners = vertices[triangles]
+    middles = corners.mean(axis=1)
+    on_plane = np.abs(middles @ hull.equations[:, :3].T + hull.equations[:, 3]).min(axis=1)
+    covered = set()
+    for plane in np.unique(np.round(hull.equations, 6), axis=0):
+        mine = np.abs(corners @ plane[:3] + plane[3]).max(axis=1) <= 1e-5
+        basis = np.linalg.svd(plane[None, :3])[2][1:]
+        face = hull.points[np.abs(hull.points @ plane[:3] + plane[3]) <= 1e-5] @ basis.T
+        wanted = shapely.MultiPoint(face).convex_hull.area
+        have = shapely.union_all(shapely.polygons(corners[mine] @ basis.T)).area if mine.any() else 0.0
+        covered.add(have >= wanted * (1.0 - 1e-6))
+    return bool((on_plane <= 1e-5).all()) and covered == {True}
+
+
+def _grown(
+    vertices: np.ndarray, triangles: np.ndarray, closed: manifold3d.Manifold, pieces: list[np.ndarray], bound: float
+) -> list[np.ndarray]:
+    """Return pieces that hold the whole body, all larger by what is missing; they are judged like any others."""
+    by, found = 0.0, pieces
+    while by < bound:
+        missing = lost(vertices, triangles, closed, found)
+        if not missing:
+            break
+        by += 1.1 * missing + HELD
+        # what is at most that far from a piece along each axis
+        found = [(piece[:, None] + by * _CUBE[None]).reshape(-1, 3) for piece in pieces]
+    return [points[ConvexHull(points).vertices] for points in found]
+
+
+def _description(points: np.ndarray, folder: Path) -> dict:
+    """Return what makes a SceneObject of a convex piece: a box where it is one."""
+    box = _as_box(points)
+    if box is not None:
+        return {**box, "shape": "box", "padding": 0.0, "mesh": ""}
+    hull = ConvexHull(points)
+    first, second, third = (hull.points[hull.simplices[:, corner]] for corner in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(second - first, third - first), hull.equations[:, :3]) < 0
+    faces = hull.simplices.copy()
+    faces[inwards] = faces[inwards][:, ::-1]
+    used, triangles = np.unique(faces, return_inverse=True)
+    mesh = _write_mesh(hull.points[used], triangles.reshape(-1, 3), folder)
+    place = {"size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
+    return {"shape": "mesh", **place, "padding": 0.0, "mesh": mesh}
+
+
+def _as_box(points: np.ndarray) -> dict | None:
+    hull = ConvexHull(points)
+    axes: list[np.ndarray] = []
+    for normal in np.round(hull.equations[:, :3], 12):
+        if all(abs(normal @ one) < 1.0 - 1e-9 for one in axes):
+            axes.append(normal / np.linalg.norm(normal))
+    if len(axes) != 3 or max(abs(axes[0] @ axes[1]), abs(axes[1] @ axes[2]), abs(axes[2] @ axes[0])) > 1e-9:
+        return None
+    # the axes in the order and sense that turn the box least
+    rotation = np.zeros((3, 3))
+    left = list(range(3))
+    for axis in sorted(axes, key=lambda one: -round(float(np.abs(one).max()), 9)):
+        column = max(left, key=lambda number: round(abs(float(axis[number])), 9))
+        left.remove(column)
+        rotation[:, column] = axis if axis[column] > 0 else -axis
+    if np.linalg.det(rotation) < 0:
+        rotation[:, 2] *= -1.0
+    rotation += 0.0
+    local = points @ rotation
+    low, high = local.min(axis=0), local.max(axis=0)
+    if np.prod(high - low) - hull.volume > _IS_BOX * hull.volume:
+        return None
+    centre = rotation @ (0.5 * (low + high))
+    return {
+        "size": (high - low).tolist(),
+        "position": centre.tolist(),
+        "quaternion": [float(value) for value in rotation_to_quaternion(rotation)],
+    }
+
+
+def _write_mesh(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> str:
+    """Write an OBJ file, whose numbers have all digits, under the hash of its contents; return its name."""
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in (np.asarray(vertices, dtype=float) + 0.0).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+    text = "\n".join([*lines, ""])
+    name = f"{hashlib.sha256(text.encode()).hexdigest()}.obj"
+    write_whole(folder / name, text)
+    return name
+
+
+def element_triangles(element: Element) -> np.ndarray:
+    """Return all triangles of an element as the model has them, for pictures: shape (t, 3, 3), in its frame [m]."""
+    found = [np.asarray(body.vertices, dtype=float)[np.asarray(body.triangles)] for body in element.bodies]
+    return np.concatenate(found) if found else np.empty((0, 3, 3))

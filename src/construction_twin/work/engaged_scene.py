@@ -1,0 +1,188 @@
+"""Which change of the scene is due for an arm that was left engaged: the scene must say what hangs on the tool before it goes back.
+
+Pure. A change is only due when the scene that it leads to has a hash that the engagement names, and when it touches nothing but
+objects of the work: nobody's obstacle is taken away, and none is put back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
+
+_FREE = "or free the arm by hand and call release_engagement"
+
+
+@dataclass(frozen=True)
+class Left:
+    """Where an arm was left engaged, as the topic `engagement` tells.
+
+    Attributes
+    ----------
+    plan, segment : str
+    scenes : tuple of str
+        Hashes of the scenes in which it may go back; they change with the tool's inputs.
+    """
+
+    plan: str
+    segment: str
+    scenes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What a segment of a work plan changes in the scene.
+
+    Attributes
+    ----------
+    before, after : str
+        Hashes of the scenes.
+    change : SceneChange
+    """
+
+    before: str
+    after: str
+    change: SceneChange
+
+
+@dataclass(frozen=True, eq=False)
+class Due:
+    """What is to be done about the scene: a change, or a sentence that says why none is known; neither: the scene is right.
+
+    Attributes
+    ----------
+    change : SceneChange or None
+    after : str
+        Hash of the scene that it leads to.
+    sentence : str
+    """
+
+    change: SceneChange | None = None
+    after: str = ""
+    sentence: str = ""
+
+
+def due(
+    left: Left,
+    scene: Scene,
+    steps: Sequence[Step],
+    earlier: Iterable[Scene] = (),
+    element: str = "",
+    forms: Iterable[Sequence[SceneObject]] = (),
+) -> Due:
+    """Return what is to be done so that an engaged arm can go back.
+
+    Parameters
+    ----------
+    left : Left
+    scene : Scene
+        The present one.
+    steps : sequence of Step
+        Of the plan that ended inside; empty: it is not known any more.
+    earlier : iterable of Scene
+        Those seen before, the newest first.
+    element : str
+        GlobalId of the element that the task places; empty: not known.
+    forms : iterable of sequence of SceneObject
+        Its objects as the ledger can have them: in its stock, in the grip, at its place.
+    """
+    if scene.hash in left.scenes:
+        return Due()
+    changes = [step.change for step in steps if step.after in left.scenes]
+    mine = {name for step in steps for name in (*step.change.remove, *(item.name for item in step.change.put))}
+    alternatives = [tuple(form) for form in forms]
+    for base in (scene, *earlier):
+        wanted = _wanted(base, left.scenes, changes, element, alternatives)
+        if wanted is not None:
+            return _lead(left, scene, wanted, mine)
+    known = "" if steps else f"plan {left.plan} is not known any more, and "
+    return Due(
+        sentence=f"{_where(left)}; {known}no change of the work's objects makes the present scene {scene.hash[:12]} the one in "
+        f"which it may go back ({' or '.join(each[:12] for each in left.scenes) or 'none is known'}): look at what hangs on the "
+        f"tool, undo what was changed in the scene since, {_FREE}"
+    )
+
+
+def confirmed(left: Left, step: Step) -> bool:
+    """Return whether the engagement says that what a segment switches at its end has happened, so that its change is due."""
+    return step.after != step.before and set(left.scenes) == {step.after}
+
+
+def _wanted(
+    base: Scene,
+    scenes: Sequence[str],
+    changes: Sequence[SceneChange],
+    element: str,
+    forms: Sequence[tuple[SceneObject, ...]],
+) -> Scene | None:
+    """Return a scene with one of these hashes, made of another one; None: none was found."""
+    if base.hash in scenes:
+        return base
+    if element:
+        there = tuple(name for name in base.names if name.startswith(f"{element}/"))
+        changes = [*changes, *(SceneChange(form, there) for form in forms)]
+        # replaced one by one, other objects keep leave to touch them
+        kept = [tuple(name for name in there if name not in {item.name for item in form}) for form in forms]
+        changes += [SceneChange(form, gone) for form, gone in zip(forms, kept)]
+    for change in changes:
+        try:
+            made = change.apply(base)
+        except SceneError:
+            continue  # it removes what is not there: it does not lead from this scene to any other
+        if made.hash in scenes:
+            return made
+    return None
+
+
+def _lead(left: Left, scene: Scene, wanted: Scene, mine: set[str]) -> Due:
+    """Return the change from the present scene to a wanted one, or what of it is not the work's to change."""
+    there, then = ({item.name: item for item in one.objects} for one in (scene, wanted))
+    put = [item for name, item in then.items() if name not in there or _differ(there[name], item)]
+    remove = [name for name in there if name not in then]
+
+    def foreign(name: str) -> bool:
+        if name in mine or "/" in name:
+            return False
+        # whom it may touch follows from what is removed and put
+        return not (name in there and name in then) or _differ(
+            replace(there[name], touch=()), replace(then[name], touch=())
+        )
+
+    added = [name for name in remove if foreign(name)]
+    if added:
+        return Due(
+            sentence=f"{_where(left)}; {_names(added)} came into the scene since, and blocks the way back: "
+            f"take it out again, {_FREE}"
+        )
+    others = [item.name for item in put if foreign(item.name)]
+    if others:
+        return Due(
+            sentence=f"{_where(left)}; {_names(others)} was changed or taken out of the scene since: put it back as it was, {_FREE}"
+        )
+    change = SceneChange(tuple(put), tuple(remove))
+    try:
+        made = change.apply(scene).hash
+    except SceneError as error:
+        return Due(sentence=f"{_where(left)}; the scene cannot be restored: {error}")
+    if made != wanted.hash:
+        return Due(
+            sentence=f"{_where(left)}; the scene's padding was changed since: set it back to {wanted.padding:g} m, {_FREE}"
+            if scene.padding != wanted.padding
+            else f"{_where(left)}; the scene cannot be restored by putting and removing objects: do it by hand, {_FREE}"
+        )
+    return Due(change, wanted.hash)
+
+
+def _differ(one: SceneObject, other: SceneObject) -> bool:
+    return one.contents() != other.contents()
+
+
+def _where(left: Left) -> str:
+    return f"the arm was left in engaged segment {left.segment!r} of plan {left.plan}"
+
+
+def _names(names: Sequence[str]) -> str:
+    return " and ".join(repr(name) for name in names[:3]) + (" and others" if len(names) > 3 else "")

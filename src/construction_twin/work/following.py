@@ -1,0 +1,266 @@
+"""What the executor's reports mean for the task whose plan it plays: the lines to be written, before anybody acts on them.
+
+Pure. The executor goes on from the boundary at which the element is gripped or released only when the scene has changed, and the
+scene is changed after these lines are on the disk: without `gripped` no element was carried anywhere, without `released` none was
+let go and forgotten.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from construction_twin.work.ledger import Entry
+from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskMemory, TaskState
+
+#: Outcome of a plan that reached its end.
+FINISHED = "finished"
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A plan, as far as it is followed.
+
+    Attributes
+    ----------
+    id, task, source : str
+    grips, releases : int
+        Numbers of the segments at whose ends the element is gripped and let go; negative: it does not, or that is not known.
+    """
+
+    id: str
+    task: str
+    source: str
+    grips: int
+    releases: int
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the executor says.
+
+    Attributes
+    ----------
+    plan : str
+        Id of the plan that is played, or was last; empty: none since it started.
+    playing : bool
+        The plan is under way, paused or held included.
+    outcome : str
+        Of the last plan; empty while it is under way.
+    segment : int
+        Of the plan under way; -1: not known.
+    at_boundary, wants_scene : bool
+    reason : str
+    confirmed : bool
+        It has ended at the end of that segment, and the tool did there what was asked of it.
+    """
+
+    plan: str
+    playing: bool
+    outcome: str
+    segment: int = -1
+    at_boundary: bool = False
+    wants_scene: bool = False
+    reason: str = ""
+    confirmed: bool = False
+
+
+@dataclass(frozen=True)
+class Grip:
+    """What the tool says of its grip.
+
+    Attributes
+    ----------
+    known : bool
+        The outputs have been read back.
+    closed : bool
+        An output commands it to hold, or an input says that it does; meaningless where it is not known.
+    """
+
+    known: bool
+    closed: bool
+
+    @property
+    def surely_open(self) -> bool:
+        """Whether nothing can be held."""
+        return self.known and not self.closed
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a plan that was offered, as records and topics tell it.
+
+    Attributes
+    ----------
+    plan : str
+        Its id; empty: no plan of that offer was ever seen.
+    under_review : bool
+    started : bool or None
+        Somebody approved it; None: not known.
+    """
+
+    plan: str
+    under_review: bool
+    started: bool | None
+
+
+class _Line:
+    """Collects the lines of one task, each checked against the state that those before it leave."""
+
+    def __init__(self, memory: TaskMemory, element: str, plan: str):
+        self._state = memory.state
+        self._memory = memory
+        self._element, self._plan = element, plan
+        self.entries: list[Entry] = []
+
+    def add(self, event: TaskEvent, reason: str = "", pose: tuple[float, ...] = (), source: str = "") -> None:
+        """Add one line."""
+        task, element = self._memory.task, self._element
+        entry = Entry(event.value, task, element, plan=self._plan, pose=pose, source=source, reason=reason)
+        self.entries.append(entry)
+
+
+def follow(
+    memory: TaskMemory,
+    element: str,
+    plan: Followed,
+    report: Report,
+    grip: Grip,
+    as_built: tuple[float, ...] = (),
+    source: str = "",
+) -> list[Entry]:
+    """Return the lines that a report adds to the task of a plan; none when it says nothing new of it.
+
+    Parameters
+    ----------
+    memory : TaskMemory
+    element : str
+    plan : Followed
+    report : Report
+    grip : Grip
+    as_built : tuple of float, length 7 or 0
+        Where the element stands if it is let go now; empty: not known.
+    source : str
+        Where that comes from, `ledger.MEASURED` or `ledger.PLANNED`.
+    """
+    if report.plan != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
+        return []
+    lines = _Line(memory, element, plan.id)
+    state = memory.state
+    if state is TaskState.PLANNED:
+        if not report.playing and not report.outcome:
+            return []
+        if not memory.plan:
+            lines.add(TaskEvent.PLANNED)
+        lines.add(TaskEvent.BEGUN)
+        state = TaskState.CARRYING if memory.in_grip else TaskState.WORKING
+    ended = not report.playing and bool(report.outcome)
+    # a plan that has come to its end has been through everything
+    segment = 10**6 if ended and report.outcome == FINISHED else report.segment
+    state = _through(lines, state, plan, segment, report, as_built, source)
+    if ended:
+        _end(lines, state, plan, report, grip)
+    return lines.entries
+
+
+def _through(
+    lines: _Line,
+    state: TaskState,
+    plan: Followed,
+    segment: int,
+    report: Report,
+    as_built: tuple[float, ...],
+    source: str,
+) -> TaskState:
+    """Add what lies behind, up to the present segment; return the state that follows."""
+    confirmed = report.confirmed or (report.wants_scene and report.playing)
+    stands = report.at_boundary or report.wants_scene or report.confirmed
+    if state is TaskState.WORKING and plan.grips >= 0 and (segment > plan.grips or (segment == plan.grips and stands)):
+        lines.add(TaskEvent.GRIPPING)
+        state = TaskState.GRIPPING
+    # of a plan that is not known any more, no segment says that the grip closed or let go
+    gripped = plan.grips >= 0 and (segment > plan.grips or (segment == plan.grips and confirmed))
+    if state is TaskState.GRIPPING and gripped:
+        lines.add(TaskEvent.GRIPPED)
+        state = TaskState.CARRYING
+    let_go = plan.releases
+    if state is TaskState.CARRYING and let_go >= 0 and (segment > let_go or (segment == let_go and stands)):
+        lines.add(TaskEvent.RELEASING)
+        state = TaskState.RELEASING
+    released = let_go >= 0 and (segment > let_go or (segment == let_go and confirmed))
+    if state is TaskState.RELEASING and released:
+        lines.add(TaskEvent.RELEASED, pose=as_built, source=source if as_built else "")
+        state = TaskState.RETREATING
+    return state
+
+
+def _end(lines: _Line, state: TaskState, plan: Followed, report: Report, grip: Grip) -> None:
+    reason = f"{report.outcome}: {report.reason}"
+    if state is TaskState.RETREATING:
+        lines.add(TaskEvent.FINISHED if report.outcome == FINISHED else TaskEvent.STOPPED, reason)
+    elif state is TaskState.WORKING:
+        # from the segment on at whose end the grip closes, it may have closed: unless the tool says that it did not
+        before = 0 <= report.segment < plan.grips
+        if before or grip.surely_open:
+            lines.add(TaskEvent.STOPPED, reason)
+        else:
+            lines.add(TaskEvent.GRIPPING)
+            lines.add(TaskEvent.STOPPED, reason)
+    elif state is TaskState.GRIPPING and grip.surely_open:
+        lines.add(TaskEvent.NOT_GRIPPED, reason)
+    else:
+        lines.add(TaskEvent.STOPPED, reason)
+
+
+def after_restart(memory: TaskMemory, element: str, verdict: Verdict, grip: Grip) -> list[Entry]:
+    """Return the lines for a task whose plan the executor does not report any more, or never did.
+
+    Parameters
+    ----------
+    memory : TaskMemory
+    element : str
+    verdict : Verdict
+        Of the plan that the ledger names.
+    grip : Grip
+    """
+    lines = _Line(memory, element, verdict.plan or memory.plan)
+    if memory.state is TaskState.PLANNED:
+        if verdict.under_review:
+            if not memory.plan:
+                lines.add(TaskEvent.PLANNED)
+        elif verdict.started is False:
+            lines.add(TaskEvent.DROPPED, "it was never approved")
+        elif grip.surely_open and not memory.in_grip:
+            # nothing can have been carried: the line that must be written before is not there
+            lines.add(TaskEvent.DROPPED, "nothing was gripped")
+        else:
+            lines.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
+    elif memory.state is TaskState.WORKING and grip.surely_open:
+        lines.add(TaskEvent.STOPPED, "nothing was gripped")
+    elif memory.state is TaskState.GRIPPING and grip.surely_open:
+        lines.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
+    elif memory.state in UNDER_WAY:
+        lines.add(TaskEvent.UNKNOWN, f"what became of the plan is not known; the last known was {memory.state.value}")
+    return lines.entries
+
+
+def question(memory: TaskMemory, element_name: str) -> str:
+    """Return what a person is asked about a task; empty when nothing."""
+    if memory.state is not TaskState.ASKS:
+        return ""
+    return (
+        f"where is {element_name} now? The last that is known of it: {_KNOWN.get(memory.before, memory.before.value)}"
+    )
+
+
+_KNOWN = {
+    TaskState.WAITING: "another version of the model was worked on",
+    TaskState.READY: "another version of the model was worked on",
+    TaskState.DONE: "it was placed, for another version of the model",
+    TaskState.SKIPPED: "it was measured at its place, for another version of the model",
+    TaskState.CARRIED: "it was in the grip",
+    TaskState.PLANNED: "it was to be fetched",
+    TaskState.WORKING: "it was being fetched",
+    TaskState.GRIPPING: "the grip was being closed on it",
+    TaskState.CARRYING: "it was carried",
+    TaskState.RELEASING: "it was being let go at its place",
+}

@@ -1,0 +1,239 @@
+"""Bodies of products as triangles, by ifcopenshell's geometry kernel, and as extrusions where they are one.
+
+Triangles are in the element's frame [m], openings cut out. An extrusion is given only when its bounding box and volume are those of
+the kernel's triangles: the two know nothing of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import ifcopenshell
+import ifcopenshell.geom
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.work.building import Body, Extrusion
+from construction_twin.work.ifc.notes import Notes, Where
+from construction_twin.work.ifc.profiles import is_curved
+from construction_twin.work.ifc.representations import Items, extent, extrusion
+from construction_twin.work.mesh_checks import is_closed, volume
+
+#: Triangles of a file.
+MOST_TRIANGLES = 8_000_000
+#: Farther from its own origin [m] no element reaches; some exporters write the whole building into one frame.
+FARTHEST = 1e8
+#: Largest distance of the triangles from a curved surface [m]; they lie inside of a convex one.
+DEFLECTION = 0.001
+_ANGLE = 0.5
+#: By how much an extrusion's box [m, at 1 m] and volume may differ from the triangles'; where curves were replaced, as a part of
+#: the volume without holes.
+_SAME = 1e-5
+_SAME_VOLUME = 1e-5
+_CURVED_VOLUME = 0.06
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the kernel made of a product.
+
+    Attributes
+    ----------
+    id : int
+        The product's.
+    bodies : tuple of Body
+        In the frame of `model_T_shape`.
+    model_T_shape : array, shape (4, 4)
+        [m]
+    """
+
+    id: int
+    bodies: tuple[Body, ...]
+    model_T_shape: np.ndarray
+
+
+def shapes(
+    file: ifcopenshell.file,
+    name: str,
+    bodies: Mapping[int, ifcopenshell.entity_instance],
+    cut: frozenset[int],
+    unit: float,
+    notes: Notes,
+    progress: Callable[[int, int], None],
+) -> Iterator[Shape]:
+    """Make the bodies of products.
+
+    Parameters
+    ----------
+    file : ifcopenshell.file
+    name : str
+        For messages.
+    bodies : mapping of int to entity
+        Body representation by the product's id.
+    cut : frozenset of int
+        Products that something is cut from.
+    unit : float
+        Metres per length unit.
+    notes : Notes
+    progress : callable
+        Takes how many are done, of how many.
+
+    Raises
+    ------
+    BuildingError
+    """
+    if not bodies:
+        return
+    items = Items(name)
+    for representation in bodies.values():
+        items.check(representation)
+    contexts = {representation.ContextOfItems.id() for representation in bodies.values()}
+    made = set()
+    total = 0
+    iterator = ifcopenshell.geom.iterator(
+        _settings(contexts), file, 1, include=[file.by_id(product) for product in bodies]
+    )
+    progress(0, len(bodies))
+    more = iterator.initialize()
+    while more:
+        shape = iterator.get()
+        if shape.id in bodies and shape.id not in made:
+            product = file.by_id(shape.id)
+            with Where(name, product):
+                vertices, triangles, owners = _arrays(shape.geometry)
+                total += len(triangles)
+                check_mesh(name, product, vertices, total)
+                resolved = [] if shape.id in cut else items.resolved(bodies[shape.id])
+                found = tuple(_bodies(vertices, triangles, owners, resolved, unit, product.GlobalId, notes))
+                matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
+            # a product with two bodies in two contexts comes twice: the one that was chosen is looked for
+            if _is_of(shape.geometry.id, bodies[shape.id]):
+                made.add(shape.id)
+                progress(len(made), len(bodies))
+                yield Shape(shape.id, found, matrix)
+        more = bool(iterator.next())
+
+
+def _is_of(geometry: str, representation: ifcopenshell.entity_instance) -> bool:
+    """Whether a geometry was made of a representation, or of what that one maps."""
+    number = int(geometry.split("-")[0])
+    while representation.id() != number:
+        items = representation.Items
+        if len(items) != 1 or not items[0].is_a("IfcMappedItem"):
+            return False
+        representation = items[0].MappingSource.MappedRepresentation
+    return True
+
+
+def _settings(contexts: set[int]) -> ifcopenshell.geom.settings:
+    settings = ifcopenshell.geom.settings()
+    settings.set("context-ids", sorted(contexts))
+    settings.set("no-normals", True)
+    settings.set("weld-vertices", True)
+    settings.set("reorient-shells", True)
+    settings.set("mesher-linear-deflection", DEFLECTION)
+    settings.set("mesher-angular-deflection", _ANGLE)
+    return settings
+
+
+def _arrays(geometry: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    vertices = np.frombuffer(geometry.verts_buffer, dtype=np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
+    triangles = np.frombuffer(geometry.faces_buffer, dtype=np.int32).reshape(-1, 3)  # type: ignore[attr-defined]
+    owners = np.frombuffer(geometry.item_ids_buffer, dtype=np.int32)  # type: ignore[attr-defined]
+    if len(owners) != len(triangles):
+        owners = np.zeros(len(triangles), dtype=np.int32)
+    return vertices, triangles, owners
+
+
+def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.ndarray, total: int) -> None:
+    """Check what the kernel made.
+
+    Raises
+    ------
+    BuildingError
+    """
+    what = f"element {product.GlobalId!r}"
+    if total > MOST_TRIANGLES:
+        raise BuildingError(name, what, f"more than {MOST_TRIANGLES} triangles up to it", "less")
+    if len(vertices) and not (np.isfinite(vertices).all() and np.abs(vertices).max() <= FARTHEST):
+        raise BuildingError(name, what, "corners that are no finite numbers, or too far", f"at most {FARTHEST:g} m")
+
+
+def _bodies(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    owners: np.ndarray,
+    items: list,
+    unit: float,
+    about: str,
+    notes: Notes,
+) -> Iterator[Body]:
+    exact: dict[int, list[tuple[Extrusion | None, bool]]] = {}
+    for item in items:
+        curved = item.entity.is_a("IfcSweptAreaSolid") and is_curved(item.entity.SweptArea)
+        exact.setdefault(item.entity.id(), []).append((extrusion(item, unit), curved))
+    for owner in dict.fromkeys(owners.tolist()):
+        part = triangles[owners == owner]
+        candidates = exact.get(owner, [])
+        # the same item, mapped several times
+        for each in _split(part) if len(candidates) > 1 else [part]:
+            used, corners = np.unique(each, return_inverse=True)
+            body = _oriented(vertices[used], corners.reshape(-1, 3).astype(np.int32), about, notes)
+            if body is not None:
+                yield Body(body.vertices, body.triangles, _agreeing(body, candidates))
+
+
+def _split(triangles: np.ndarray) -> list[np.ndarray]:
+    count = int(triangles.max()) + 1
+    ends = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+    graph = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    _, component = connected_components(graph, directed=False)
+    of = component[triangles[:, 0]]
+    return [triangles[of == each] for each in np.unique(of)]
+
+
+def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: Notes) -> Body | None:
+    vertices, triangles = _welded(vertices, triangles)
+    if len(triangles) == 0:
+        notes.add("Bodies without any extent are left out of", about)
+        return None
+    if not is_closed(triangles):
+        notes.add("Bodies that are not closed (their triangles stand as they are, without a volume) of", about)
+        return Body(vertices, triangles)
+    enclosed = volume(vertices, triangles)
+    if abs(enclosed) < 1e-15:
+        notes.add("Bodies without any extent are left out of", about)
+        return None
+    return Body(vertices, triangles if enclosed > 0 else np.ascontiguousarray(triangles[:, ::-1]))
+
+
+def _welded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices at the same place are one; triangles that have two corners there are none."""
+    places, index = np.unique(vertices, axis=0, return_inverse=True)
+    triangles = index.reshape(-1)[triangles].astype(np.int32)
+    a, b, c = triangles.T
+    return places, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)])
+
+
+def _agreeing(body: Body, candidates: list[tuple[Extrusion | None, bool]]) -> Extrusion | None:
+    if not candidates or not is_closed(body.triangles):
+        return None
+    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+    enclosed = volume(body.vertices, body.triangles)
+    for given, curved in candidates:
+        if given is None:
+            continue
+        least, most, whole, outer = extent(given)
+        off = max(np.abs(least - low).max(), np.abs(most - high).max())
+        scale = max(1.0, float(np.abs([low, high]).max()))
+        if off <= _SAME * scale and abs(whole - enclosed) <= _SAME_VOLUME * whole + 1e-9:
+            return given
+        # polygons around curves contain what the triangles approximate from within
+        around = (least <= low + _SAME * scale).all() and (most >= high - _SAME * scale).all()
+        near = off <= 0.02 * float((high - low).max()) + 2 * DEFLECTION
+        if curved and around and near and -1e-6 * outer <= whole - enclosed <= _CURVED_VOLUME * outer:
+            return given
+    return None

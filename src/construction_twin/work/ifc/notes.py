@@ -1,0 +1,79 @@
+"""What the user should know about a file that was read: one sentence for each kind of thing, with the first that it holds for."""
+
+from __future__ import annotations
+
+from construction_twin.core.work_errors import BuildingError
+
+_NAMED = 5
+
+
+class Notes:
+    """Sentences, each with what it is about.
+
+    Order is that of the first occurrence.
+    """
+
+    def __init__(self) -> None:
+        self._about: dict[str, list[str]] = {}
+
+    def add(self, sentence: str, about: str = "") -> None:
+        """Add a sentence, or one more thing that an earlier one holds for.
+
+        Parameters
+        ----------
+        sentence : str
+            Without a full stop; must make sense for one and for many: ``geometry that could not be made, left out``.
+        about : str
+            Name or GlobalId; empty: the sentence says it all.
+        """
+        self._about.setdefault(sentence, []).append(about)
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return them; beyond the first few a sentence only counts what it is about."""
+        return tuple(_sentence(text, [about for about in named if about]) for text, named in self._about.items())
+
+
+def _sentence(text: str, named: list[str]) -> str:
+    named = list(dict.fromkeys(named))
+    if not named:
+        return text
+    more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    return f"{text}: {', '.join(named[:_NAMED])}{more}"
+
+
+class Where:
+    """Says which file and entity cannot be read, when ifcopenshell raises an exception of its own.
+
+    Parameters
+    ----------
+    file : str
+        Name for messages.
+    entity : object
+        Anything that prints as what is being read, a cheap one: it is made for each entity.
+
+    Notes
+    -----
+    A broken file can make ifcopenshell raise almost anything (a value of another type than the schema's makes Python code that
+    trusts the schema fail): all but our own errors and the want of memory become `BuildingError`.
+    """
+
+    def __init__(self, file: str, entity: object):
+        self._file, self._entity = file, entity
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, Exception) and not isinstance(error, (BuildingError, MemoryError)):
+            found = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            raise BuildingError(self._file, label(self._entity), found, "what the IFC schema says") from error
+
+
+def label(entity: object) -> str:
+    """Return ``#12=IFCWALL`` for an entity, and a text as it is."""
+    if isinstance(entity, str):
+        return entity
+    try:
+        return f"#{entity.id()}={entity.is_a().upper()}"  # type: ignore[attr-defined]
+    except (AttributeError, RuntimeError):
+        return "an entity"

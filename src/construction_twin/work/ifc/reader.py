@@ -1,0 +1,261 @@
+"""An IFC file as a `BuildingModel`, in this process: for the child that reads files, and for tests.
+
+A broken file can end this process (the geometry kernel is C++); `reading.read_building` reads in another one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import ifcopenshell
+import ifcopenshell.util.element
+import ifcopenshell.util.geolocation
+import numpy as np
+
+from construction_twin.core.files import read_file
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.work.building import Body, BuildingModel, Element
+from construction_twin.work.ifc.geometry import Shape, shapes
+from construction_twin.work.ifc.notes import Notes, Where
+from construction_twin.work.ifc.placements import Placements, check_rigid
+from construction_twin.work.ifc.properties import read_mass, read_material, read_properties
+from construction_twin.work.ifc.relations import Relations, read_relations
+from construction_twin.work.ifc.representations import body_of
+from construction_twin.work.ifc.tasks import read_tasks, unique_id
+from construction_twin.work.ifc.units import Units, read_units
+from construction_twin.work.mesh_checks import volume
+from construction_twin.work.workpieces import is_workpiece
+
+#: Takes what is being done, how much of it is done, and how much there is.
+Progress = Callable[[str, int, int], None]
+
+SCHEMAS = ("IFC2X3", "IFC4", "IFC4X3")
+#: Elements of a file.
+MOST_ELEMENTS = 100_000
+#: An element farther from the model's origin than this [m] is told: map coordinates in a placement.
+_FAR = 10_000.0
+#: Products with geometry that nothing can touch: holes, rooms, drawings, loads.
+_NOT_THERE = (
+    "IfcFeatureElementSubtraction",
+    "IfcVirtualElement",
+    "IfcSpace",
+    "IfcSpatialZone",
+    "IfcExternalSpatialElement",
+    "IfcExternalSpatialStructureElement",
+)
+_SPATIAL = ("IfcSpatialElement", "IfcSpatialStructureElement")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is common to the reading of all elements."""
+
+    name: str
+    units: Units
+    relations: Relations
+    notes: Notes
+
+
+def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: None) -> BuildingModel:
+    """Read a file.
+
+    Parameters
+    ----------
+    path : str or Path
+    most_bytes : int
+        Largest file.
+    progress : callable
+
+    Raises
+    ------
+    BuildingError
+    """
+    name = Path(path).name
+    progress("open", 0, 1)
+    digest = _digest(path, name, most_bytes)
+    file = _open(path, name)
+    if _digest(path, name, most_bytes) != digest:
+        raise BuildingError(name, "the file", "other contents at the end of reading", "a file that nobody writes")
+    schema = file.schema
+    if schema not in SCHEMAS:
+        raise BuildingError(name, "schema", str(schema), ", ".join(SCHEMAS))
+    progress("open", 1, 1)
+    notes = Notes()
+    found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes)
+    _note_map(file, found)
+    elements, ids = _elements(file, found, progress)
+    parents = {element.assembly for element in elements.values()}
+    workpieces = [element.id for element in elements.values() if is_workpiece(element, element.id in parents)]
+    tasks, sequences = read_tasks(file, name, ids, workpieces, found.units.time, notes)
+    project = file.by_type("IfcProject")[0]
+    with Where(name, project):
+        title = project.Name or getattr(project, "LongName", None) or ""
+    return BuildingModel(name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences())
+
+
+def _digest(path: str | Path, name: str, most_bytes: int) -> str:
+    try:
+        return hashlib.sha256(read_file(path, most_bytes)).hexdigest()
+    except OSError as error:
+        raise BuildingError(name, "the file", error.strerror or str(error), "an IFC file that can be read") from error
+
+
+def _open(path: str | Path, name: str) -> ifcopenshell.file:
+    try:
+        with Where(name, "the file"):
+            file = ifcopenshell.open(str(path), format=".ifc")
+            entities = len(file.types())
+    except BuildingError as error:
+        expected = f"an IFC file (ISO 10303-21) of {', '.join(SCHEMAS)} as published, no release candidate"
+        raise BuildingError(name, "the file", error.found, expected) from error
+    if entities == 0:
+        raise BuildingError(name, "the file", "no entities", "an IFC file (ISO 10303-21)")
+    return file
+
+
+def _note_map(file: ifcopenshell.file, found: _Found) -> None:
+    if file.schema == "IFC2X3":
+        return
+    for conversion in file.by_type("IfcMapConversion"):
+        with Where(found.name, conversion):
+            shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
+            turned = (conversion.XAxisOrdinate or 0.0) != 0.0
+        shown = ", ".join(f"{value:.3f}" for value in shift)
+        turn = ", turned" if turned else ""
+        found.notes.add(
+            f"The map conversion (eastings, northings, height {shown}{turn}) is left out: poses are the model's own"
+        )
+
+
+def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tuple[dict[str, Element], dict[int, str]]:
+    products = _products(file, found)
+    placements = Placements(found.name, found.units.length)
+    ids: dict[int, str] = {}
+    taken: set[str] = set()
+    matrices: dict[int, np.ndarray | None] = {}
+    bodies: dict[int, ifcopenshell.entity_instance] = {}
+    for product in products:
+        with Where(found.name, product):
+            ids[product.id()] = unique_id(product, taken, found.notes)
+            taken.add(ids[product.id()])
+            matrices[product.id()] = placements.matrix(product)
+            if (body := body_of(product)) is not None:
+                bodies[product.id()] = body
+    cut = frozenset(
+        product.id()
+        for product in products
+        if any(each.id() in found.relations.openings for each in (product, *found.relations.wholes(product)))
+    )
+    made = {
+        shape.id: shape
+        for shape in shapes(
+            file, found.name, bodies, cut, found.units.length, found.notes,
+            lambda done, total: progress("geometry", done, total),
+        )
+    }  # fmt: skip
+    elements = {}
+    for count, product in enumerate(products):
+        if count % 100 == 0:
+            progress("elements", count, len(products))
+        if product.id() in bodies and (product.id() not in made or not made[product.id()].bodies):
+            found.notes.add("Geometry that the kernel cannot make is left out of", ids[product.id()])
+        with Where(found.name, product):
+            element = _element(product, ids, matrices[product.id()], made.get(product.id()), found)
+        if element is not None:
+            elements[element.id] = element
+    progress("elements", len(products), len(products))
+    return _without_doubles(elements, found.notes), {
+        entity: element for entity, element in ids.items() if element in elements
+    }
+
+
+def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entity_instance]:
+    products = []
+    # by_type gives one class after the other, and numbers are the file's order
+    for product in sorted(file.by_type("IfcProduct"), key=lambda product: product.id()):
+        with Where(found.name, product):
+            if any(_is(product, kind) for kind in _NOT_THERE):
+                continue
+            spatial = any(_is(product, kind) for kind in _SPATIAL)
+            if _is(product, "IfcElement") or ((spatial or _is(product, "IfcProxy")) and body_of(product) is not None):
+                products.append(product)
+    if len(products) > MOST_ELEMENTS:
+        raise BuildingError(found.name, "elements", str(len(products)), f"at most {MOST_ELEMENTS}")
+    return products
+
+
+def _is(product: ifcopenshell.entity_instance, kind: str) -> bool:
+    # a class that the schema does not know is none of its entities'
+    return bool(product.is_a(kind))
+
+
+def _element(
+    product: ifcopenshell.entity_instance,
+    ids: dict[int, str],
+    matrix: np.ndarray | None,
+    shape: Shape | None,
+    found: _Found,
+) -> Element | None:
+    element_id = ids[product.id()]
+    bodies: tuple[Body, ...] = ()
+    if matrix is None:
+        if shape is None:
+            found.notes.add("Placed on a grid or an alignment, without a body: left out", element_id)
+            return None
+        matrix = shape.model_T_shape
+        check_rigid(found.name, product, matrix)
+        found.notes.add("Placed on a grid or an alignment, as the geometry kernel says", element_id)
+    if shape is not None:
+        bodies = _in_frame(shape, matrix)
+    if np.abs(matrix[:3, 3]).max() > _FAR:
+        found.notes.add("More than 10 km from the model's origin (map coordinates in a placement?)", element_id)
+    properties = read_properties(product, found.units, found.notes)
+    kind = ifcopenshell.util.element.get_type(product)
+    assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
+    return Element(
+        id=element_id,
+        ifc_class=product.is_a(),
+        name=product.Name or "",
+        type_name=(kind.Name if kind is not None else product.ObjectType) or "",
+        tag=getattr(product, "Tag", None) or "",
+        storey=found.relations.storey(product),
+        material=read_material(product, found.notes),
+        assembly=assembly,
+        model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
+        bodies=bodies,
+        properties=properties,
+        mass=read_mass(product, properties, bodies, found.units, found.notes),
+    )
+
+
+def _in_frame(shape: Shape, matrix: np.ndarray) -> tuple[Body, ...]:
+    """Bodies in the frame of the placement, where the kernel has another one."""
+    offset = np.linalg.inv(matrix) @ shape.model_T_shape
+    if np.allclose(offset, np.eye(4), atol=1e-6):
+        return shape.bodies
+    return tuple(
+        replace(body, vertices=body.vertices @ offset[:3, :3].T + offset[:3, 3], extrusion=None)
+        for body in shape.bodies
+    )
+
+
+def _without_doubles(elements: dict[str, Element], notes: Notes) -> dict[str, Element]:
+    """An element whose parts fill it has their bodies and none of its own: it would stand where they are to be placed."""
+    filled: dict[str, float] = {}
+    for element in elements.values():
+        if element.assembly:
+            filled[element.assembly] = filled.get(element.assembly, 0.0) + _volume(element)
+    for whole, parts in filled.items():
+        own = _volume(elements[whole]) if whole in elements else 0.0
+        if own > 0 and parts >= own / 2:
+            notes.add("Has a body and parts that fill it; only the parts' bodies are taken", whole)
+            elements[whole] = replace(elements[whole], bodies=())
+    return elements
+
+
+def _volume(element: Element) -> float:
+    return sum(abs(volume(body.vertices, body.triangles)) for body in element.bodies)

@@ -1,0 +1,91 @@
+"""Which object is part of which: aggregation, nesting, storeys. Loops are refused here, before anything follows the relations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import ifcopenshell
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.work.ifc.notes import Where, label
+
+
+@dataclass(frozen=True)
+class Relations:
+    """Parents by the id of the part.
+
+    Attributes
+    ----------
+    whole : dict of int to entity
+        What a part is aggregated or nested into.
+    container : dict of int to entity
+        Spatial element that holds an element.
+    openings : frozenset of int
+        Ids of elements that have an opening.
+    """
+
+    whole: dict[int, ifcopenshell.entity_instance]
+    container: dict[int, ifcopenshell.entity_instance]
+    openings: frozenset[int]
+
+    def wholes(self, entity: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
+        """Return what an entity is part of, the nearest first."""
+        found: list[ifcopenshell.entity_instance] = []
+        whole = self.whole.get(entity.id())
+        while whole is not None:
+            found.append(whole)
+            whole = self.whole.get(whole.id())
+        return found
+
+    def storey(self, entity: ifcopenshell.entity_instance) -> str:
+        """Return the name of the storey, or of the smallest other part of the site, that holds an element or what it is part of."""
+        for each in (entity, *self.wholes(entity)):
+            if (container := self.container.get(each.id())) is None:
+                continue
+            spaces = (container, *self.wholes(container))
+            storeys = [space for space in spaces if space.is_a("IfcBuildingStorey")]
+            return (storeys or spaces)[0].Name or ""
+        return ""
+
+
+def read_relations(file: ifcopenshell.file, name: str) -> Relations:
+    """Read them.
+
+    Raises
+    ------
+    BuildingError
+        If something is part of itself.
+    """
+    whole: dict[int, ifcopenshell.entity_instance] = {}
+    # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops
+    for relation in (*file.by_type("IfcRelAggregates"), *file.by_type("IfcRelNests")):
+        with Where(name, relation):
+            for part in relation.RelatedObjects:
+                whole.setdefault(part.id(), relation.RelatingObject)
+    container: dict[int, ifcopenshell.entity_instance] = {}
+    for relation in file.by_type("IfcRelContainedInSpatialStructure"):
+        with Where(name, relation):
+            for part in relation.RelatedElements:
+                container.setdefault(part.id(), relation.RelatingStructure)
+    openings = set()
+    for relation in file.by_type("IfcRelVoidsElement"):
+        with Where(name, relation):
+            openings.add(relation.RelatingBuildingElement.id())
+    _refuse_loops(file, name, whole)
+    return Relations(whole, container, frozenset(openings))
+
+
+def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopenshell.entity_instance]) -> None:
+    good: set[int] = set()
+    for start in whole:
+        seen: dict[int, None] = {}
+        at: int | None = start
+        while at is not None and at not in good:
+            if at in seen:
+                loop = list(seen)[list(seen).index(at) :]
+                shown = " in ".join(label(file.by_id(each)) for each in loop[:4])
+                raise BuildingError(name, label(file.by_id(at)), f"part of itself ({shown} ...)", "no loop of parts")
+            seen[at] = None
+            parent = whole.get(at)
+            at = None if parent is None else parent.id()
+        good.update(seen)

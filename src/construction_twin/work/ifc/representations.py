@@ -1,0 +1,207 @@
+"""Which representation of a product is its body, what it is made of, and which of that is an extrusion.
+
+Mapped items are followed here before the geometry kernel does: a loop, or a few lines that mean a million copies, is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import ifcopenshell
+import ifcopenshell.util.placement
+import numpy as np
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.work.building import Extrusion
+from construction_twin.work.ifc.notes import Where, label
+from construction_twin.work.ifc.profiles import outlines
+
+#: Identifiers of representations that are a body, the best first.
+_BODIES = ("Body", "Body-FallBack", "Facetation", "Tessellation", "Mesh")
+#: What a representation without one of those identifiers must be to be taken as the body.
+_SOLID = {
+    "SweptSolid", "AdvancedSweptSolid", "Brep", "AdvancedBrep", "CSG", "Clipping", "SolidModel", "SurfaceModel", "Surface3D",
+    "Tessellation", "MappedRepresentation",
+}  # fmt: skip
+#: Identifiers of what has a surface and is no body.
+_NO_BODIES = {
+    "Axis",
+    "FootPrint",
+    "Box",
+    "Annotation",
+    "Plan",
+    "Clearance",
+    "CoG",
+    "Profile",
+    "Reference",
+    "Surface",
+    "Lighting",
+}
+#: Copies by mapped items, and operands of booleans, of one element.
+MOST_ITEMS = 100_000
+DEEPEST = 200
+
+
+@dataclass(frozen=True)
+class Item:
+    """One item of a representation, mapped items resolved.
+
+    Attributes
+    ----------
+    entity : entity
+    placement : array, shape (4, 4), or None
+        Where mapped items put it, in the file's units; None: nowhere that is computed here.
+    """
+
+    entity: ifcopenshell.entity_instance
+    placement: np.ndarray | None
+
+
+def body_of(product: ifcopenshell.entity_instance) -> ifcopenshell.entity_instance | None:
+    """Return a product's body representation; None: it has none."""
+    definition = getattr(product, "Representation", None)
+    representations = [] if definition is None else [r for r in definition.Representations if r.is_a("IfcShapeModel")]
+    for identifier in _BODIES:
+        for representation in representations:
+            if representation.RepresentationIdentifier == identifier:
+                return representation
+    for representation in representations:
+        if representation.RepresentationIdentifier not in _NO_BODIES and representation.RepresentationType in _SOLID:
+            return representation
+    return None
+
+
+class Items:
+    """Items of the representations of a file.
+
+    Parameters
+    ----------
+    name : str
+        The file's, for messages.
+    """
+
+    def __init__(self, name: str):
+        self._name = name
+        self._counts: dict[int, int] = {}
+
+    def check(self, representation: ifcopenshell.entity_instance) -> None:
+        """Check that a representation is no loop and of bounded size.
+
+        Raises
+        ------
+        BuildingError
+        """
+        self._count(representation, ())
+
+    def _count(self, node: ifcopenshell.entity_instance, path: tuple[int, ...]) -> int:
+        if (known := self._counts.get(node.id())) is not None:
+            return known
+        if node.id() in path:
+            raise BuildingError(self._name, label(node), "geometry that contains itself", "geometry without a loop")
+        if len(path) >= DEEPEST:
+            raise BuildingError(self._name, label(node), f"geometry nested {DEEPEST} deep", "less")
+        count = 1
+        with Where(self._name, node):
+            parts = _parts(node)
+        for part in parts:
+            count += self._count(part, (*path, node.id()))
+            if count > MOST_ITEMS:
+                raise BuildingError(self._name, label(node), f"more than {MOST_ITEMS} items by mapping", "less")
+        self._counts[node.id()] = count
+        return count
+
+    def resolved(self, representation: ifcopenshell.entity_instance) -> list[Item]:
+        """Return what a representation that was checked is made of."""
+        with Where(self._name, representation), np.errstate(all="ignore"):
+            return _resolved(representation, np.eye(4))
+
+
+def _parts(node: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_instance, ...]:
+    if node.is_a("IfcShapeModel"):
+        return tuple(node.Items)
+    if node.is_a("IfcMappedItem"):
+        return (node.MappingSource.MappedRepresentation,)
+    if node.is_a("IfcBooleanResult"):
+        return (node.FirstOperand, node.SecondOperand)
+    if node.is_a("IfcCsgSolid"):
+        return (node.TreeRootExpression,)
+    return ()
+
+
+def _resolved(representation: ifcopenshell.entity_instance, placement: np.ndarray | None) -> list[Item]:
+    found = []
+    for item in representation.Items:
+        if not item.is_a("IfcMappedItem"):
+            found.append(Item(item, placement))
+            continue
+        inner = None
+        if placement is not None and item.MappingTarget.is_a("IfcCartesianTransformationOperator3D"):
+            inner = placement @ ifcopenshell.util.placement.get_mappeditem_transformation(item)
+        found += _resolved(item.MappingSource.MappedRepresentation, inner)
+    return found
+
+
+def extrusion(item: Item, unit: float) -> Extrusion | None:
+    """Return an item as an extrusion in the element's frame; None: it is none, or its profile becomes no polygon.
+
+    Parameters
+    ----------
+    item : Item
+    unit : float
+        Metres per length unit.
+    """
+    solid = item.entity
+    if solid.is_a() != "IfcExtrudedAreaSolid" or item.placement is None:
+        return None
+    if (profile := outlines(solid.SweptArea)) is None:
+        return None
+    placement = item.placement
+    if solid.Position is not None:
+        placement = placement @ ifcopenshell.util.placement.get_axis2placement(solid.Position)
+    direction = np.array(solid.ExtrudedDirection.DirectionRatios, dtype=float)
+    return _moved(profile, placement, direction / np.linalg.norm(direction) * solid.Depth, unit)
+
+
+def _moved(
+    profile: tuple[np.ndarray, tuple[np.ndarray, ...]], placement: np.ndarray, sweep: np.ndarray, unit: float
+) -> Extrusion | None:
+    """The extrusion in a right-handed orthonormal frame, whatever scale and mirror the placement has."""
+    linear = placement[:3, :3] * unit
+    x = linear[:, 0] / np.linalg.norm(linear[:, 0])
+    z = np.cross(x, linear[:, 1])
+    z = z / np.linalg.norm(z)
+    rotation = np.column_stack([x, np.cross(z, x), z])
+    flat = (rotation.T @ linear)[:2, :2]
+    moved = rotation.T @ linear @ sweep
+    depth = float(np.linalg.norm(moved))
+    if not np.isfinite(rotation).all() or not np.isfinite(depth) or depth <= 0 or abs(moved[2]) < 1e-6 * depth:
+        return None
+    outline, holes = (profile[0] @ flat.T, tuple(hole @ flat.T for hole in profile[1]))
+    if np.linalg.det(flat) < 0:
+        outline, holes = outline[::-1], tuple(hole[::-1] for hole in holes)
+    pose = Pose(placement[:3, 3] * unit, rotation)
+    return Extrusion(np.ascontiguousarray(outline), tuple(map(np.ascontiguousarray, holes)), pose, moved / depth, depth)
+
+
+def extent(given: Extrusion) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Return an extrusion's bounding box in the element's frame and its volumes, to compare it with triangles.
+
+    Returns
+    -------
+    low, high : array, shape (3,)
+        [m]
+    volume, outer : float
+        With its holes, and as if it had none [m³].
+    """
+    flat = np.column_stack([given.outline, np.zeros(len(given.outline))])
+    corners = np.concatenate([flat, flat + given.direction * given.depth])
+    corners = corners @ given.element_T_profile.rotation.T + given.element_T_profile.position
+    outer, *holes = (_area(loop) for loop in (given.outline, *given.holes))
+    length = given.depth * abs(float(given.direction[2]))
+    return corners.min(axis=0), corners.max(axis=0), (outer + sum(holes)) * length, outer * length
+
+
+def _area(corners: np.ndarray) -> float:
+    x, y = (corners - corners[0]).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2

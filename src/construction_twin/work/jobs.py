@@ -1,0 +1,108 @@
+"""What is asked of the arm for one task, and the segments with which it does it. Records only.
+
+SI; poses in the robot's base_link unless the name says otherwise; joint vectors in the order of `RobotModel.joint_names`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.segments import Signal, Switch
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.scene.objects import Scene, SceneObject
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceJob:
+    """One element from its stock to its place.
+
+    Attributes
+    ----------
+    task : str
+        Id of the task.
+    element : str
+        GlobalId of the element; its scene objects are called ``<element>/0``, ``<element>/1``, ...
+    element_name, ifc_class, type_name : str
+    properties : mapping of str to mapping
+        The element's property sets, for recipes and ``CTwin_RobotTask``.
+    bodies : tuple of SceneObject
+        The element's convex pieces, named as above, their poses in the element's frame, `link` empty.
+    mass : float or None
+        [kg]
+    base_T_stock, base_T_goal : Pose
+        ``base_T_element`` before and after.
+    supports : tuple of str
+        Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
+    """
+
+    task: str
+    element: str
+    element_name: str
+    ifc_class: str
+    type_name: str
+    properties: dict
+    bodies: tuple[SceneObject, ...]
+    mass: float | None
+    base_T_stock: Pose
+    base_T_goal: Pose
+    supports: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class WorkSegment:
+    """One motion from rest to rest, and what happens at its end.
+
+    Attributes
+    ----------
+    name : str
+    trajectory : Trajectory
+    engaged : bool
+    requires : tuple of Signal
+    switches : tuple of Switch
+    put : tuple of SceneObject
+        Added or replaced after the switches.
+    remove : tuple of str
+    scene, scene_after : Scene
+    """
+
+    name: str
+    trajectory: Trajectory
+    engaged: bool
+    requires: tuple[Signal, ...]
+    switches: tuple[Switch, ...]
+    put: tuple[SceneObject, ...]
+    remove: tuple[str, ...]
+    scene: Scene
+    scene_after: Scene
+
+
+@dataclass(frozen=True, eq=False)
+class WorkPlan:
+    """A whole task, planned.
+
+    Attributes
+    ----------
+    job : PlaceJob
+    grip : str
+        Name of the grip candidate that is used.
+    segments : tuple of WorkSegment
+    planning_time : float
+        [s]
+    clearance : float
+        Smallest over all segments, without what they approach on purpose [m].
+    tool0_T_element : Pose
+        How the element is held.
+    """
+
+    job: PlaceJob
+    grip: str
+    segments: tuple[WorkSegment, ...]
+    planning_time: float
+    clearance: float
+    tool0_T_element: Pose
+
+    @property
+    def duration(self) -> float:
+        """Time of all motions [s], without the waiting for switches."""
+        return sum(segment.trajectory.duration for segment in self.segments)

@@ -1,0 +1,478 @@
+"""The order of a building model's tasks: which jobs there are for an arm, what each waits for, and what may start now.
+
+In: the tasks and sequences of a `BuildingModel`. Out: jobs in an order that can be built, or one sentence with the ids of what
+makes no sense. Times are arguments, in seconds of any one clock. Plans nothing and remembers nothing.
+
+A job is one element that a task without subtasks makes. A sequence of a nesting task holds for all that it nests: with
+``START_START`` everything in the first must have started before anything in the second may. An arm cannot end a placing later than
+it is done, so what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without
+product passes order and lags on and takes no time.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+
+from construction_twin.core.work_errors import ScheduleError
+from construction_twin.work.building import BuildingModel, Sequence, Task
+from construction_twin.work.workpieces import workpieces
+
+_KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
+_LISTED = 10
+
+
+@dataclass(frozen=True)
+class Wait:
+    """What a job waits for.
+
+    Attributes
+    ----------
+    job : str
+        Id of another job.
+    finished : bool
+        It must be finished; else it must have started.
+    lag : float
+        Time that must have passed since [s], at least 0.
+    """
+
+    job: str
+    finished: bool
+    lag: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """One element to be placed.
+
+    Attributes
+    ----------
+    id : str
+        The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
+    task, name, element : str
+        GlobalId and name of the task, GlobalId of the element.
+    robots : tuple of str
+        Who may do it, the task's own or else those of the tasks it nests in; empty: any.
+    after : tuple of Wait
+        Empty: it may start at once.
+    """
+
+    id: str
+    task: str
+    name: str
+    element: str
+    robots: tuple[str, ...]
+    after: tuple[Wait, ...]
+
+
+@dataclass(frozen=True)
+class Blocker:
+    """Why a job may not start yet.
+
+    Attributes
+    ----------
+    job : Job
+        What it waits for.
+    finished : bool
+        That must be finished; else it must have started.
+    remaining : float or None
+        Rest of the lag [s]; None: that has not happened yet.
+    """
+
+    job: Job
+    finished: bool
+    remaining: float | None
+
+    @property
+    def text(self) -> str:
+        """One sentence's part for people: ``after 'Place stud 1' (2xF...) has finished``."""
+        done = "finished" if self.finished else "started"
+        if self.remaining is None:
+            return f"after {self.job.name!r} ({self.job.id}) has {done}"
+        return f"{self.remaining:.0f} s from now, its lag after {self.job.name!r} ({self.job.id}) has {done}"
+
+
+class Schedule:
+    """A checked graph of jobs.
+
+    Made by `Schedule.of`.
+
+    Attributes
+    ----------
+    jobs : tuple of Job
+        In an order in which they can be done one after the other: as the tasks are scheduled if all say when, else as in the file.
+    notes : tuple of str
+        One sentence, with ids, for each thing that was understood in a way the user should know.
+    unmade : tuple of str
+        GlobalIds of the workpieces that no job makes.
+    proposed : bool
+        It is not the planner's but a proposal from the geometry, which a person must accept.
+    """
+
+    def __init__(self, jobs: tuple[Job, ...], notes: tuple[str, ...], unmade: tuple[str, ...], proposed: bool = False):
+        self.jobs, self.notes, self.unmade, self.proposed = jobs, notes, unmade, proposed
+        self._by_id = {job.id: job for job in jobs}
+
+    @classmethod
+    def of(cls, model: BuildingModel, proposed: bool = False) -> Schedule:
+        """Return the schedule of a model.
+
+        Parameters
+        ----------
+        model : BuildingModel
+        proposed : bool
+            Its tasks come from `proposed_schedule`.
+
+        Raises
+        ------
+        ScheduleError
+            With the ids: no tasks at all, tasks that wait for or nest in each other in a circle, an element made twice, a sequence
+            or a nesting with a task that is not there.
+        """
+        reading = _Reading(model)
+        jobs = reading.jobs()
+        unmade = reading.unmade(jobs)
+        return cls(_in_order(jobs, model.tasks), tuple(reading.notes), unmade, proposed)
+
+    def job(self, identifier: str) -> Job:
+        """Return the job of that id.
+
+        Raises
+        ------
+        ScheduleError
+            If there is none.
+        """
+        if identifier not in self._by_id:
+            raise ScheduleError(f"job {identifier!r}: the schedule has none of that id", (identifier,))
+        return self._by_id[identifier]
+
+    def blockers(
+        self, identifier: str, started: Mapping[str, float], finished: Mapping[str, float], now: float
+    ) -> tuple[Blocker, ...]:
+        """Return what a job still waits for; empty: it may start.
+
+        Parameters
+        ----------
+        identifier : str
+            Of the job.
+        started, finished : mapping of str to float
+            When [s], by job id; a job that is finished need not be in `started`.
+        now : float
+            [s]
+
+        Raises
+        ------
+        ScheduleError
+            If there is no such job.
+        """
+        found = []
+        for wait in self.job(identifier).after:
+            since = finished.get(wait.job)
+            if not wait.finished:
+                since = started.get(wait.job, since)
+            if since is None:
+                found.append(Blocker(self._by_id[wait.job], wait.finished, None))
+            elif since + wait.lag > now:
+                found.append(Blocker(self._by_id[wait.job], wait.finished, since + wait.lag - now))
+        return tuple(found)
+
+    def allowed(
+        self, started: Mapping[str, float], finished: Mapping[str, float], now: float, robot: str = ""
+    ) -> tuple[Job, ...]:
+        """Return the jobs that may start now, in order.
+
+        Parameters
+        ----------
+        started, finished : mapping of str to float
+            When [s], by job id; both are over.
+        now : float
+            [s]
+        robot : str
+            Only jobs that this robot may do; empty: all.
+        """
+        return tuple(
+            job
+            for job in self.jobs
+            if job.id not in started
+            and job.id not in finished
+            and (not robot or not job.robots or robot in job.robots)
+            and not self.blockers(job.id, started, finished, now)
+        )
+
+
+# -- from tasks to jobs ------------------------------------------------------------------------------------------------
+
+#: What something waits for: lag by job and whether that must be finished.
+_Waits = dict[tuple[str, bool], float]
+
+
+class _Reading:
+    """Tasks and sequences of one model, checked."""
+
+    def __init__(self, model: BuildingModel):
+        self._model, self._tasks = model, model.tasks
+        self.notes: list[str] = []
+        if not model.tasks:
+            raise ScheduleError(
+                f"{model.file}: it has no tasks; have an order proposed from the geometry and accept it"
+            )
+        self._children: dict[str, list[str]] = {identifier: [] for identifier in model.tasks}
+        self._check_nesting()
+        self._sequences = self._checked_sequences()
+        self._products = self._checked_products()
+
+    def jobs(self) -> tuple[Job, ...]:
+        """Return the jobs in the file's order."""
+        waits = self._all_waits()
+        jobs: list[Job] = []
+        for identifier, products in self._products.items():
+            task, after = self._tasks[identifier], waits[identifier]
+            for number, product in enumerate(products, 1):
+                own = self._job_id(identifier, number)
+                before = {(self._job_id(identifier, number - 1), True): 0.0} if number > 1 else after
+                found = tuple(Wait(job, finished, lag) for (job, finished), lag in before.items())
+                jobs.append(Job(own, identifier, task.name, product, self._robots(identifier), found))
+        return tuple(jobs)
+
+    def unmade(self, jobs: tuple[Job, ...]) -> tuple[str, ...]:
+        """Return the workpieces without job, and note them."""
+        made = {job.element for job in jobs}
+        left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
+        if left:
+            self.notes.append(f"No task makes {_counted(left, 'element')}: {_listed(left)}; the arm leaves them alone.")
+        return left
+
+    def _job_id(self, task: str, number: int) -> str:
+        return task if len(self._products[task]) == 1 else f"{task}/{number}"
+
+    def _check_nesting(self) -> None:
+        for identifier, task in self._tasks.items():
+            if not task.parent:
+                continue
+            if task.parent not in self._tasks:
+                raise ScheduleError(
+                    f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task of the model",
+                    (identifier, task.parent),
+                )
+            self._children[task.parent].append(identifier)
+        for identifier in self._tasks:
+            chain: dict[str, None] = {}
+            at = identifier
+            while at and at not in chain:
+                chain[at] = None
+                at = self._tasks[at].parent
+            if at:
+                circle = tuple(chain)[tuple(chain).index(at) :]
+                raise ScheduleError(f"tasks nest in each other in a circle: {', '.join(circle)}", circle)
+
+    def _above(self, identifier: str) -> tuple[str, ...]:
+        """Return the task and those that it nests in, from inside."""
+        found = []
+        while identifier:
+            found.append(identifier)
+            identifier = self._tasks[identifier].parent
+        return tuple(found)
+
+    def _robots(self, identifier: str) -> tuple[str, ...]:
+        return next((self._tasks[at].robots for at in self._above(identifier) if self._tasks[at].robots), ())
+
+    def _checked_sequences(self) -> dict[str, list[Sequence]]:
+        """Return the sequences by the task that waits."""
+        into: dict[str, list[Sequence]] = {identifier: [] for identifier in self._tasks}
+        leads, needless = [], []
+        for sequence in self._model.sequences:
+            ids = (sequence.before, sequence.after)
+            missing = [identifier for identifier in ids if identifier not in self._tasks]
+            if missing:
+                raise ScheduleError(f"a sequence from {ids[0]} to {ids[1]} names {missing[0]}, which is no task", ids)
+            if sequence.kind not in _KINDS:
+                expected = ", ".join(_KINDS)
+                raise ScheduleError(
+                    f"the sequence from {ids[0]} to {ids[1]} is of kind {sequence.kind!r}; expected {expected}", ids
+                )
+            if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
+                if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
+                    raise ScheduleError(
+                        f"the sequence from {ids[0]} to {ids[1]} makes a task wait for itself: "
+                        "they are the same, or one nests in the other",
+                        ids,
+                    )
+                needless.append(ids)
+                continue
+            if not math.isfinite(sequence.lag):
+                raise ScheduleError(f"the sequence from {ids[0]} to {ids[1]} has a lag of {sequence.lag} s", ids)
+            if sequence.lag < 0.0:
+                leads.append(ids)
+            into[sequence.after].append(sequence)
+        for ids in needless:
+            self.notes.append(f"The sequence from {ids[0]} to {ids[1]} is left out: one of them nests in the other.")
+        for ids in leads:
+            self.notes.append(f"The lead from {ids[0]} to {ids[1]} is not used: the arm waits as if its lag were 0.")
+        return into
+
+    def _checked_products(self) -> dict[str, tuple[str, ...]]:
+        """Return the elements that each task without subtasks makes, of those that make any."""
+        found: dict[str, tuple[str, ...]] = {}
+        maker: dict[str, str] = {}
+        empty: list[str] = []
+        for identifier, task in self._tasks.items():
+            nested = self._children[identifier]
+            known = tuple(dict.fromkeys(one for one in task.products if one in self._model.elements))
+            unknown = tuple(one for one in task.products if one not in self._model.elements)
+            if unknown and not nested:
+                self.notes.append(
+                    f"Task {identifier} ({task.name!r}) makes {_listed(unknown)}, which the arm cannot place: "
+                    "no such element was read."
+                )
+            if nested and known:
+                self.notes.append(
+                    f"What task {identifier} ({task.name!r}) makes is taken from the tasks that nest in it: {_listed(known)}."
+                )
+            if nested:
+                continue
+            if not known:
+                empty.append(identifier)
+                continue
+            for element in known:
+                if element in maker:
+                    raise ScheduleError(
+                        f"element {element} ({self._model.elements[element].name!r}) is made twice, by tasks "
+                        f"{maker[element]} and {identifier}; it can be placed once",
+                        (element, maker[element], identifier),
+                    )
+                maker[element] = identifier
+            found[identifier] = known
+        idle = [one for one in empty if not self._tasks[one].milestone]
+        if idle:
+            self.notes.append(
+                f"{_counted(idle, 'task')} without element: {_listed(idle)}; kept for the order, no time is waited for."
+            )
+        return found
+
+    def _all_waits(self) -> dict[str, _Waits]:
+        """Return what the start of each task waits for, in terms of jobs.
+
+        Two nodes per task: its start may come (0), and it is done (1). Order goes from a parent's start to its children's, from
+        children to their parent's being done, along sequences from done to start, and through what makes nothing.
+        """
+        before: dict[tuple[str, int], list[tuple[str, int]]] = {}
+        for identifier, task in self._tasks.items():
+            start = [(sequence.before, 1) for sequence in self._sequences[identifier]]
+            before[identifier, 0] = start + ([(task.parent, 0)] if task.parent else [])
+            nested = self._children[identifier]
+            before[identifier, 1] = [(child, 1) for child in nested] or [(identifier, 0)]
+        started: dict[str, _Waits] = {}
+        finished: dict[str, _Waits] = {}
+        gates: dict[str, _Waits] = {}
+        for identifier, node in self._topological(before):
+            if node == 0:
+                parent = self._tasks[identifier].parent
+                own = self._sequences[identifier]
+                gate = gates[parent] if parent else {}
+                for sequence in own:
+                    source = finished if _KINDS[sequence.kind] else started
+                    gate = _merged(gate, source[sequence.before], max(sequence.lag, 0.0))
+                gates[identifier] = gate
+            elif identifier in self._products:
+                last = self._job_id(identifier, len(self._products[identifier]))
+                started[identifier], finished[identifier] = {(last, False): 0.0}, {(last, True): 0.0}
+            elif self._children[identifier]:
+                started[identifier], finished[identifier] = {}, {}
+                for child in self._children[identifier]:
+                    started[identifier] = _merged(started[identifier], started[child], 0.0)
+                    finished[identifier] = _merged(finished[identifier], finished[child], 0.0)
+            else:
+                started[identifier] = finished[identifier] = gates[identifier]
+        return gates
+
+    def _topological(self, before: dict[tuple[str, int], list[tuple[str, int]]]) -> list[tuple[str, int]]:
+        """Return the nodes so that each comes after those before it.
+
+        Raises
+        ------
+        ScheduleError
+            If they form a circle.
+        """
+        missing = {node: len(sources) for node, sources in before.items()}
+        into: dict[tuple[str, int], list[tuple[str, int]]] = {node: [] for node in before}
+        for node, sources in before.items():
+            for source in sources:
+                into[source].append(node)
+        ready = [node for node, count in missing.items() if count == 0]
+        order = []
+        while ready:
+            node = ready.pop()
+            order.append(node)
+            for target in into[node]:
+                missing[target] -= 1
+                if missing[target] == 0:
+                    ready.append(target)
+        if len(order) == len(before):
+            return order
+        # every node that is left has one before it that is left: going back must come round
+        at = next(node for node, count in missing.items() if count > 0)
+        seen: dict[tuple[str, int], None] = {}
+        while at not in seen:
+            seen[at] = None
+            at = next(source for source in before[at] if missing[source] > 0)
+        nodes = list(seen)[list(seen).index(at) :]
+        circle = tuple(dict.fromkeys(identifier for identifier, _ in reversed(nodes)))
+        names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
+        raise ScheduleError(f"tasks wait for each other in a circle: {names}", circle)
+
+
+def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:
+    """Return what both wait for, the second `lag` longer; the longest lag of each wins."""
+    merged = dict(first)
+    for wait, own in second.items():
+        merged[wait] = max(own + lag, merged.get(wait, 0.0))
+    return merged
+
+
+def _in_order(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> tuple[Job, ...]:
+    """Return jobs so that each comes after what it waits for, otherwise as scheduled or as they are."""
+    places = _places(jobs, tasks)
+    waiting = {job.id: len({wait.job for wait in job.after}) for job in jobs}
+    freed: dict[str, list[Job]] = {job.id: [] for job in jobs}
+    for job in jobs:
+        for before in {wait.job for wait in job.after}:
+            freed[before].append(job)
+    by_place = {places[job.id]: job for job in jobs}
+    heap = [places[job.id] for job in jobs if waiting[job.id] == 0]
+    heapq.heapify(heap)
+    order = []
+    while heap:
+        job = by_place[heapq.heappop(heap)]
+        order.append(job)
+        for other in freed[job.id]:
+            waiting[other.id] -= 1
+            if waiting[other.id] == 0:
+                heapq.heappush(heap, places[other.id])
+    return tuple(order)
+
+
+def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple[float, int]]:
+    """Return date and number of each job, by which they are sorted; no dates where one is missing or cannot be compared."""
+    numbers = {job.id: number for number, job in enumerate(jobs)}
+    try:
+        starts = {job.id: datetime.fromisoformat(tasks[job.task].start) for job in jobs}
+    except ValueError:
+        return {identifier: (0.0, number) for identifier, number in numbers.items()}
+    if len({start.tzinfo is None for start in starts.values()}) > 1:
+        return {identifier: (0.0, number) for identifier, number in numbers.items()}
+    return {identifier: (starts[identifier].timestamp(), number) for identifier, number in numbers.items()}
+
+
+def _counted(ids: Iterable[str], what: str) -> str:
+    count = len(tuple(ids))
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _listed(ids: Iterable[str]) -> str:
+    """Return ids with commas, the first few."""
+    every = tuple(ids)
+    more = f" and {len(every) - _LISTED} more" if len(every) > _LISTED else ""
+    return ", ".join(every[:_LISTED]) + more

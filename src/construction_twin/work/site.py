@@ -1,0 +1,253 @@
+"""The cell of a work: tool, recipes, surroundings, where the model stands, and the racks with the stock.
+
+Read from a YAML file, see config/work/timber_panel.yaml. Metres; degrees only in the file's ``rpy_deg``. Frames: `base` is the
+robot's base_link, `model` the building model's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pydantic
+import yaml
+from scipy.spatial.transform import Rotation
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import configuration_error
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.tool import Place as FilePose
+from construction_twin.robot.tool import ToolFile, read_tool
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.scene_yaml import read_scene
+from construction_twin.work.building import BuildingModel, Element
+from construction_twin.work.matching import Match
+from construction_twin.work.recipes import DELIVERED, PROPERTY_SET, Recipes, read_recipes
+
+_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
+_Count = Annotated[int, pydantic.Field(ge=1, le=10000)]
+_Step = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=100.0)]
+_Vector = tuple[_Finite, _Finite, _Finite]
+_RackName = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+
+
+class _Strict(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class _Rack(_Strict):
+    """What every rack has.
+
+    Attributes
+    ----------
+    holds : Match
+        Which elements it holds; an element belongs to the first rack that fits.
+    frame : str
+        ``base`` or ``model``: what its poses are in.
+    order : str
+        ``schedule``: slots are filled in the order in which the elements are needed; ``file``: in the order of the model.
+    surface : str
+        Name of the scene's object that the elements lie on; empty: none.
+    """
+
+    holds: Match = Match()
+    frame: Literal["base", "model"] = "base"
+    order: Literal["schedule", "file"] = "schedule"
+    surface: str = ""
+
+
+class _Lying(_Rack):
+    """Racks with slots of their own: a slot is where the middle of the underside of an element's box stands.
+
+    Attributes
+    ----------
+    at : FilePose
+        The first slot, and the directions of the rack.
+    lies : str
+        ``as_built``: the elements lie in the rack's frame as they do in the model's; ``own_axes``: their own axes along the
+        rack's.
+    rpy_deg : tuple of float
+        Turn of the element on top of that, about the rack's x, y and z axes [deg].
+    refill : bool
+        A slot is filled again when its element has been taken; otherwise more elements than slots are refused.
+    """
+
+    at: FilePose
+    lies: Literal["as_built", "own_axes"] = "as_built"
+    rpy_deg: _Vector = (0.0, 0.0, 0.0)
+    refill: bool = False
+
+
+class GridRack(_Lying):
+    """Slots in rows (along the rack's y) and columns (along its x)."""
+
+    kind: Literal["grid"]
+    rows: _Count
+    columns: _Count
+    pitch: tuple[_Step, _Step]
+
+
+class StackRack(_Lying):
+    """Elements on top of each other: what is needed first lies on top."""
+
+    kind: Literal["stack"]
+    levels: _Count
+    step: _Step
+
+
+class ListRack(_Lying):
+    """Slots at poses of their own, in the rack's frame."""
+
+    kind: Literal["list"]
+    slots: Annotated[tuple[FilePose, ...], pydantic.Field(min_length=1)]
+
+
+class DeliveredRack(_Rack):
+    """The model says where the elements are delivered.
+
+    Attributes
+    ----------
+    offset : FilePose or None
+        Every element lies this far from where it will be built, in the model's frame, turned about its own origin.
+    property : str
+        ``Pset.Name`` of a text ``x y z`` or ``x y z roll pitch yaw`` [m, deg]: where the element's frame is, in `frame`.
+    """
+
+    kind: Literal["delivered"]
+    offset: FilePose | None = None
+    property: Annotated[str, pydantic.Field(pattern=r"^[^.]+\.[^.]+$")] = f"{PROPERTY_SET}.{DELIVERED}"
+
+
+Rack = Annotated[GridRack | StackRack | ListRack | DeliveredRack, pydantic.Field(discriminator="kind")]
+
+
+class CellFile(_Strict):
+    """The keys of a cell file, each explained in config/work/timber_panel.yaml.
+
+    Attributes
+    ----------
+    tool, recipes, scene : str
+        Files, relative to this one.
+    model_T_base : FilePose or None
+        Where the robot's base_link is in the model.
+    base_element : str
+        GlobalId or name of the element of the model that stands for the robot's base_link; empty: `model_T_base` is given.
+    supports : tuple of str
+        Objects of the scene that elements are set down on.
+    racks : mapping of str to Rack
+    """
+
+    tool: str
+    recipes: str
+    scene: str
+    model_T_base: FilePose | None = None
+    base_element: str = ""
+    supports: tuple[str, ...] = ()
+    racks: Annotated[dict[_RackName, Rack], pydantic.Field(min_length=1)]
+
+    @pydantic.model_validator(mode="after")
+    def _one_place(self) -> CellFile:
+        if (self.model_T_base is None) == (not self.base_element):
+            raise ValueError("expected either model_T_base or base_element")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A cell, read.
+
+    Attributes
+    ----------
+    path : str
+    file : CellFile
+    tool : ToolFile
+    recipes : Recipes
+    scene : Scene
+        Without tool and elements.
+    """
+
+    path: str
+    file: CellFile
+    tool: ToolFile
+    recipes: Recipes
+    scene: Scene
+
+    def model_T_base(self, building: BuildingModel) -> Pose:
+        """Return where the robot's base_link is in a model.
+
+        Raises
+        ------
+        ConfigurationError
+            If the element that stands for the base is not in the model, or not the only one of its name.
+        """
+        if self.file.model_T_base is not None:
+            return pose_of(self.file.model_T_base)
+        return self.base(building).model_T_element
+
+    def base(self, building: BuildingModel) -> Element:
+        """Return the element that stands for the robot's base; raises as `model_T_base`."""
+        asked = self.file.base_element
+        if asked in building.elements:
+            return building.elements[asked]
+        found = [element for element in building.elements.values() if element.name == asked]
+        if len(found) != 1:
+            raise ConfigurationError(
+                f"{self.path}/base_element", asked,
+                f"GlobalId or name of one element of {building.file}; {len(found)} have this name",
+            )  # fmt: skip
+        return found[0]
+
+
+def read_site(path: str | Path) -> Site:
+    """Read a cell file and the files that it names.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming file, key, value and what was expected; also for its tool and recipes.
+    SceneError
+        If its scene cannot be used.
+    """
+    try:
+        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(
+            str(path), " ".join(str(error).split()), "a YAML file of a cell, as config/work/timber_panel.yaml"
+        ) from error
+    try:
+        cell = CellFile.model_validate(description)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, CellFile, str(path)) from error
+    folder = Path(path).resolve().parent
+    tool, recipes = read_tool(folder / cell.tool), read_recipes(folder / cell.recipes)
+    recipes.check_tool(tool.tool)
+    scene = read_scene(folder / cell.scene)
+    _check_names(str(path), cell, scene)
+    return Site(str(path), cell, tool, recipes, scene)
+
+
+def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
+    known = f"one of the scene's objects: {', '.join(scene.names) or 'it has none'}"
+    for name in cell.supports:
+        if name not in scene.names:
+            raise ConfigurationError(f"{path}/supports", name, known)
+    for rack, description in cell.racks.items():
+        if description.surface and description.surface not in scene.names:
+            raise ConfigurationError(f"{path}/racks/{rack}/surface", description.surface, known)
+    for item in scene.objects:
+        if "/" in item.name:
+            raise ConfigurationError(
+                f"{path}/scene", item.name, "objects without / in their names, which belong to elements and tool"
+            )
+
+
+def pose_of(place: FilePose) -> Pose:
+    """Return a pose of a file."""
+    return Pose(np.array(place.xyz), Rotation.from_euler("xyz", place.rpy_deg, degrees=True).as_matrix())
+
+
+def inverse(a_T_b: Pose) -> Pose:
+    """Return ``b_T_a``."""
+    return Pose(-a_T_b.rotation.T @ a_T_b.position, a_T_b.rotation.T)

@@ -1,0 +1,170 @@
+"""The scene of a cell at one state of the work, and the job of each element: from cell, building model and convex pieces.
+
+Metres; poses in the robot's base_link. Elements that are not delivered are not there, stock is where its rack says, what was placed
+stands as built, and what no task makes stands where the model has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.kinematics.chain import Pose
+from construction_twin.scene.objects import Scene, SceneObject, product
+from construction_twin.work.building import BuildingModel
+from construction_twin.work.contacts import Shapes, tool_objects
+from construction_twin.work.jobs import PlaceJob
+from construction_twin.work.pieces import Pieces
+from construction_twin.work.racks import Slot, StockPlan, plan_stock
+from construction_twin.work.site import Site, inverse
+
+#: Elements at a pose whose objects are kept.
+_STOOD = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class WorkState:
+    """What has been done.
+
+    Attributes
+    ----------
+    placed : mapping of str to Pose
+        ``base_T_element`` of the elements that stand, as built.
+    gone : frozenset of str
+        Elements that are neither in stock nor placed: lost, or in the grip.
+    """
+
+    placed: Mapping[str, Pose] = field(default_factory=dict)
+    gone: frozenset[str] = frozenset()
+
+
+class Layout:
+    """Where every element of a work is before and after.
+
+    Parameters
+    ----------
+    site : Site
+    building : BuildingModel
+    pieces : mapping of str to tuple of SceneObject
+        Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
+    order : sequence of str
+        GlobalIds of the elements that are placed, in the order in which they are needed.
+    link : str
+        The robot's tip link, which carries the tool.
+    standing : mapping of str to sequence of SceneObject, optional
+        Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
+
+    Attributes
+    ----------
+    site : Site
+    building : BuildingModel
+    order : tuple of str
+    stock : StockPlan
+    standing : tuple of SceneObject
+        What stands from the beginning, fixed, in the robot's base_link.
+
+    Raises
+    ------
+    ConfigurationError, BuildingError
+        See `racks.plan_stock`.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        building: BuildingModel,
+        pieces: Mapping[str, Sequence[SceneObject]],
+        order: Sequence[str],
+        link: str,
+        standing: Mapping[str, Sequence[SceneObject]] = MappingProxyType({}),
+    ):
+        self.site, self.building, self.order = site, building, tuple(order)
+        self._pieces = {element: tuple(pieces[element]) for element in order}
+        self._base_T_model = inverse(site.model_T_base(building))
+        self._tool = tool_objects(site.tool, link)
+        corners = {element: Pieces(items).points for element, items in self._pieces.items() if items}
+        for element in order:
+            if element not in corners:
+                name = building.element(element).name
+                raise TaskPlanningError(element, f"element {name!r} has no geometry; leave it out of the work")
+        self.stock: StockPlan = plan_stock(site, building, order, corners)
+        self.standing = tuple(
+            replace(item.moved(product(self.base_T_goal(element), item.pose)), fixed=True)
+            for element, items in standing.items()
+            for item in items
+        )
+        self._shapes = Shapes()
+        self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
+
+    def pieces(self, element: str) -> tuple[SceneObject, ...]:
+        """Return an element's convex pieces, in its own frame."""
+        return self._pieces[element]
+
+    def slot(self, element: str) -> Slot:
+        """Return where an element lies in stock."""
+        return self.stock.slots[element]
+
+    def base_T_goal(self, element: str) -> Pose:
+        """Return where an element is to stand, as designed."""
+        return product(self._base_T_model, self.building.element(element).model_T_element)
+
+    def delivered(self, state: WorkState) -> tuple[str, ...]:
+        """Return the elements that lie in stock."""
+        return self.stock.present({*state.placed, *state.gone})
+
+    def scene(self, state: WorkState = WorkState()) -> Scene:
+        """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands.
+
+        Parameters
+        ----------
+        state : WorkState
+        """
+        surroundings = self.site.scene
+        objects = [*surroundings.objects, *self.standing, *self._tool]
+        for element in self.delivered(state):
+            objects += self._standing(element, self.slot(element).base_T_element)
+        for element, pose in state.placed.items():
+            if element in self._pieces:
+                objects += self._standing(element, pose)
+        return Scene(tuple(objects), surroundings.padding)
+
+    def job_for(self, element: str, scene: Scene, task: str = "") -> PlaceJob:
+        """Return the job of placing an element.
+
+        Parameters
+        ----------
+        element : str
+            GlobalId.
+        scene : Scene
+            The present one.
+        task : str, optional
+            Id of the task; empty: the element's.
+        """
+        built, slot = self.building.element(element), self.slot(element)
+        goal = self.base_T_goal(element)
+        of_work = {item.name for items in self._pieces.values() for item in items}
+        of_work |= {item.name for item in self.standing}
+        own = {item.name for item in self._pieces[element]}
+        others = [item for item in scene.objects if item.name in of_work - own and not item.link]
+        beside = {
+            name
+            for pose in (slot.base_T_element, goal)
+            for name in self._shapes.near(self._pieces[element], [pose], others, scene.padding)
+        }
+        fixed = {*self.site.file.supports, slot.surface} & set(scene.names)
+        return PlaceJob(
+            task or element, element, built.name, built.ifc_class, built.type_name,
+            {name: dict(values) for name, values in built.properties.items()}, self._pieces[element], built.mass,
+            slot.base_T_element, goal, tuple(sorted(beside | fixed)),
+        )  # fmt: skip
+
+    def _standing(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
+        """Return an element's pieces at a pose; they are kept, because most elements stay where they are."""
+        key = element, base_T_element.position.tobytes() + base_T_element.rotation.tobytes()
+        if key not in self._stood:
+            if len(self._stood) >= _STOOD:
+                self._stood.clear()
+            self._stood[key] = tuple(item.moved(product(base_T_element, item.pose)) for item in self._pieces[element])
+        return self._stood[key]

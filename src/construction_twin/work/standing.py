@@ -1,0 +1,81 @@
+"""The elements of a building model that stand without a task making them: obstacles where the model has them. Metres."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from construction_twin.kinematics.chain import Chain
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.objects import SceneObject, product
+from construction_twin.work.building import BuildingModel, Element
+from construction_twin.work.element_bodies import element_shapes
+from construction_twin.work.site import Site, inverse, pose_of
+
+#: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
+_CARRIED = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """What stands.
+
+    Attributes
+    ----------
+    pieces : dict of str to tuple of SceneObject
+        Convex pieces of each element in its own frame, ``<GlobalId>/<number>``; for `site_scene.Layout`.
+    notes : tuple of str
+        One sentence for each element that should stand but whose geometry is unusable: it is no obstacle.
+    """
+
+    pieces: dict[str, tuple[SceneObject, ...]]
+    notes: tuple[str, ...]
+
+
+def standing(building: BuildingModel, made: Collection[str], site: Site, robot: RobotModel, folder: Path) -> Standing:
+    """Return what stands of a model within reach of the arm and what it carries.
+
+    Parameters
+    ----------
+    building : BuildingModel
+    made : collection of str
+        GlobalIds of the elements that tasks make; these, what they are parts of, and the element that stands for the base are not
+        among what stands.
+    site : Site
+    robot : RobotModel
+    folder : Path
+        For mesh files, see `element_bodies.element_shapes`.
+    """
+    chain, tool = Chain(robot), pose_of(site.tool.tool.tool0_T_tcp)
+    reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position)) + _CARRIED
+    base_T_model = inverse(site.model_T_base(building))
+    near = []
+    for element in standing_elements(building, made, site):
+        pose = product(base_T_model, element.model_T_element)
+        points = np.concatenate([body.vertices for body in element.bodies]) @ pose.rotation.T + pose.position
+        nearest = np.maximum(np.maximum(points.min(axis=0), -points.max(axis=0)), 0.0)
+        # corners that are not finite are told below
+        if not np.linalg.norm(nearest) > reach:
+            near.append(element)
+    shapes, failures = element_shapes(near, folder)
+    notes = tuple(
+        f"{building.element(name).name!r} stands in the model but is no obstacle: {failure}"
+        for name, failure in failures.items()
+    )
+    return Standing({name: shape.objects for name, shape in shapes.items()}, notes)
+
+
+def standing_elements(building: BuildingModel, made: Collection[str], site: Site) -> tuple[Element, ...]:
+    """Return the elements with bodies that no task makes, wherever they are; see `standing`."""
+    left_out = set(made)
+    for identifier in made:
+        parent = building.element(identifier).assembly
+        while parent and parent not in left_out:
+            left_out.add(parent)
+            parent = building.elements[parent].assembly if parent in building.elements else ""
+    if site.file.base_element:
+        left_out.add(site.base(building).id)
+    return tuple(one for one in building.elements.values() if one.bodies and one.id not in left_out)

@@ -1,0 +1,325 @@
+"""The states of a task of a building model: one table of states, events, guards, actions and next states.
+
+Pure. Every event but two is a line of the ledger, so that the state of every task follows from replaying it; `FREED` and `BLOCKED`
+follow from the states of other tasks. What cannot be known after a kill ends in `ASKS`: a person says what is so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+from construction_twin.core import state_table
+from construction_twin.core.work_errors import WorkError
+
+
+class TaskState(Enum):
+    """State of a task; values are the words of `WorkTask.msg`."""
+
+    WAITING = "waiting"
+    READY = "ready"
+    CARRIED = "carried"
+    PLANNED = "planned"
+    WORKING = "working"
+    GRIPPING = "gripping"
+    CARRYING = "carrying"
+    RELEASING = "releasing"
+    RETREATING = "retreating"
+    DONE = "done"
+    SKIPPED = "skipped"
+    ASKS = "asks"
+    HELD = "held"
+
+
+class TaskEvent(Enum):
+    """What can happen to a task; values are the words of the ledger."""
+
+    FREED = "freed"
+    BLOCKED = "blocked"
+    OFFERED = "offered"
+    PLANNED = "planned"
+    DROPPED = "dropped"
+    BEGUN = "begun"
+    GRIPPING = "gripping"
+    GRIPPED = "gripped"
+    NOT_GRIPPED = "not_gripped"
+    RELEASING = "releasing"
+    RELEASED = "released"
+    FINISHED = "finished"
+    STOPPED = "stopped"
+    UNKNOWN = "unknown"
+    ANSWERED = "answered"
+    MEASURED = "measured"
+    SKIPPED = "skipped"
+    REDONE = "redone"
+
+
+class Guard(Enum):
+    """What must hold for a row to count; the values are the words of the documentation."""
+
+    ALWAYS = ""
+    IN_GRIP = "the element is in the grip"
+    SAYS_STOCK = "the answer is `in_stock`"
+    SAYS_GRIP = "the answer is `in_grip`"
+    SAYS_PLACED = "the answer is `placed`"
+    SAYS_GONE = "the answer is `gone`"
+
+
+class Action(Enum):
+    """What is done before the next state is entered; the values are the words of the documentation."""
+
+    NOTHING = ""
+    KEEP_PLAN = "the plan is kept"
+    FORGET_PLAN = "the plan is forgotten"
+    IN_GRIP = "the element counts as in the grip, held as told"
+    NOT_IN_GRIP = "the element counts as in its stock; the plan is forgotten"
+    PLACED = "the element counts as placed, where the arm let go of it"
+    PLACED_AS_TOLD = "the element counts as placed, where the model has it until it is measured"
+    GONE = "the element counts as gone; the plan is forgotten"
+    DOUBTED = "the plan is forgotten; where the element was said to be is kept"
+    MEASURED = "the element counts as placed where it was measured"
+
+
+Row = state_table.Row[TaskState, TaskEvent, Guard, Action]
+_S, _E, _G, _A = TaskState, TaskEvent, Guard, Action
+
+
+def _rows(
+    states: Iterable[TaskState],
+    event: TaskEvent,
+    target: TaskState | None,
+    action: Action = Action.NOTHING,
+    guard: Guard = Guard.ALWAYS,
+) -> list[Row]:
+    return state_table.rows(states, event, guard, action, target)
+
+
+#: States in which a motion of the task may be under way.
+UNDER_WAY = (_S.WORKING, _S.GRIPPING, _S.CARRYING, _S.RELEASING, _S.RETREATING)
+#: States whose end only a person knows when this process has not seen it.
+_DOUBTFUL = (_S.PLANNED, _S.WORKING, _S.GRIPPING, _S.CARRYING, _S.RELEASING)
+#: States from which a task is planned.
+PLANNABLE = (_S.READY, _S.CARRIED)
+#: States for which no other task waits.
+SETTLED = (_S.DONE, _S.SKIPPED)
+
+#: What is not in the table is refused by `TaskMemory`.
+TABLE: tuple[Row, ...] = (
+    *_rows([_S.WAITING], _E.FREED, _S.READY),
+    *_rows([_S.READY], _E.BLOCKED, _S.WAITING),
+    # written before the plan is offered: from then on somebody may approve it
+    *_rows(PLANNABLE, _E.OFFERED, _S.PLANNED, _A.KEEP_PLAN),
+    *_rows([_S.PLANNED], _E.PLANNED, None, _A.KEEP_PLAN),
+    *_rows([_S.PLANNED], _E.DROPPED, _S.CARRIED, _A.FORGET_PLAN, _G.IN_GRIP),
+    *_rows([_S.PLANNED], _E.DROPPED, _S.READY, _A.FORGET_PLAN),
+    *_rows([_S.PLANNED], _E.BEGUN, _S.CARRYING, _A.KEEP_PLAN, _G.IN_GRIP),
+    *_rows([_S.PLANNED], _E.BEGUN, _S.WORKING, _A.KEEP_PLAN),
+    *_rows([_S.WORKING], _E.GRIPPING, _S.GRIPPING),
+    *_rows([_S.WORKING], _E.STOPPED, _S.READY, _A.NOT_IN_GRIP),
+    *_rows([_S.GRIPPING], _E.GRIPPED, _S.CARRYING, _A.IN_GRIP),
+    *_rows([_S.GRIPPING], _E.NOT_GRIPPED, _S.READY, _A.NOT_IN_GRIP),
+    *_rows([_S.GRIPPING], _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
+    *_rows([_S.CARRYING], _E.RELEASING, _S.RELEASING),
+    *_rows([_S.CARRYING], _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
+    *_rows([_S.RELEASING], _E.RELEASED, _S.RETREATING, _A.PLACED),
+    *_rows([_S.RELEASING], _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
+    *_rows([_S.RETREATING], _E.FINISHED, _S.DONE, _A.FORGET_PLAN),
+    # the element stands; that the arm stopped on its way out changes nothing about it
+    *_rows([_S.RETREATING], _E.STOPPED, _S.DONE, _A.FORGET_PLAN),
+    *_rows([_S.RETREATING], _E.UNKNOWN, _S.DONE, _A.FORGET_PLAN),
+    *_rows(_DOUBTFUL, _E.UNKNOWN, _S.ASKS, _A.FORGET_PLAN),
+    *_rows([_S.ASKS], _E.ANSWERED, _S.READY, _A.NOT_IN_GRIP, _G.SAYS_STOCK),
+    *_rows([_S.ASKS], _E.ANSWERED, _S.CARRIED, _A.IN_GRIP, _G.SAYS_GRIP),
+    *_rows([_S.ASKS], _E.ANSWERED, _S.DONE, _A.PLACED_AS_TOLD, _G.SAYS_PLACED),
+    *_rows([_S.ASKS], _E.ANSWERED, _S.HELD, _A.GONE, _G.SAYS_GONE),
+    *_rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, _A.MEASURED),
+    *_rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
+    # a person says that the element is back in its stock
+    *_rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, _A.NOT_IN_GRIP),
+    # the model was changed: what the record of the former one says of its elements is no longer sure; of what is
+    # in the grip also a person may doubt, and the tool
+    *_rows((_S.WAITING, _S.READY, _S.CARRIED, _S.DONE, _S.SKIPPED), _E.UNKNOWN, _S.ASKS, _A.DOUBTED),
+)
+
+ROWS = state_table.by_cause(TABLE)
+#: States in which an element is surely not in the grip.
+_NOT_HELD = (_S.WAITING, _S.READY, _S.DONE, _S.SKIPPED)
+
+#: What a person can answer, and what it means; the question adds which of them are possible.
+ANSWERS = {
+    "in_stock": "it lies in its stock, and the grip is empty",
+    "in_grip": "it is in the grip, as it was taken",
+    "placed": "it stands at its place, and the grip is empty",
+    "gone": "it is none of these: it was taken away; it waits until it is skipped or done again",
+}
+_SAYS = {"in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE}
+
+
+class NotNow(WorkError):
+    """An event does not fit the state of a task.
+
+    Attributes
+    ----------
+    task : str
+    state : TaskState
+    event : TaskEvent
+    """
+
+    def __init__(self, task: str, state: TaskState, event: TaskEvent):
+        self.task, self.state, self.event = task, state, event
+        super().__init__(f"task {task} is {state.value}; {event.value!r} does not follow from that")
+
+
+@dataclass
+class TaskMemory:
+    """What the ledger says of one task.
+
+    Attributes
+    ----------
+    task : str
+    state : TaskState
+    before : TaskState
+        The state that a question is about: in which its answer was lost.
+    plan, offer, grip : str
+        Of the plan under review or under way; `grip` stays with the element.
+    in_grip : bool
+        The element is held by the tool, as far as is known.
+    placed : bool
+    gone : bool
+        It is neither in its stock nor placed.
+    tool0_T_element, base_T_element : tuple of float, length 7 or 0
+        How it is held, or will be, and where it stands as built: x, y, z [m], quaternion x, y, z, w. Empty: not known.
+    measured : str
+        Who measured where it stands; empty: it is the arm's own pose when it let go, or not known.
+    as_planned : bool
+        Where it stands is where the plan had it: nothing was measured.
+    begun_ns, settled_ns : int
+        When it was begun, and when it was done or skipped, last, since 1970 [ns]; 0: not yet.
+    """
+
+    task: str
+    state: TaskState = TaskState.WAITING
+    before: TaskState = TaskState.WAITING
+    plan: str = ""
+    offer: str = ""
+    grip: str = ""
+    in_grip: bool = False
+    placed: bool = False
+    gone: bool = False
+    tool0_T_element: tuple[float, ...] = ()
+    base_T_element: tuple[float, ...] = ()
+    measured: str = ""
+    as_planned: bool = False
+    begun_ns: int = 0
+    settled_ns: int = 0
+
+    def takes(self, event: TaskEvent, answer: str = "") -> bool:
+        """Return whether an event fits the present state."""
+        return self._row(event, answer) is not None
+
+    def apply(
+        self,
+        event: TaskEvent,
+        *,
+        answer: str = "",
+        plan: str = "",
+        offer: str = "",
+        grip: str = "",
+        pose: tuple[float, ...] = (),
+        person: str = "",
+        source: str = "",
+        time_ns: int = 0,
+    ) -> None:
+        """Let an event happen.
+
+        Parameters
+        ----------
+        event : TaskEvent
+        answer : str
+            One of `ANSWERS`.
+        plan, offer, grip : str
+        pose : tuple of float, length 7 or 0
+            How it will be held (`OFFERED`), or where it stands (`RELEASED`, `MEASURED`) or is said to stand (`UNKNOWN`).
+        person : str
+            Who measured.
+        source : str
+            Where the pose of `RELEASED` comes from; ``planned``: it is as planned, not measured.
+        time_ns : int
+            When [ns].
+
+        Raises
+        ------
+        NotNow
+            If it does not fit the state; nothing is changed.
+        """
+        row = self._row(event, answer)
+        if row is None:
+            raise NotNow(self.task, self.state, event)
+        self.before = self.state
+        getattr(self, f"_{row.action.name.lower()}")(plan, offer, grip, pose, person)
+        if event in (TaskEvent.RELEASED, TaskEvent.MEASURED):
+            self.as_planned = source == "planned"
+        if event is TaskEvent.BEGUN:
+            self.begun_ns = time_ns
+        if row.target in SETTLED:
+            self.settled_ns = time_ns
+        if row.target is not None:
+            self.state = row.target
+
+    def possible_answers(self) -> tuple[str, ...]:
+        """Return what can be answered now: nothing is placed that was never held."""
+        if self.state is not TaskState.ASKS:
+            return ()
+        if self.before in _NOT_HELD:
+            return ("in_stock", "placed", "gone")
+        if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
+            return ("in_stock", "in_grip", "gone")
+        return tuple(ANSWERS)
+
+    def _row(self, event: TaskEvent, answer: str) -> Row | None:
+        for row in ROWS[self.state, event]:
+            if row.guard is Guard.ALWAYS or (row.guard is Guard.IN_GRIP and self.in_grip):
+                return row
+            if answer in self.possible_answers() and row.guard is _SAYS[answer]:
+                return row
+        return None
+
+    # -- actions
+
+    def _nothing(self, *_) -> None:
+        """Change nothing but the state."""
+
+    def _keep_plan(self, plan: str, offer: str, grip: str, pose: tuple[float, ...], *_) -> None:
+        self.plan, self.offer, self.grip = plan or self.plan, offer or self.offer, grip or self.grip
+        self.tool0_T_element = pose or self.tool0_T_element
+
+    def _forget_plan(self, *_) -> None:
+        self.plan = self.offer = ""
+
+    def _doubted(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], *_) -> None:
+        self._forget_plan()
+        self.base_T_element = pose or self.base_T_element
+
+    def _in_grip(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], *_) -> None:
+        self.in_grip, self.placed, self.gone = True, False, False
+        self.tool0_T_element = pose or self.tool0_T_element
+
+    def _not_in_grip(self, *_) -> None:
+        self.plan = self.offer = self.grip = self.measured = ""
+        self.in_grip = self.placed = self.gone = False
+        self.tool0_T_element = self.base_T_element = ()
+
+    def _placed(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], *_) -> None:
+        self.in_grip, self.placed, self.gone, self.measured = False, True, False, ""
+        self.base_T_element = pose
+
+    def _placed_as_told(self, *_) -> None:
+        self.in_grip, self.placed, self.gone = False, True, False
+
+    def _gone(self, *_) -> None:
+        self._not_in_grip()
+        self.gone = True
+
+    def _measured(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], person: str) -> None:
+        self.placed, self.gone, self.base_T_element, self.measured = True, False, pose, person

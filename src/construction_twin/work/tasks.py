@@ -1,0 +1,162 @@
+"""What the work node's child process does: read a model in its cell, and plan its tasks. See `worker`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.planning.planner import PlannerSettings
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.work.built import pose_of_tuple
+from construction_twin.work.contacts import tool_objects
+from construction_twin.work.desk import ElementFacts, Prepared
+from construction_twin.work.element_bodies import element_shapes, element_triangles
+from construction_twin.work.ifc.reading import read_building
+from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.placement import check_placement
+from construction_twin.work.proposed_schedule import is_proposal, propose
+from construction_twin.work.schedule import Schedule
+from construction_twin.work.site import pose_of, read_site
+from construction_twin.work.site_scene import Layout
+from construction_twin.work.standing import standing
+from construction_twin.work.task_planner import TaskPlanner
+
+#: By how much bodies may be larger than their element without being told [m].
+_TOLD = 0.0005
+
+
+@dataclass(frozen=True, eq=False)
+class _Session:
+    """What was read, for planning."""
+
+    layout: Layout
+    planner: TaskPlanner
+    robot: RobotModel
+
+
+#: Filled by `prepare`; the process serves one node.
+_SESSIONS: list[_Session] = []
+
+
+def prepare(
+    model: str, cell: str, robot: RobotModel, self_collision: str, planner: Mapping[str, Any], cache: str
+) -> Prepared:
+    """Read a model and its cell.
+
+    Parameters
+    ----------
+    model, cell, self_collision : str
+        Paths.
+    robot : RobotModel
+    planner : mapping
+        Parameters of the planner node; those of `PlannerSettings` are used.
+    cache : str
+        Folder for what takes long to compute.
+
+    Raises
+    ------
+    ConstructionTwinError
+        What is wrong with which file.
+    """
+    site = read_site(cell)
+    building = read_building(model, Path(cache) / "models")
+    proposed = not building.tasks
+    if proposed:
+        building = propose(building).applied(building)
+    # one that was written into the file is a proposal, too, until a person accepts it
+    schedule = Schedule.of(building, proposed or is_proposal(building))
+    order = [job.element for job in schedule.jobs]
+    chain = Chain(robot)
+    tool = pose_of(site.tool.tool.tool0_T_tcp)
+    reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
+    base = site.base(building).id if site.file.base_element else ""
+    placement = check_placement(building, site.model_T_base(building), reach, base)
+    shapes, failures = element_shapes(map(building.element, order), Path(cache) / "bodies")
+    pieces = {element: shape.objects for element, shape in shapes.items()}
+    stands = standing(building, order, site, robot, Path(cache) / "bodies")
+    # one element without usable body does not stop the others
+    usable = [element for element in order if element in pieces]
+    layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces)
+    elements = {}
+    for element in order:
+        read = building.element(element)
+        elements[element] = ElementFacts(
+            read.name or read.tag or element, read.ifc_class, read.type_name, pieces.get(element, ()),
+            layout.base_T_goal(element), element_triangles(read),
+        )  # fmt: skip
+    notes = [
+        *building.notes,
+        *(remark.text for remark in placement.remarks),
+        *map(str, failures.values()),
+        *stands.notes,
+    ]
+    notes += [
+        f"{elements[element].name} ({element}) is planned with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
+        for element, shape in shapes.items()
+        if shape.excess > _TOLD
+    ]
+    known = {name: value for name, value in planner.items() if name in PlannerSettings.model_fields}
+    rng = np.random.default_rng(known.get("seed") or None)
+    solver = inverse_kinematics(chain, IkSettings(budget_s=planner.get("ik_budget", 0.5)), rng, time.monotonic)
+    links = read_self_collision(self_collision, robot)
+    tasks = TaskPlanner(
+        robot, solver, PlannerSettings.model_validate(known), links, site.tool, site.recipes, time.monotonic, rng
+    )
+    _SESSIONS[:] = [_Session(layout, tasks, robot)]
+    return Prepared(
+        model=Path(building.file).name,
+        digest=building.digest,
+        cell=str(cell),
+        schedule=schedule,
+        schedule_digest=hashlib.sha256(json.dumps([asdict(job) for job in schedule.jobs]).encode()).hexdigest(),
+        elements=elements,
+        stock=layout.stock,
+        tool=site.tool.tool,
+        tool_objects=tool_objects(site.tool, robot.tip_link),
+        notes=tuple(notes),
+        unplannable={element: str(failure) for element, failure in failures.items()},
+        standing=layout.standing,
+    )
+
+
+def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> WorkPlan:
+    """Plan a task.
+
+    Parameters
+    ----------
+    task, element : str
+        Ids.
+    start : tuple of float, length n
+        Where the arm stands.
+    scene : Scene
+        The present one.
+    held : tuple of float, length 7 or 0
+        ``tool0_T_element`` of an element that is in the grip already; empty: it lies in its stock.
+
+    Raises
+    ------
+    TaskPlanningError
+    """
+    if not _SESSIONS:
+        raise TaskPlanningError(task, "the model has not been read in this process yet")
+    session = _SESSIONS[0]
+    job = session.layout.job_for(element, scene, task)
+    if held:
+        return session.planner.plan_carried(job, start, scene, pose_of_tuple(held))
+    return session.planner.plan(job, start, scene)
+
+
+#: What the parent may ask for.
+FUNCTIONS: dict[str, Callable[..., Any]] = {"prepare": prepare, "plan": plan}

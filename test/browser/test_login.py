@@ -1,0 +1,32 @@
+"""Who gets in, and what each role may do: the broker decides, the page tells."""
+
+from __future__ import annotations
+
+from playwright.sync_api import expect
+
+
+def test_the_page_asks_for_an_account_and_lets_in_who_has_one(page_of, site, robot):
+    page = page_of()
+    expect(page.page.locator(".login")).to_be_visible()
+    page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
+    expect(page.page.locator(".robots")).to_contain_text("one")
+    assert "logged in as 'one-reviewer-ada'" in site.log.read_text()
+
+
+def test_a_wrong_password_is_told_and_opens_nothing(page_of, site, robot):
+    page = page_of()
+    page.try_login("one-reviewer-ada", "guess")
+    expect(page.page.locator(".login .wrong")).to_have_text("The broker refuses this account or its password.")
+    expect(page.page.locator(".robots button")).to_have_count(0)
+    assert page.page.evaluate("async () => (await fetch('/private/one/robot.urdf')).status") == 403
+    # and the password is not kept in the field
+    expect(page.page.locator(".login input[name=password]")).to_have_value("")
+
+
+def test_an_account_sees_its_own_robot_only(page_of, site, robot):
+    page = page_of("reviewer-ada")
+    with site.robot("two"):
+        # what comes through now comes after what the other one has said
+        robot.show_plan(source="robot one")
+        expect(page.page.locator(".verdict-title")).to_contain_text("robot one")
+        expect(page.page.locator(".robots button")).to_have_text(["one"])

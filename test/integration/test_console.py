@@ -1,0 +1,258 @@
+#!/usr/bin/env python3
+"""A person at the console, without a browser: MQTT through the console's WebSocket, files over HTTP by the login's ticket."""
+
+import contextlib
+import hashlib
+import http.client
+import json
+import socket
+import sys
+import threading
+import uuid
+from xml.etree import ElementTree
+
+import paho.mqtt.client as mqtt
+import rospy
+import rostest
+from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from construction_twin.core.units import from_wire
+from construction_twin.kinematics.chain import Chain
+from construction_twin.mqtt.messages import Topics
+from construction_twin.robot.frames import rotation_to_quaternion
+
+PORT = 28466
+ADDRESS = f"http://127.0.0.1:{PORT}"
+TOPICS = Topics("twin", "kr120")
+ACCOUNT = "console"
+HEARD = {
+    "view": TOPICS.view,
+    "screen": TOPICS.screen,
+    "scene": TOPICS.scene,
+    "plan": TOPICS.plan,
+    "review_ack": TOPICS.review_ack,
+    "stop_ack": TOPICS.stop_ack,
+    "plan_request_ack": TOPICS.plan_request_ack,
+    "ik_ack": TOPICS.ik_ack(ACCOUNT),
+}
+
+
+class Tunnel:
+    """A TCP port of this process whose bytes go through a WebSocket of the console. paho's own WebSockets answer a ping wrongly.
+
+    Attributes
+    ----------
+    port : int
+    cookie : str
+        The ticket that came with the WebSocket.
+    """
+
+    def __init__(self):
+        self._websocket = contextlib.ExitStack()
+        self._remote = self._websocket.enter_context(
+            connect(f"ws://127.0.0.1:{PORT}/mqtt", origin=ADDRESS, subprotocols=["mqtt"])
+        )
+        self.cookie = self._remote.response.headers["Set-Cookie"].split(";")[0]
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        with self._listener, contextlib.closing(self._listener.accept()[0]) as local:
+            threading.Thread(target=self._send, args=(local,), daemon=True).start()
+            with contextlib.suppress(ConnectionClosed, OSError):
+                for message in self._remote:
+                    local.sendall(message)
+
+    def _send(self, local: socket.socket) -> None:
+        with contextlib.suppress(ConnectionClosed, OSError):
+            while contents := local.recv(4096):
+                self._remote.send(contents)
+
+    def close(self) -> None:
+        self._websocket.close()
+
+
+class Console:
+    """What the page does, in Python."""
+
+    def __init__(self):
+        self.heard: dict[str, list[dict]] = {name: [] for name in HEARD}
+        self._names = {topic: name for name, topic in HEARD.items()}
+        self._tunnel = Tunnel()
+        self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5, client_id=uuid.uuid4().hex)
+        self.client.on_connect = lambda client, *_: client.subscribe([(topic, 1) for topic in HEARD.values()])
+        self.client.on_message = self._on_message
+        self.client.connect_async("127.0.0.1", self._tunnel.port)
+        self.client.loop_start()
+
+    @property
+    def cookie(self) -> str:
+        """The ticket for the files of who is logged in."""
+        return self._tunnel.cookie
+
+    def close(self) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+        self._tunnel.close()
+
+    def _on_message(self, client, data, message) -> None:
+        if message.payload:
+            self.heard[self._names[message.topic]].append(json.loads(message.payload))
+
+    def newest(self, name: str):
+        return self.heard[name][-1] if self.heard[name] else None
+
+    def send(self, topic: str, document: dict, qos: int = 1) -> None:
+        self.client.publish(topic, json.dumps(document), qos=qos)
+
+    def ask(self, topic: str, ack: str, document: dict) -> dict:
+        """Send a request with an id of its own; return the answer to it. One that came too soon is sent again."""
+        name = ""
+        found: list[dict] = []
+
+        def answered() -> bool:
+            nonlocal name, found
+            found = [answer for answer in self.heard[ack] if answer["id"] == name]
+            if not name or (found and "try again in" in found[0].get("reason", "")):
+                name, found = uuid.uuid4().hex, []
+                self.send(topic, document | {"id": name})
+            return bool(found)
+
+        wait(answered, f"the answer to {document} on {ack}")
+        return found[0]
+
+    def line(self, topic: str) -> dict:
+        """Return the line of the status line about a topic; empty before the first one."""
+        return next((line for line in self.newest("screen") or [] if line["topic"] == topic), {})
+
+    def verdict(self, plan: dict, verdict: str) -> dict:
+        count = len(self.heard["review_ack"])
+        document = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": verdict, "reviewer": "Ada"}
+        self.send(TOPICS.review_by(ACCOUNT), document)
+        wait(lambda: len(self.heard["review_ack"]) > count, "an answer on review/ack")
+        return self.heard["review_ack"][count]
+
+
+def fetch(path: str, cookie: str = "") -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", PORT, timeout=10.0)
+    connection.request("GET", path, headers={"Cookie": cookie} if cookie else {})
+    answer = connection.getresponse()
+    return answer.status, answer.read()
+
+
+class ConsoleTest(RobotTest):
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_console")
+        cls.client = TwinClient()
+        cls.console = Console()
+        cls.addClassCleanup(cls.console.close)
+        for service in ("plan_to_joints", "plan_to_pose", "plan_cartesian", "review_plan"):
+            rospy.wait_for_service(service, 60.0)
+        # a message that is sent before the node subscribes is heard by nobody
+        wait(lambda: cls.console.heard["view"] and cls.console.heard["screen"], "view and status line", 60.0)
+
+    def plan(self, answer: dict) -> dict:
+        """Return the plan that an answer names, as it is shown."""
+        self.assertTrue(answer["ok"], answer)
+        wait(lambda: (self.console.newest("plan") or {}).get("id") == answer["plan_id"], "the plan that was asked for")
+        return self.console.newest("plan")
+
+    def joints(self, degrees) -> dict:
+        return dict(zip(self.client.robot.joint_names, from_wire(degrees, self.client.robot.linear)))
+
+    def test_everything_is_seen(self):
+        self.begin()
+        console = self.console
+        wait(lambda: console.line("link").get("state") == "ARMED", "the link on the status line")
+        wait(lambda: console.line("startup").get("state") == "ready", "the start on the status line")
+        self.assertEqual({line["topic"] for line in console.newest("screen")}, {"startup", "link", "sync", "execution"})
+        view = console.newest("view")
+        self.assertEqual((view["version"], view["compatible"], view["online"]), (2, 1, True))
+        wait(lambda: (console.newest("view")["closest"] or {}).get("between"), "the closest two bodies")
+        wait(lambda: console.newest("view")["link"]["round_trip_ms"], "the round trip")
+        scene = console.newest("scene")
+        self.assertEqual((scene["frame"], len(scene["hash"])), (self.client.robot.base_link, 64))
+        self.assertTrue(scene["objects"])
+
+    def test_the_robot_is_served_to_who_is_logged_in(self):
+        self.assertEqual(fetch("/private/kr120/robot.urdf")[0], 403)
+        cookie = self.console.cookie
+        status, urdf = fetch("/private/kr120/robot.urdf", cookie)
+        self.assertEqual(status, 200)
+        meshes = [mesh.get("filename") for mesh in ElementTree.fromstring(urdf).iter("mesh")]
+        self.assertGreater(len(meshes), 5)
+        for path in set(meshes):
+            status, contents = fetch(path, cookie)
+            self.assertEqual((status, hashlib.sha256(contents).hexdigest()), (200, path.split("/")[-1].split(".")[0]))
+
+    def test_a_motion_is_asked_for_approved_and_carried_out_then_one_is_stopped(self):
+        self.begin()
+        console = self.console
+        goal = {"kind": "joints", "joints": self.joints(LEFT), "speed_scale": 0.5}
+        plan = self.plan(console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", goal))
+        self.assertEqual(plan["source"], "MQTT, on the topic of console")
+        wait(lambda: console.newest("view")["plan"] == plan["id"], "the plan in the view")
+        wait(lambda: console.line("execution").get("who") == "reviewer", "the reviewer on the status line")
+        with Stream("mock_rsi/joint_states") as arm:
+            self.assertTrue(console.verdict(plan, "approved")["ok"])
+            self.client.wait_for_outcome(plan["id"], "finished", plan["duration"] + 20.0)
+            wait(lambda: arm.moved(5.0) and arm.at_rest(), "the arm to have moved")
+        again = console.verdict(plan, "approved")
+        self.assertFalse(again["ok"], "a plan is executed once")
+        self.client.wait_until_ready()
+        home = goal | {"joints": dict(zip(self.client.robot.joint_names, self.client.robot.home)), "speed_scale": 0.2}
+        back = self.plan(console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", home))
+        with Stream("mock_rsi/joint_states") as arm:
+            self.assertTrue(console.verdict(back, "approved")["ok"])
+            wait(lambda: arm.moved(2.0), "the arm to move")
+            console.send(TOPICS.stop_by(ACCOUNT), {"id": "1"})
+            wait(lambda: {each["by"] for each in console.heard["stop_ack"]} == {"gateway", "executor"}, "both answers")
+            wait(arm.at_rest, "the arm to rest")
+        self.assertGreater(
+            max(abs(a - b) for a, b in zip(arm.positions(-1)[0], self.client.robot.home)), 0.05, "short of its goal"
+        )
+        wait(lambda: console.line("link").get("who") == "operator", "the reset on the status line")
+        self.assertEqual(console.newest("screen")[0]["level"], 2)
+        self.client.start_over()
+
+    def test_a_pose_that_is_dragged_is_solved_and_its_plan_ends_there(self):
+        self.begin()
+        console, chain = self.console, Chain(self.client.robot)
+        q = [console.newest("view")["twin"]["positions"][k] for k in range(len(self.client.robot.joint_names))]
+        pose = chain.forward(q)
+        position = [float(value) for value in pose.position]
+        orientation = [float(value) for value in rotation_to_quaternion(pose.rotation)]
+        position[2] += 0.1
+        asked = {"position": position, "orientation": orientation}
+        answer = console.ask(TOPICS.ik(ACCOUNT), "ik_ack", asked)
+        self.assertEqual((answer["reach"], answer["between"]), ("free", []), answer)
+        reached = chain.forward([answer["joints"][name] for name in self.client.robot.joint_names])
+        self.assertLess(max(abs(a - b) for a, b in zip(reached.position, position)), 1e-5)
+        far = console.ask(TOPICS.ik(ACCOUNT), "ik_ack", asked | {"position": [9.0, 0.0, 1.0]})
+        self.assertEqual((far["reach"], far["joints"]), ("out", None))
+        self.assertIn("out of reach by", far["sentence"])
+        for kind in ("pose", "line"):
+            plan = self.plan(console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", asked | {"kind": kind}))
+            self.assertLess(max(abs(a - b) for a, b in zip(plan["tool_path"][-1], position)), 1e-3)
+            self.assertTrue(console.verdict(plan, "rejected")["ok"])
+
+    def test_what_cannot_be_is_answered_with_its_id_and_counted(self):
+        self.begin()
+        console = self.console
+        for document, words in (
+            ({"kind": "way_back"}, "not left inside an engaged segment"),
+            ({"kind": "work_task"}, "no building model is worked on here"),
+            ({"kind": "dance"}, "kind is 'dance'"),
+        ):
+            answer = console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", document)
+            self.assertFalse(answer["ok"])
+            self.assertIn(words, answer["reason"])
+        wait(lambda: self.client.diagnostics("mqtt_planner").get("refused format"), "the counter of refusals")
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "console", ConsoleTest, sys.argv)

@@ -1,0 +1,387 @@
+"""A robot without ROS for tests of the console: a client that says what mqtt_planner, mqtt_review and the gateway say.
+
+It knows one plan at a time, plays it when it was approved, and answers verdicts, stops, pauses and requests of plans as they do.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from plan_samples import make_report
+from processes import ROOT
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.motion_errors import KinematicsError
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.link.remote_request import ik_answer, parse_ik, parse_plan_request, plan_answer, read_request
+from construction_twin.link.remote_review import PlanView, parse_review, review_answer
+from construction_twin.link.remote_trajectory import Joints
+from construction_twin.link.remote_view import (
+    ClosestView,
+    ExecutionView,
+    LinkView,
+    PoseView,
+    Seen,
+    SyncView,
+    ViewWriter,
+)
+from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.interventions import EXECUTOR, GATEWAY, intervention_answer, parse_intervention
+from construction_twin.mqtt.messages import Topics
+from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
+
+XACRO, CONFIG = ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"
+#: Period of `view` [s], and of `screen` where nothing changes.
+VIEW, SCREEN = 0.04, 1.0
+#: What an arm that hangs behind by nothing reports [rad].
+_THRESHOLD = 0.02
+
+
+def kr120() -> RobotModel:
+    """Return the robot of the tests."""
+    return read_robot_files(XACRO, CONFIG)
+
+
+def joints_of(robot: RobotModel) -> Joints:
+    """Return its joints, as messages name them."""
+    return Joints(tuple(robot.joint_names), robot.linear)
+
+
+def bent_motion(
+    start: np.ndarray, goal: np.ndarray, names: Sequence[str], duration: float, rows: int = 25
+) -> Trajectory:
+    """Return a motion of minimum jerk from rest to rest whose joints do not all go straight: its path has a shape of its own."""
+    times = whole_nanoseconds(np.linspace(0.0, duration, rows))
+    x = times / times[-1]
+    s, ds, dds = (
+        10 * x**3 - 15 * x**4 + 6 * x**5,
+        (30 * x**2 - 60 * x**3 + 30 * x**4) / duration,
+        (60 * x - 180 * x**2 + 120 * x**3) / duration**2,
+    )
+    way = goal - start
+    bend = np.zeros_like(way)
+    bend[2] = 0.15
+    wave, slope, bow = np.sin(math.pi * s), math.pi * np.cos(math.pi * s), -(math.pi**2) * np.sin(math.pi * s)
+    return Trajectory(
+        tuple(names),
+        times,
+        start + np.outer(s, way) + np.outer(wave, bend),
+        np.outer(ds, way) + np.outer(slope * ds, bend),
+        np.outer(dds, way) + np.outer(bow * ds**2 + slope * dds, bend),
+    )
+
+
+class ScriptedRobot:
+    """One robot on the broker.
+
+    Parameters
+    ----------
+    broker : Broker
+        With the account of the robot's bridge.
+    name : str
+        In the topics.
+    prefix : str, optional
+    period : float, optional
+        Of `view` [s]; 0: only when `say` is called.
+
+    Attributes
+    ----------
+    heard : list of (str, bytes)
+        What came: topic below the robot's, payload.
+    verdicts : list of (str, str, str)
+        Taken: account, verdict, plan's id.
+    twin : array
+        Joint positions [rad].
+    """
+
+    def __init__(self, broker: Broker, name: str, prefix: str = "twin", period: float = VIEW):
+        self.robot = kr120()
+        self.name = name
+        self.heard: list[tuple[str, bytes]] = []
+        self.verdicts: list[tuple[str, str, str]] = []
+        self.twin = np.array(self.robot.home, dtype=float)
+        self.arm_error = np.zeros(len(self.twin))
+        #: When the arm was where it is [s since 1970]; 0: now.
+        self.arm_stamp = 0.0
+        self.plan: PlanView | None = None
+        self.trajectory: Trajectory | None = None
+        self.state = "IDLE"
+        self.said_at: dict[int, int] = {}
+        self._chain = Chain(self.robot)
+        self._inverse = inverse_kinematics(self._chain, IkSettings(), np.random.default_rng(0), time.monotonic)
+        self._names = tuple(self.robot.joint_names)
+        self._joints = joints_of(self.robot)
+        self._topics = Topics(prefix, name)
+        self._root = self._topics.view.removesuffix("view")
+        self._lock = threading.RLock()
+        self._period = period
+        self._ended = threading.Event()
+        self._ready = threading.Event()
+        self._elapsed, self._rate, self._tick = 0.0, 1.0, 0.0
+        self._outcome, self._playing = "", ""
+        self._numbers = 0
+        self._listened: dict[str, Callable[[bytes], None]] = {}
+        self._writer = ViewWriter(name, unique_id(name, "run"), self._joints)
+        self._broker = broker
+        self._client = make_client(broker, unique_id(name, "scripted"), self._topics.view, will=self._writer.offline())
+        self._client.on_connect = self._on_connect
+        self._client.on_subscribe = lambda *_: self._ready.set()
+        self._client.on_message = self._on_message
+        self._thread = threading.Thread(target=self._talk, daemon=True)
+
+    # -- life
+
+    def start(self) -> ScriptedRobot:
+        self._client.connect(self._broker.host, self._broker.port, self._broker.keepalive)
+        self._client.loop_start()
+        assert self._ready.wait(30.0), f"{self.name}: no answer to the subscription"
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._thread.join(5.0)
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def __enter__(self) -> ScriptedRobot:
+        return self.start()
+
+    def __exit__(self, *_) -> None:
+        self.stop()
+
+    # -- what it says
+
+    def show_plan(self, goal: Sequence[float] | None = None, duration: float = 2.0, source: str = "a test") -> PlanView:
+        """Put a plan under review, and return it."""
+        with self._lock:
+            if goal is None:
+                goal = self.twin + np.array([0.6, 0.2, -0.3, 0.0, 0.3, 0.0])
+            self._numbers += 1
+            self.trajectory = bent_motion(self.twin.copy(), np.asarray(goal, dtype=float), self._names, duration)
+            self.plan = self._view_of(self.trajectory, f"{self.name}-{self._numbers}", source)
+            self._publish(self._topics.plan, self.plan.to_json(200), retain=True)
+            self.say()
+            return self.plan
+
+    def take_plan_away(self) -> None:
+        """No plan is under review any more."""
+        with self._lock:
+            self.plan = None
+            self._publish(self._topics.plan, b"", retain=True)
+            self.say()
+
+    def show_scene(self, objects: Sequence[dict]) -> None:
+        """Publish a scene."""
+        document = {"hash": f"{len(objects):064d}", "frame": "base_link", "padding": 0.01, "objects": list(objects)}
+        self._publish(self._topics.scene, json.dumps(document).encode(), retain=True)
+
+    def say(self) -> None:
+        """Publish a view of now."""
+        with self._lock:
+            now = time.time_ns()
+            stamp = now / 1e9
+            plan = self.trajectory
+            progress = 0.0 if plan is None or not self._playing else min(1.0, self._elapsed / plan.duration)
+            seen = Seen(
+                twin=PoseView(stamp, 0.0, tuple(self.twin)),
+                arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
+                sync=self._sync(),
+                link=LinkView("ARMED", "", 0.0, "ARMED", "rsi", "", 8.2, 0),
+                execution=ExecutionView(
+                    self.state,
+                    "",
+                    0.0,
+                    self._playing,
+                    self._outcome,
+                    plan.duration if plan else 0.0,
+                    progress,
+                    self._rate,
+                    1.0,
+                ),
+                plan="" if self.plan is None else self.plan.id,
+                closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
+            )
+            payload = self._writer.write(now, seen)
+        self._client.publish(self._topics.view, payload)
+
+    def tool(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Return where the tool is [m], computed without the page."""
+        return tuple(self._chain.forward(np.asarray(positions, dtype=float)).position)
+
+    def publish(self, below: str, payload: bytes, retain: bool = False) -> None:
+        """Publish anything on a topic of this robot."""
+        self._publish(self._root + below, payload, retain)
+
+    def payloads(self, below: str) -> list[dict]:
+        """Return what was heard on a topic that begins so."""
+        return [json.loads(payload) for topic, payload in list(self.heard) if topic.startswith(below)]
+
+    def listen(self, below: str, function: Callable[[bytes], None]) -> None:
+        """Before `start`: call a function with each payload of a topic of this robot, in the client's thread."""
+        self._listened[self._root + below] = function
+
+    def _publish(self, topic: str, payload: bytes, retain: bool = False) -> None:
+        self._client.publish(topic, payload, qos=1, retain=retain)
+
+    def _sync(self) -> SyncView:
+        error = np.abs(self.arm_error)
+        agreed = bool(np.all(error < _THRESHOLD))
+        state, reason = ("IN_SYNC", "") if agreed else ("HOLDING", "the arm does not follow")
+        return SyncView(state, reason, 0.0, "stop", agreed, tuple(error), (_THRESHOLD,) * len(error), 0.02, 0)
+
+    def _screen(self) -> bytes:
+        moving = self.state == "PLAYING"
+        sentence = "The arm moves along the approved plan." if moving else "The arm stands still."
+        waits = "" if self.plan is None else "a verdict on the plan"
+        line = {
+            "topic": "execution", "state": self.state, "sentence": sentence, "waits_for": waits,
+            "who": "reviewer" if waits else "", "todo": "look at the plan, then approve or reject it" if waits else "",
+            "page": "reference/states.md#execution", "level": 2 if waits else 0,
+        }  # fmt: skip
+        return json.dumps([line]).encode()
+
+    def _view_of(self, trajectory: Trajectory, plan_id: str, source: str) -> PlanView:
+        report = make_report(len(self._names))
+        use = report.usage
+        return PlanView(
+            id=plan_id, hash=trajectory.content_hash(), source=source, planner="none", scene="0" * 64, frame="base_link",
+            created_ns=time.time_ns(), duration=trajectory.duration, planning_time=0.1, joint_names=self._names,
+            start=tuple(trajectory.positions[0]), goal=tuple(trajectory.positions[-1]),
+            tool_path=[self.tool(row) for row in trajectory.positions],
+            clearance={"distance": 0.213, "time": 1.0, "between": ["link_4", "table"], "point": [1.0, 0.2, 0.9]},
+            use={"velocity": use.velocity, "acceleration": use.acceleration, "jerk": use.jerk},
+            trajectory={
+                "times": trajectory.times.tolist(), "positions": trajectory.positions.tolist(),
+                "velocities": trajectory.velocities.tolist(), "accelerations": trajectory.accelerations.tolist(),
+            },
+        )  # fmt: skip
+
+    # -- what it does
+
+    def _talk(self) -> None:
+        self._tick = time.monotonic()
+        said = 0.0
+        while not self._ended.wait(self._period or VIEW):
+            with self._lock:
+                self._advance()
+            if self._period:
+                self.say()
+            if time.monotonic() - said >= SCREEN:
+                said = time.monotonic()
+                self._publish(self._topics.screen, self._screen())
+
+    def _advance(self) -> None:
+        now = time.monotonic()
+        passed, self._tick = now - self._tick, now
+        if self.state != "PLAYING":
+            return
+        assert self.trajectory is not None
+        # a process that stood still has not moved the arm
+        self._elapsed += min(passed, 0.2) * self._rate
+        self.twin = self.trajectory.sample(self._elapsed)[0]
+        if self._elapsed >= self.trajectory.duration:
+            self.state, self._outcome = "IDLE", "finished"
+
+    # -- what it hears
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        assert not reason_code.is_failure, str(reason_code)
+        topics = self._topics
+        asked = [topics.review, topics.review_by("+"), topics.stop_by("+"), topics.pause_by("+"), topics.resume_by("+")]
+        asked += [self._root + "plan_request/+", self._root + "ik/+"]
+        client.subscribe([(topic, 1) for topic in asked] + [(topic, 0) for topic in self._listened])
+        with self._lock:
+            self._publish(topics.plan, b"" if self.plan is None else self.plan.to_json(200), retain=True)
+
+    def _on_message(self, client, userdata, message) -> None:
+        if message.topic in self._listened:
+            self._listened[message.topic](bytes(message.payload))
+            return
+        below = message.topic.removeprefix(self._root)
+        payload = bytes(message.payload)
+        verb, _, account = below.partition("/")
+        if account == "ack":
+            # its own answers
+            return
+        self.heard.append((below, payload))
+        answer: dict[str, Callable[[str, bytes, bool], None]] = {
+            "review": self._on_review, "plan_request": self._on_plan_request, "ik": self._on_ik,
+        }  # fmt: skip
+        with self._lock:
+            if verb in ("stop", "pause", "resume"):
+                self._on_intervention(verb, account, payload, message.retain)
+            else:
+                answer[verb](account, payload, message.retain)
+
+    def _on_review(self, account: str, payload: bytes, retained: bool) -> None:
+        try:
+            review = parse_review(payload, retained, account)
+        except PayloadError as error:
+            self._publish(self._topics.review_ack, review_answer(None, False, str(error), account))
+            return
+        plan = self.plan
+        if plan is None or (plan.id, plan.hash) != (review.plan_id, review.plan_hash):
+            sentence = f"plan {review.plan_id} with this hash is not under review"
+            self._publish(self._topics.review_ack, review_answer(review, False, sentence))
+            return
+        self.verdicts.append((review.reviewer, review.verdict, review.plan_id))
+        self.plan = None
+        self._publish(self._topics.review_ack, review_answer(review, True, f"{review.verdict} by {review.reviewer}"))
+        self._publish(self._topics.plan, b"", retain=True)
+        if review.approves:
+            self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
+
+    def _on_intervention(self, verb: str, account: str, payload: bytes, retained: bool) -> None:
+        topic = self._topics.stop_ack if verb == "stop" else self._topics.pause_ack
+        by = (GATEWAY, EXECUTOR) if verb == "stop" else (EXECUTOR,)
+        try:
+            asked = parse_intervention(verb, account, payload, retained)
+        except PayloadError as error:
+            for each in by:
+                self._publish(topic, intervention_answer("", account, each, False, str(error)))
+            return
+        moves = {"stop": ("IDLE", "stopped"), "pause": ("PAUSED", ""), "resume": ("PLAYING", "")}
+        ok = self.state in ("PLAYING", "PAUSED") or verb == "stop"
+        if self.state in ("PLAYING", "PAUSED"):
+            self.state, self._outcome = moves[verb]
+        for each in by:
+            self._publish(topic, intervention_answer(asked.id, account, each, ok, "" if ok else "nothing is played"))
+
+    def _on_plan_request(self, account: str, payload: bytes, retained: bool) -> None:
+        try:
+            asked = parse_plan_request(read_request(payload, retained, "plan_request"), self._joints)
+        except PayloadError as error:
+            answer = plan_answer("", account, "", False, str(error))
+        else:
+            if asked.kind == "joints":
+                plan = self.show_plan(asked.joints)
+                answer = plan_answer(asked.id, account, asked.kind, True, "planned", plan.id, plan.hash, plan.duration)
+            else:
+                answer = plan_answer(
+                    asked.id, account, asked.kind, False, f"this robot of a test plans no {asked.kind}"
+                )
+        self._publish(self._root + "plan_request/ack", answer)
+
+    def _on_ik(self, account: str, payload: bytes, retained: bool) -> None:
+        try:
+            asked = parse_ik(read_request(payload, retained, "ik"), self._joints)
+        except PayloadError as error:
+            answer = ik_answer("", "unknown", None, str(error))
+        else:
+            try:
+                pose = Pose(np.array(asked.position), quaternion_to_rotation(asked.orientation))
+                found = self._inverse.nearest(pose, np.array(asked.seed or self.twin))
+            except KinematicsError as error:
+                answer = ik_answer(asked.id, "out", None, str(error))
+            else:
+                answer = ik_answer(asked.id, "free", dict(zip(self._names, found.q.tolist())), "reached")
+        self._publish(f"{self._root}ik/ack/{account}", answer)

@@ -1,0 +1,155 @@
+"""MQTT packets as the pipe reads them."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mqtt_packets import connect, packet, text
+
+from construction_twin.console.allowance import Allowance
+from construction_twin.console.origin import refusal
+from construction_twin.console.packets import ClientStream, PacketReader, is_accepted
+from construction_twin.console.static_files import StaticFile
+from construction_twin.console.tickets import Tickets
+from construction_twin.core.errors import PayloadError
+
+
+@pytest.mark.parametrize("version", (4, 5))
+@pytest.mark.parametrize("will", (False, True))
+def test_the_account_of_a_login_is_read(version, will):
+    stream = ClientStream(1000)
+    stream.feed(connect("kr120-reviewer-ada", version, will))
+    assert stream.account == "kr120-reviewer-ada"
+
+
+@given(st.lists(st.binary(max_size=300), max_size=5), st.integers(1, 40))
+def test_packets_come_out_as_they_went_in_wherever_the_stream_is_cut(bodies, step):
+    packets = [connect("ada"), *(packet(3, body) for body in bodies)]
+    data = b"".join(packets)
+    stream, found = ClientStream(1000), []
+    for at in range(0, len(data), step):
+        found += stream.feed(data[at : at + step])
+    assert [item.data for item in found] == packets
+
+
+@given(st.binary(max_size=200))
+def test_junk_is_refused_or_waits_for_more_and_never_passes_before_a_login(data):
+    stream = ClientStream(1000)
+    try:
+        passed = stream.feed(data)
+    except PayloadError as error:
+        assert error.reason in ("mqtt", "size")
+    else:
+        assert not passed or passed[0].kind == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    (
+        (packet(3, b"publish before connect"), "mqtt"),
+        (connect() + connect(), "mqtt"),
+        (connect() + packet(2, b"\0\0"), "mqtt"),
+        (connect() + packet(8, b"no flag"), "mqtt"),
+        (connect() + packet(9, b"suback"), "mqtt"),
+        (b"\x10\xff\xff\xff\xff\x01", "mqtt"),
+        (b"\x10\xff\xff\xff\x7f", "size"),
+        (b"GET / HTTP/1.1\r\n\r\n", "mqtt"),
+        (connect() + b"\xc0\0" * 3000, "size"),
+        (packet(1, text("MQIsdp") + b"\x03\0\0\0"), "mqtt"),
+        (packet(1, text("MQTT") + b"\x05\x80\0\0\0" + text("client") + b"\0\x09short"), "mqtt"),
+    ),
+)
+def test_what_no_client_sends_is_refused(data, reason):
+    with pytest.raises(PayloadError) as caught:
+        ClientStream(1000).feed(data)
+    assert caught.value.reason == reason
+
+
+def test_a_login_that_the_broker_accepts_is_told_from_one_that_it_refuses():
+    reader = PacketReader(100)
+    accepted, refused = reader.feed(packet(2, b"\0\0\0") + packet(2, b"\0\x87\0"))
+    assert is_accepted(accepted)
+    assert not is_accepted(refused)
+
+
+def test_an_allowance_is_used_up_and_grows_again():
+    allowance = Allowance(rate=2.0, burst=4.0)
+    assert [allowance.take(1.0, 0.0) for _ in range(5)] == [True] * 4 + [False]
+    assert allowance.take(1.0, 0.5)
+    assert not allowance.take(1.0, 0.5)
+    # it never holds more than the burst, and a clock that goes back gives nothing
+    assert not allowance.take(4.5, 1000.0)
+    assert not allowance.take(4.5, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "secure", "fits"),
+    (
+        ("http://127.0.0.1:8480", "127.0.0.1:8480", False, True),
+        ("https://console.cell", "console.cell", True, True),
+        ("https://console.cell:443", "console.cell", True, True),
+        ("https://console.cell", "console.cell:443", True, True),
+        ("http://console.cell", "console.cell", True, False),
+        ("https://evil.example", "console.cell", True, False),
+        ("https://console.cell.evil.example", "console.cell", True, False),
+        ("https://console.cell@evil.example", "console.cell", True, False),
+        ("null", "console.cell", True, False),
+        ("https://[", "console.cell", True, False),
+        (None, "console.cell", True, False),
+        ("https://console.cell", None, True, False),
+        ("https://other.cell", "console.cell", True, True),
+        ("http://localhost:8480", "localhost:8480", False, True),
+        ("http://[::1]:8480", "[::1]:8480", False, True),
+        # the name of somebody else, who lets it lead to 127.0.0.1 once his page is loaded
+        ("http://evil.example:8480", "evil.example:8480", False, False),
+        ("http://localhost.evil.example", "localhost.evil.example", False, False),
+        ("http://127.0.0.1:8480, http://127.0.0.1:8480", "127.0.0.1:8480", False, False),
+    ),
+)
+def test_only_the_server_s_own_page_and_named_origins_may_connect(origin, host, secure, fits):
+    assert bool(refusal(origin, host, secure, frozenset({"https://other.cell"}))) is not fits
+
+
+def test_a_ticket_counts_from_the_login_to_the_end_of_its_connection():
+    tickets = Tickets(iter(["one", "two"]).__next__, 8480)
+    first, second = tickets.give(None), tickets.give("other=1; console_ticket_8480=guess")
+    header = tickets.cookie(first, True, "/private/").partition(";")[0]
+    assert (first, second, header) == ("one", "two", "console_ticket_8480=one")
+    assert not tickets.is_known(header)
+    tickets.login(first)
+    # also beside a cookie of another program that is no proper one
+    assert tickets.is_known(header) and tickets.is_known(f'a b=[,"; {header}')
+    assert not tickets.is_known(tickets.cookie(second, False, "/").partition(";")[0])
+    for other in (None, "", "console_ticket_8480=; \x00=", "console_ticket_8481=one", "console_ticket_8480"):
+        assert not tickets.is_known(other), other
+    tickets.logout(first)
+    assert not tickets.is_known(header)
+
+
+def test_a_second_tab_does_not_end_the_login_of_the_first():
+    tickets = Tickets(iter(["one", "two"]).__next__, 8480)
+    tickets.login(tickets.give(None))
+    again = tickets.give("console_ticket_8480=one")
+    assert again == "one"
+    tickets.login(again)
+    tickets.logout(again)
+    assert tickets.is_known("console_ticket_8480=one")
+    tickets.logout("one")
+    assert not tickets.is_known("console_ticket_8480=one")
+
+
+@pytest.mark.parametrize(
+    ("name", "lasting"),
+    (
+        ("app-5UIZRSMC.js", True),
+        ("app-0123456789ab.js", True),
+        (f"{'0af9' * 16}.stl", True),
+        ("index.html", False),
+        ("robot-description.json", False),
+        ("kr120.building.glb", False),
+        ("run-20261123.json", False),
+    ),
+)
+def test_only_a_name_with_a_hash_is_kept_without_asking(name, lasting):
+    assert StaticFile.of(name, b"").lasting is lasting

@@ -1,0 +1,526 @@
+"""The console's program with real sockets and a real broker: what passes, what is refused, what is logged."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import importlib.util
+import json
+import logging
+import re
+import shutil
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+from mqtt_packets import connect, packet, text
+from websockets.asyncio.client import connect as websocket
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from construction_twin.broker import make_site
+from construction_twin.console import command_line
+from construction_twin.console.command_line import main
+from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, BrokerAddress, PipeLimits
+from construction_twin.console.server import ConsoleServer, ServerSettings
+from construction_twin.console.static_files import read_folder
+from construction_twin.core.errors import ConfigurationError
+
+PORT, BROKER_PORT = 28480, 28481
+ORIGIN = f"http://127.0.0.1:{PORT}"
+CONNACK_OK = b"\x20\x02\0\0"
+PING, PONG = b"\xc0\0", b"\xd0\0"
+
+
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory) -> Iterator[None]:
+    """Mosquitto with one account, `ada` with password `secret`."""
+    folder = tmp_path_factory.mktemp("broker")
+    passwords, configuration = folder / "passwords", folder / "mosquitto.conf"
+    passwords.write_text("ada:secret\n")
+    passwords.chmod(0o600)
+    subprocess.run(["mosquitto_passwd", "-U", passwords], check=True)
+    configuration.write_text(
+        f"listener {BROKER_PORT} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nuser root\n"
+    )
+    program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
+    with started([program, "-c", configuration], BROKER_PORT):
+        yield
+
+
+@contextlib.contextmanager
+def started(command: list, port: int) -> Iterator[subprocess.Popen]:
+    """Start a program; wait until its port is open."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        end = time.monotonic() + 10
+        while time.monotonic() < end and process.poll() is None:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+                break
+            time.sleep(0.02)
+        assert process.poll() is None
+        yield process
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)
+
+
+def page(folder: Path) -> Path:
+    (folder / "page").mkdir()
+    (folder / "page/index.html").write_text("<!doctype html><title>console</title>" + " " * 2000)
+    (folder / "page/app-0123456789ab.js").write_text("export const answer = 42;\n" * 100)
+    return folder / "page"
+
+
+def settings(folder: Path, **more) -> ServerSettings:
+    values = {"private": None, "results": None, "broker": BrokerAddress("127.0.0.1", BROKER_PORT)} | more
+    return ServerSettings(read_folder(page(folder)), **values)
+
+
+@contextlib.asynccontextmanager
+async def running(served: ServerSettings) -> AsyncIterator[None]:
+    ready = asyncio.Event()
+    task = asyncio.create_task(ConsoleServer(served).run("127.0.0.1", PORT, ready))
+    await asyncio.wait_for(ready.wait(), 10)
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+def browser(origin: str | None = ORIGIN, **more):
+    return websocket(f"ws://127.0.0.1:{PORT}/mqtt", origin=origin, subprotocols=["mqtt"], compression=None, **more)
+
+
+def login(user: str = "ada", password: str = "secret") -> bytes:
+    return packet(
+        1, text("MQTT") + b"\x04\xc2\0\x0a" + text(f"test-{time.monotonic_ns()}") + text(user) + text(password)
+    )
+
+
+def get(path: str, **headers: str) -> tuple[http.client.HTTPResponse, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", PORT, timeout=10)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer, body
+
+
+async def closed(client) -> tuple[int, str]:
+    """Wait until the server has closed; return code and reason."""
+    with pytest.raises(ConnectionClosed) as caught:
+        while True:
+            await asyncio.wait_for(client.recv(), 10)
+    return caught.value.rcvd.code, caught.value.rcvd.reason
+
+
+def test_bytes_reach_the_broker_and_come_back(broker, tmp_path, caplog):
+    async def scene() -> None:
+        async with running(settings(tmp_path)), browser() as client:
+            await client.send(login())
+            assert await client.recv() == CONNACK_OK
+            # one packet in many frames, and many in one
+            await client.send(PING[:1])
+            await client.send(PING[1:] + PING)
+            answer = b""
+            while len(answer) < 4:
+                answer += await asyncio.wait_for(client.recv(), 10)
+            assert answer == PONG + PONG
+
+    with caplog.at_level(logging.INFO, "console"):
+        asyncio.run(scene())
+    assert "127.0.0.1 logged in as 'ada'" in caplog.text
+
+
+def test_a_browser_that_logs_out_is_no_fault_of_the_broker(broker, tmp_path, caplog):
+    async def scene() -> None:
+        async with running(settings(tmp_path)), browser() as client:
+            await client.send(login() + packet(14))
+            assert (await closed(client))[0] == 1000
+
+    with caplog.at_level(logging.INFO, "console"):
+        asyncio.run(scene())
+    assert "the browser has left" in caplog.text
+
+
+def test_a_wrong_password_is_the_broker_s_answer_and_opens_nothing(broker, tmp_path):
+    async def scene() -> None:
+        private = tmp_path / "private"
+        private.mkdir()
+        (private / "robot.json").write_text("{}")
+        async with running(settings(tmp_path, private=private)), browser() as client:
+            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
+            await client.send(login(password="guess"))
+            assert (await client.recv())[3] in (4, 5)
+            assert await closed(client) == (BROKER_AWAY, "the broker has refused the login")
+            answer, _ = await asyncio.to_thread(get, "/private/robot.json", Cookie=ticket)
+            assert answer.status == 403
+            async with browser() as good:
+                ticket = good.response.headers["Set-Cookie"].partition(";")[0]
+                await good.send(login())
+                assert await good.recv() == CONNACK_OK
+                answer, body = await asyncio.to_thread(get, "/private/robot.json", Cookie=ticket)
+                assert (answer.status, body) == (200, b"{}")
+            answer, _ = await asyncio.to_thread(get, "/private/../page/index.html", Cookie=ticket)
+            assert answer.status in (403, 404)
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize("origin", (None, "https://evil.example", "http://127.0.0.1:1"))
+def test_another_site_s_page_is_refused(broker, tmp_path, origin):
+    async def scene() -> None:
+        async with running(settings(tmp_path)):
+            with pytest.raises(InvalidStatus) as caught:
+                async with browser(origin):
+                    pass
+            assert caught.value.response.status_code == 403
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize(
+    ("sent", "code"),
+    (
+        ("a text frame", NOT_MQTT),
+        (b"junk that is no MQTT", NOT_MQTT),
+        (connect() + connect(), NOT_MQTT),
+        (b"\x10\xff\xff\x7f", TOO_MUCH),
+    ),
+)
+def test_what_is_no_mqtt_ends_the_connection_and_nobody_else_s(broker, tmp_path, sent, code):
+    async def scene() -> None:
+        async with running(settings(tmp_path)), browser() as good, browser() as bad:
+            await good.send(login())
+            assert await good.recv() == CONNACK_OK
+            await bad.send(sent)
+            assert (await closed(bad))[0] == code
+            await good.send(PING)
+            assert await asyncio.wait_for(good.recv(), 10) == PONG
+
+    asyncio.run(scene())
+
+
+def test_who_says_nothing_or_too_much_is_cut_off(broker, tmp_path):
+    limits = PipeLimits(login_s=0.2, packets_per_s=1.0, burst_packets=10.0)
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, limits=limits)):
+            async with browser() as silent:
+                assert (await closed(silent))[0] == NOT_MQTT
+            async with browser() as loud:
+                await loud.send(login())
+                with contextlib.suppress(ConnectionClosed):
+                    for _ in range(100):
+                        await loud.send(PING)
+                assert (await closed(loud))[0] == TOO_MUCH
+
+    asyncio.run(scene())
+
+
+def test_a_broker_that_is_not_there_is_told_at_once(tmp_path):
+    async def scene() -> None:
+        async with running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28482))), browser() as client:
+            assert await closed(client) == (BROKER_AWAY, "the broker cannot be reached")
+
+    asyncio.run(scene())
+
+
+def test_a_broker_that_goes_away_is_told_at_once(tmp_path):
+    async def scene() -> None:
+        gone: list[asyncio.StreamWriter] = []
+        server = await asyncio.start_server(lambda reader, writer: gone.append(writer), "127.0.0.1", 28483)
+        async with server, running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483))), browser() as client:
+            await client.send(login())
+            while not gone:
+                await asyncio.sleep(0.01)
+            gone[0].close()
+            assert (await closed(client))[0] == BROKER_AWAY
+
+    asyncio.run(scene())
+
+
+def test_no_more_connections_than_allowed(broker, tmp_path):
+    async def scene() -> None:
+        async with running(settings(tmp_path, connections_per_peer=2)), browser() as one, browser():
+            with pytest.raises(InvalidStatus) as caught:
+                async with browser():
+                    pass
+            assert caught.value.response.status_code == 503
+            await one.close()
+
+    asyncio.run(scene())
+
+
+def test_the_page_comes_with_a_strict_policy_and_is_asked_for_again_only_when_it_changed(tmp_path):
+    async def scene() -> None:
+        async with running(settings(tmp_path)):
+            answer, body = await asyncio.to_thread(get, "/", **{"Accept-Encoding": "gzip"})
+            assert answer.status == 200
+            assert len(body) < 200
+            assert answer.headers["Content-Encoding"] == "gzip"
+            policy = answer.headers["Content-Security-Policy"]
+            assert "default-src 'none'" in policy and "unsafe" not in policy
+            assert answer.headers["Cache-Control"] == "no-cache"
+            answer, body = await asyncio.to_thread(get, "/", **{"If-None-Match": answer.headers["ETag"]})
+            assert (answer.status, body) == (304, b"")
+            answer, _ = await asyncio.to_thread(get, "/app-0123456789ab.js")
+            assert "immutable" in answer.headers["Cache-Control"]
+            assert answer.headers["Content-Type"] == "text/javascript; charset=utf-8"
+            for path in ("/nothing", "/../pyproject.toml", "//etc/passwd", "/private/runs.json"):
+                answer, _ = await asyncio.to_thread(get, path)
+                assert answer.status in (403, 404), path
+
+    asyncio.run(scene())
+
+
+def test_the_runs_are_listed_for_who_is_logged_in(broker, tmp_path):
+    results = tmp_path / "results"
+    (results / "run1").mkdir(parents=True)
+    (results / "run1/report.html").write_text("<h1>run 1</h1>")
+    (results / "run1/secret.key").write_text("no")
+    (results / "run1/outside.png").symlink_to("/etc/hostname")
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, results=results)), browser() as client:
+            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
+            await client.send(login())
+            assert await client.recv() == CONNACK_OK
+            answer, body = await asyncio.to_thread(get, "/private/runs.json", Cookie=ticket)
+            (run,) = json.loads(body)["runs"]
+            assert (answer.status, run["name"], run["report"]) == (200, "run1", "run1/report.html")
+            answer, body = await asyncio.to_thread(get, "/private/runs/run1/report.html", Cookie=ticket)
+            assert body == b"<h1>run 1</h1>"
+            assert "sandbox" in answer.headers["Content-Security-Policy"]
+            for name in ("run1/secret.key", "run1/outside.png", "../page/index.html", "run2/report.html"):
+                answer, _ = await asyncio.to_thread(get, f"/private/runs/{name}", Cookie=ticket)
+                assert answer.status == 404, name
+
+    asyncio.run(scene())
+
+
+def test_ten_thousand_junk_frames_leave_it_alive(broker, tmp_path):
+    async def scene() -> None:
+        async with running(settings(tmp_path, connections_per_peer=30)), browser() as good:
+            await good.send(login())
+            assert await good.recv() == CONNACK_OK
+
+            async def junk(number: int) -> None:
+                async with browser() as bad:
+                    with contextlib.suppress(ConnectionClosed):
+                        for k in range(500):
+                            await bad.send(bytes([(number * 37 + k) % 256]) * (k % 50))
+
+            await asyncio.gather(*map(junk, range(20)))
+            await good.send(PING)
+            assert await asyncio.wait_for(good.recv(), 10) == PONG
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    (
+        (["--listen", "192.168.1.10"], "--certificate"),
+        (["--broker-host", "192.168.1.10"], "--broker-ca"),
+        (["--certificate", "a.pem"], "both or neither"),
+        (["--certificate", "a.pem", "--key", "b.pem"], "readable files in PEM"),
+    ),
+)
+def test_what_would_send_passwords_in_the_clear_is_refused(tmp_path, capsys, arguments, words):
+    assert main(["--page", str(page(tmp_path)), *arguments]) == 1
+    assert words in capsys.readouterr().out
+
+
+def test_a_page_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(ConfigurationError, match="expected a folder"):
+        read_folder(tmp_path / "nothing")
+
+
+def test_without_the_package_one_sentence_says_what_to_do(monkeypatch, capsys):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert command_line.main([]) == 1
+    assert capsys.readouterr().out == (
+        "console: the Python package websockets is not installed; run setup/setup.sh console\n"
+    )
+
+
+def test_without_a_page_it_only_pipes(broker, tmp_path):
+    async def scene() -> None:
+        served = ServerSettings({}, None, None, BrokerAddress("127.0.0.1", BROKER_PORT))
+        async with running(served), browser() as client:
+            await client.send(login())
+            assert await client.recv() == CONNACK_OK
+            for path in ("/", "/index.html"):
+                assert (await asyncio.to_thread(get, path))[0].status == 404
+
+    asyncio.run(scene())
+
+
+def test_a_login_that_comes_byte_by_byte_has_no_more_time(broker, tmp_path):
+    async def scene() -> None:
+        async with running(settings(tmp_path, limits=PipeLimits(login_s=0.5))), browser() as client:
+            with contextlib.suppress(ConnectionClosed):
+                for byte in login() * 100:
+                    await client.send(bytes([byte]))
+                    await asyncio.sleep(0.1)
+            assert await closed(client) == (NOT_MQTT, "no CONNECT within 0.5 s")
+
+    asyncio.run(scene())
+
+
+def test_what_is_no_broker_is_told(tmp_path):
+    async def scene() -> None:
+        async def answer(_, writer: asyncio.StreamWriter) -> None:
+            writer.write(b"\x20\xff\xff\xff\xff\xff")
+
+        server = await asyncio.start_server(answer, "127.0.0.1", 28483)
+        async with server, running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483))), browser() as client:
+            code, reason = await closed(client)
+            assert (code, reason[:37]) == (BROKER_AWAY, "what answers there is no MQTT broker:")
+
+    asyncio.run(scene())
+
+
+def test_a_connection_that_asks_for_nothing_is_closed_and_one_address_cannot_have_all(tmp_path):
+    async def scene() -> None:
+        limits = PipeLimits(login_s=1.0)
+        async with running(settings(tmp_path, limits=limits, connections_per_peer=1)):
+            visitors = [await asyncio.open_connection("127.0.0.1", PORT) for _ in range(5)]
+            # the fifth at once, the others after a second
+            for reader, _ in reversed(visitors):
+                with contextlib.suppress(ConnectionError):
+                    assert await asyncio.wait_for(reader.read(), 10) == b""
+            answer, _ = await asyncio.to_thread(get, "/")
+            assert answer.status == 200
+            for _, writer in visitors:
+                writer.close()
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize("ends", ("with its request", "once it has all"))
+def test_a_reader_that_has_its_file_takes_up_no_connection(tmp_path, caplog, ends):
+    async def scene() -> None:
+        # four connections of an address at once
+        async with running(settings(tmp_path, connections_per_peer=1)):
+            for _ in range(12):
+                reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
+                writer.write(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n\r\n".encode())
+                if ends == "with its request":
+                    writer.write_eof()
+                answer = await asyncio.wait_for(reader.read(), 10)
+                assert answer.startswith(b"HTTP/1.1 200") and b"console</title>" in answer
+                writer.close()
+                await writer.wait_closed()
+
+    asyncio.run(scene())
+    assert "did not take all" not in caplog.text
+
+
+def test_a_private_file_is_the_one_of_now(broker, tmp_path):
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "building.glb").write_bytes(b"old")
+    (private / "hostname").symlink_to("/etc/hostname")
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, private=private)), browser() as client:
+            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
+            await client.send(login())
+            assert await client.recv() == CONNACK_OK
+            _, body = await asyncio.to_thread(get, "/private/building.glb", Cookie=ticket)
+            assert body == b"old"
+            (private / "building.glb").write_bytes(b"a new one")
+            _, body = await asyncio.to_thread(get, "/private/building.glb", Cookie=ticket)
+            assert body == b"a new one"
+            (private / "building.glb").unlink()
+            for name in ("building.glb", "hostname"):
+                answer, _ = await asyncio.to_thread(get, f"/private/{name}", Cookie=ticket)
+                assert answer.status == 404, name
+
+    asyncio.run(scene())
+
+
+def test_what_could_not_be_delivered_is_never_delivered_later(tmp_path):
+    """The broker stops reading; the browser is told and cut off; the broker reads again."""
+
+    async def scene() -> None:
+        came: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = []
+        server = await asyncio.start_server(lambda *both: came.append(both), "127.0.0.1", 28483, limit=1024)
+        limits = PipeLimits(bytes_per_s=1e9, burst_bytes=1e9, packets_per_s=1e6, burst_packets=1e6)
+        served = settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483), limits=limits)
+        async with server, running(served), browser() as client:
+            await client.send(login())
+            sent = bytearray()
+            with pytest.raises(ConnectionClosed) as caught:
+                for number in range(1000):
+                    sent += (data := packet(3, number.to_bytes(4, "big") * 15_000))
+                    await asyncio.wait_for(client.send(data), 10)
+            assert caught.value.rcvd.code == BROKER_AWAY
+            reader, writer = came[0]
+            received = bytearray()
+            with contextlib.suppress(ConnectionError):
+                while data := await asyncio.wait_for(reader.read(65536), 10):
+                    received += data
+            # what was in the kernel's buffers at most; of the newest nothing
+            assert len(received) < len(sent) - 60_000
+            writer.close()
+
+    asyncio.run(scene())
+
+
+def test_a_site_s_accounts_come_through_with_tls_on_both_sides(tmp_path):
+    site, port, broker_port = tmp_path / "site", 28484, 28485
+    made = ["--host", "localhost", "--robot", "kr120", "--port", str(broker_port)]
+    assert make_site.main([str(site), *made]) == 0
+    program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
+    configuration = tmp_path / "mosquitto.conf"
+    configuration.write_text((site / "broker/mosquitto.conf").read_text() + "\nuser root\n")
+    command = [
+        sys.executable, Path(__file__).parents[3] / "nodes/console", "--port", str(port),
+        "--certificate", site / "broker/server.crt", "--key", site / "broker/server.key",
+        "--broker-host", "localhost", "--broker-port", str(broker_port), "--broker-ca", site / "ca/ca.crt",
+    ]  # fmt: skip
+    trust = ssl.create_default_context(cafile=site / "ca/ca.crt")
+
+    async def answers(account: str, password: str, topic: str) -> tuple[int, int]:
+        """Return the reason codes of the login and, 255 without one, of a message with QoS 1."""
+        url, origin = f"wss://localhost:{port}/mqtt", f"https://localhost:{port}"
+        async with websocket(url, ssl=trust, origin=origin, subprotocols=["mqtt"]) as client:
+            assert "; Secure" in client.response.headers["Set-Cookie"]
+            start = text("MQTT") + b"\x05\xc2\0\x0a\0" + text("tablet") + text(account) + text(password)
+            await client.send(packet(1, start))
+            accepted = (await asyncio.wait_for(client.recv(), 10))[3]
+            if accepted:
+                return accepted, 255
+            await client.send(packet(3, text(topic) + b"\0\x01\0{}", flags=2))
+            # a PUBACK without a reason code says 0
+            return accepted, (await asyncio.wait_for(client.recv(), 10) + b"\0\0\0")[4]
+
+    with started([program, "-c", configuration], broker_port), started(command, port) as console:
+        passwords = {
+            name: (site / f"accounts/kr120-{name}/password").read_text().strip() for name in ("reviewer", "viewer")
+        }
+        review, refused = "twin/kr120/review/kr120-reviewer", 0x87
+        assert asyncio.run(answers("kr120-reviewer", passwords["reviewer"], review))[0] == 0
+        assert asyncio.run(answers("kr120-reviewer", passwords["reviewer"], review))[1] != refused
+        assert asyncio.run(answers("kr120-viewer", passwords["viewer"], review)) == (0, refused)
+        assert asyncio.run(answers("kr120-viewer", passwords["reviewer"], review)) == (refused, 255)
+        with contextlib.suppress(ConnectionError), socket.create_connection(("127.0.0.1", port), 5) as plain:
+            plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            # TLS ends with an alert, or with a reset: never with a page
+            assert not plain.recv(1000).startswith(b"HTTP")
+        console.send_signal(signal.SIGINT)
+        said, _ = console.communicate(timeout=10)
+    assert console.returncode == 0
+    assert re.match(rf"console: wss://127.0.0.1:{port}/mqtt\n", said)

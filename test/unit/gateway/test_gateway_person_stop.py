@@ -1,0 +1,120 @@
+"""A person's stop, `stop/<account>`: it needs no session, brakes inside the limits as the verb does, and says who it was."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from gateway_cell import CONFIG, Cell, following
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.units import CYCLE, format_allowance
+from construction_twin.gateway.gateway import STOP_PERIOD, STOPS_AT_ONCE, State
+from construction_twin.mqtt.interventions import STOP, Intervention
+from construction_twin.mqtt.messages import Control
+
+
+def press(cell: Cell, account: str = "arm-stopper-bob", id_: str = "1"):
+    return cell.gateway.on_stop(Intervention(STOP, account, id_), cell.now)
+
+
+def test_an_arm_in_motion_brakes_inside_the_limits_and_stays_stopped_until_a_reset():
+    cell = following()
+    positions = [cell.measured]
+    answer = press(cell)
+    assert (answer.ok, answer.reason) == (True, "gateway is braking")
+    while cell.state is State.BRAKING:
+        cell.cycle()
+        positions.append(cell.measured)
+    assert len(positions) > 5 and cell.state is State.HOLDING
+    allowed = (CONFIG.acceleration[0] + format_allowance(3)) * CYCLE**2 + 1e-12
+    moves = [b[0] - a[0] for a, b in itertools.pairwise(positions)]
+    assert all(abs(b - a) <= allowed for a, b in itertools.pairwise(moves))
+    assert not cell.arm("s2")[0]
+    assert cell.control("reset", "s2")[0] and cell.arm("s2")[0]
+
+
+def test_it_says_who_it_was():
+    cell = following()
+    press(cell)
+    status = cell.gateway.status()
+    assert status["reason"] == "stop: asked for by account arm-stopper-bob"
+    assert (status["stop"]["cause"], status["stop"]["by"]) == ("stop", "arm-stopper-bob")
+    assert (status["fault"], status["session"], status["counters"]["stops_stop"]) == (True, "", 1)
+
+
+def test_every_other_stop_is_nobody_s():
+    cell = following()
+    press(cell)
+    cell.cycle(400)
+    assert cell.control("reset", "s2")[0] and cell.arm("s2")[0]
+    cell.stream([cell.measured] * 50, "s2")
+    assert cell.state is State.FOLLOWING
+    cell.control("stop", "s2")
+    assert (cell.gateway.status()["stop"]["cause"], cell.gateway.status()["stop"]["by"]) == ("stop", "")
+
+
+def test_it_brakes_exactly_as_the_verb_does():
+    pressed, told = following(), following()
+    press(pressed)
+    told.gateway.on_control(Control("1", "anybody", "stop"), told.now)
+    for cell in (pressed, told):
+        cell.cycle(400)
+    assert pressed.replies == told.replies
+
+
+@pytest.mark.parametrize("prepare", ["nothing heard", "ready", "armed"])
+def test_without_a_session_and_at_rest_it_is_not_forgotten_either(prepare):
+    cell = Cell()
+    if prepare != "nothing heard":
+        cell.cycle(3)
+    if prepare == "armed":
+        assert cell.arm()[0]
+    assert press(cell).ok
+    cell.cycle(3)
+    assert cell.gateway.fault and "reset first" in cell.arm("s2")[1]
+
+
+def test_a_failed_gateway_answers_that_it_has_failed():
+    cell = following()
+    cell.gateway.fail("broken")
+    assert (press(cell).ok, press(cell, "arm-reviewer-ada").reason) == (True, "gateway is failed")
+
+
+def test_pressing_on_costs_a_count_and_no_answer():
+    cell = following()
+    assert all(press(cell, id_=str(k)).reason for k in range(STOPS_AT_ONCE))
+    before = cell.gateway.status()
+    cell.gateway.take_change()
+    assert [press(cell, id_=str(k)).reason for k in range(500)] == [""] * 500
+    assert not cell.gateway.take_change()
+    after = cell.gateway.status()
+    assert after["counters"].pop("stops_repeated") == 500 and after == before
+    # another one's is answered all the same, and its own a moment later
+    assert press(cell, "arm-reviewer-ada").reason
+    cell.now += STOP_PERIOD
+    assert press(cell).reason
+
+
+def test_whoever_was_just_answered_stops_an_arm_that_moves_again():
+    """The pace is one of answers: no stop of an arm that may move is left out."""
+    cell = Cell()
+    cell.cycle(3)
+    while press(cell).reason:
+        pass
+    cell.cycle(3)
+    assert cell.control("reset")[0] and cell.arm("s2")[0]
+    assert press(cell).reason and cell.gateway.fault
+
+
+def test_what_is_no_stop_is_refused_counted_and_moves_nothing():
+    cell = following()
+    wrong = PayloadError("stop", "no stop")
+    answer = cell.gateway.refuse_stop("ada", wrong, cell.now)
+    assert (answer.ok, answer.reason) == (False, "no stop")
+    answered = [cell.gateway.refuse_stop("ada", wrong, cell.now).reason for _ in range(99)]
+    assert answered.count("no stop") == STOPS_AT_ONCE - 1
+    assert (cell.count("refused_stop"), cell.state) == (100, State.FOLLOWING)
+    assert "no stop" in cell.gateway.status()["last_refusal"]
+    # and takes the next real one nothing
+    assert press(cell, "ada").reason and cell.state is State.BRAKING

@@ -1,0 +1,82 @@
+"""`stop/<account>` between a real broker, a real UDP socket and the gateway; no ROS PC, no session."""
+
+from __future__ import annotations
+
+import json
+
+from processes import wait_until
+from service_cell import PATIENT, START, assert_still, cell, motion, stream
+
+
+def answers(client, topics) -> list[dict]:
+    return [json.loads(message.payload) for message in client.on(topics.stop_ack)]
+
+
+def press(client, topics, payload: bytes, account: str = "arm-stopper-bob", retain: bool = False) -> dict:
+    """Publish on `stop/<account>`; return the answer."""
+    count = len(answers(client, topics))
+    client.paho.publish(topics.stop_by(account), payload, qos=1, retain=retain)
+    wait_until(lambda: len(answers(client, topics)) > count, what="an answer on stop/ack")
+    return answers(client, topics)[count]
+
+
+def test_a_stop_mid_motion_brakes_is_answered_and_names_who(broker, topics):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(150)))
+        moving = controller.measured
+        assert moving != START
+        answer = press(client, topics, b'{"id": "7"}')
+        assert answer == {
+            "id": "7", "account": "arm-stopper-bob", "ok": True, "reason": "gateway is braking", "by": "gateway"
+        }  # fmt: skip
+        # told before it is answered
+        assert client.status()["state"] in ("braking", "holding")
+        client.wait_for_status(state="holding", fault=True)
+        assert client.status()["stop"]["by"] == "arm-stopper-bob"
+        assert client.status()["reason"] == "stop: asked for by account arm-stopper-bob"
+        assert_still(controller)
+        assert not client.arm(PATIENT, "s2")["ok"]
+        assert client.control("reset", session="s2")["ok"] and client.arm(PATIENT, "s2")["ok"]
+
+
+def test_what_is_no_stop_is_refused_answered_and_counted(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        client.arm()
+        bad = [b"", b"stop", b"{}", b'{"id": 1}', b'{"id": "1", "session": "s1"}', b"x" * 5000]
+        for number, payload in enumerate(bad):
+            answer = press(client, topics, payload, f"account-{number}")
+            assert (answer["ok"], answer["id"], answer["account"]) == (False, "", f"account-{number}")
+        client.wait_for_counter("refused_stop", len(bad))
+        retained = press(client, topics, b'{"id": "1"}', "retainer", retain=True)
+        assert not retained["ok"] and "retain flag" in retained["reason"]
+        client.paho.publish(topics.stop_by("retainer"), b"", qos=1, retain=True)
+        assert not press(client, topics, b'{"id": "1"}', "no account")["ok"]
+        client.wait_for_counter("refused_sender", 1)
+        assert client.status()["state"] == "armed"
+
+
+def test_a_flood_of_stops_is_answered_at_a_bounded_rate_and_another_person_all_the_same(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        counters, begin = service.gateway.counters, len(controller.replies)
+        for number in range(500):
+            client.paho.publish(topics.stop_by("flooder"), json.dumps({"id": str(number)}), qos=1)
+        client.paho.publish(topics.stop_by("arm-reviewer-ada"), b'{"id": "mine"}', qos=1)
+        wait_until(
+            lambda: counters["stops_repeated"] + counters["stops_stop"] == 501, what="all that was sent", timeout=60.0
+        )
+        wait_until(lambda: len(client.on(topics.stop_ack)) == counters["stops_stop"], what="their answers")
+        mine = [answer for answer in answers(client, topics) if answer["account"] == "arm-reviewer-ada"]
+        assert [(answer["id"], answer["ok"]) for answer in mine] == [("mine", True)]
+        assert counters["stops_repeated"] > 0
+        # RSI is answered before MQTT is read
+        assert None not in controller.replies[begin:]
+
+
+def test_answers_of_the_executor_are_no_stops(broker, topics):
+    with cell(broker, topics) as (service, controller, client):
+        client.arm()
+        client.paho.publish(topics.stop_ack, b'{"id": "1"}', qos=1).wait_for_publish(10.0)
+        # behind it on the same connection: what comes first is read first
+        assert client.control("void")["ok"]
+        assert client.status()["state"] == "armed" and not service.gateway.fault

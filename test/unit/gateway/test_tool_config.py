@@ -1,0 +1,119 @@
+"""The tool in the gateway's configuration: what it must agree with, and that an arm without one has the hash that it had."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+
+import gateway_cell
+import pytest
+import yaml
+from processes import ROOT
+from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
+
+from construction_twin.core.errors import ConfigurationError, EthernetXmlError
+from construction_twin.gateway.config import parse_config
+from construction_twin.gateway.tool_config import GatewayTool, ToolOutput, check_tool
+from construction_twin.robot.description import read_robot_files
+from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.rsi.tool_channels import is_tool_name
+
+FILE = yaml.safe_load((ROOT / "config/tools/vacuum_frame.yaml").read_text())
+XML = {name: (ROOT / f"krl/ethernet/{name}_ethernet.xml").read_text() for name in ("ctwin", "ctwin_tool")}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
+
+
+def test_it_comes_from_the_tool_file_and_is_part_of_the_hash(robot):
+    config = gateway_config(robot, {"ethernet_xml": XML["ctwin_tool"], "tool": FILE})
+    assert config.tool == TOOL
+    other = gateway_config(robot, {"ethernet_xml": XML["ctwin_tool"], "tool": FILE | {"name": "another"}})
+    assert other.hash != config.hash
+    assert parse_config(config.to_json(), "file") == config
+
+
+def test_a_tool_file_without_channels_is_a_tool_without_hands(robot):
+    assert gateway_config(robot, {"ethernet_xml": XML["ctwin"], "tool": FILE}).tool is None
+    assert gateway_config(robot, {"ethernet_xml": XML["ctwin"], "tool": {}}).tool is None
+
+
+def test_channels_without_a_tool_file_are_refused(robot):
+    with pytest.raises(EthernetXmlError, match="found 'no tool'.*launch argument tool"):
+        gateway_config(robot, {"ethernet_xml": XML["ctwin_tool"]})
+
+
+def test_a_tool_file_that_is_none_is_refused_with_its_key(robot):
+    with pytest.raises(ConfigurationError, match="tool/outputs"):
+        gateway_config(robot, {"ethernet_xml": XML["ctwin_tool"], "tool": FILE | {"outputs": {"vacuum": {}}}})
+
+
+def test_without_a_tool_file_and_hash_are_those_of_before_there_were_tools():
+    config = gateway_cell.CONFIG
+    document = dataclasses.asdict(config)
+    del document["tool"], document["layout"]["switched"], document["layout"]["switched_holdon"]
+    assert config.hash == hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+    assert "tool" not in json.loads(config.to_json())["motion"]
+    assert parse_config(config.to_json(), "file") == config
+
+
+@pytest.mark.parametrize(
+    "tool, sentence",
+    [
+        (dataclasses.replace(TOOL, outputs=(ToolOutput("clamp", "keep"),)), "RECEIVE Set.clamp"),
+        (dataclasses.replace(TOOL, outputs=(*TOOL.outputs, ToolOutput("lamp", "off"))), "RECEIVE Set.lamp"),
+        (dataclasses.replace(TOOL, inputs=("vacuum_reached", "part")), "SEND In.part"),
+        (dataclasses.replace(TOOL, inputs=("part",)), "SEND In.part"),
+        (switched_off_on_stop()[1], "Set.vacuum HOLDON: found '1', expected \"0\".*on_stop: off"),
+    ],
+)
+def test_a_mismatch_is_refused_in_one_sentence(tool, sentence):
+    with pytest.raises(EthernetXmlError, match=sentence) as refused:
+        check_tool(tool, LAYOUT, "file.xml")
+    assert str(refused.value).count("\n") == 0
+    with pytest.raises(EthernetXmlError):
+        ToolCell(tool=tool)
+
+
+def test_the_shipped_pair_fits_and_a_read_only_context_needs_no_set_channels():
+    check_tool(TOOL, LAYOUT, "file")
+    check_tool(
+        TOOL, dataclasses.replace(LAYOUT, onlysend=True, receive=(), holdon=(), switched=(), switched_holdon=()), "f"
+    )
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"name": "Vacuum"},
+        {"name": ""},
+        {"outputs": ()},
+        {"inputs": ()},
+        {"inputs": ("a", "a")},
+        {"outputs": (ToolOutput("a", "keep"), ToolOutput("a", "keep"))},
+        {"outputs": (ToolOutput("Enable", "keep"),)},
+        {"outputs": (ToolOutput("a", "hold"),)},
+        {"outputs": (ToolOutput("a", "keep", "yes"),)},
+        {"outputs": (ToolOutput("a", "off", False),)},
+    ],
+)
+def test_a_tool_that_makes_no_sense_is_refused(changes):
+    with pytest.raises(ConfigurationError):
+        dataclasses.replace(TOOL, **changes)
+
+
+def test_an_edited_file_is_refused():
+    config = ToolCell().config
+    with pytest.raises(ConfigurationError, match="the file was edited"):
+        parse_config(config.to_json().replace('"opens": false', '"opens": true'), "file")
+    with pytest.raises(ConfigurationError, match="written by export_gateway_config"):
+        parse_config(config.to_json().replace('"on_stop"', '"on_halt"'), "file")
+    with pytest.raises(ConfigurationError):
+        GatewayTool.of_document(json.loads(config.to_json())["motion"]["tool"] | {"inputs": []})
+
+
+def test_no_output_can_have_the_name_of_the_enabling_channel():
+    assert not is_tool_name("Enable") and is_tool_name("enable")

@@ -1,0 +1,632 @@
+"""Tool I/O: what fires when, what is void, and that nothing opens before the outputs are known."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mock_cell import HOME
+from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
+
+from construction_twin.core.state_table import cells
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.gateway.gateway import State
+from construction_twin.gateway.tool_config import ToolOutput
+from construction_twin.gateway.tool_switches import (
+    LONGEST_DIFFERENCE,
+    MOST_AHEAD,
+    MOST_TOLD,
+    ROUND_TRIP,
+    SWITCH_TABLE,
+    SwitchAction,
+    SwitchEvent,
+    SwitchState,
+    ToolSwitches,
+)
+from construction_twin.mock.faults import Fault, FaultBoard
+from construction_twin.rsi.tool_channels import ToolReading
+
+GRIPPED = {"vacuum_reached": True}
+
+
+def gripped() -> ToolCell:
+    """Return a cell that holds something, with the stream going on."""
+    cell = ToolCell().follow()
+    assert cell.ask(True)[0]
+    cell.go_on(80)
+    assert cell.out and cell.status()["inputs"] == GRIPPED
+    return cell
+
+
+def test_a_switch_fires_once_and_the_gripper_confirms_it():
+    cell = ToolCell().follow()
+    assert cell.status()["known"] is True and cell.status()["outputs"] == {"vacuum": False}
+    assert cell.ask(True, id="grip") == (True, "armed")
+    assert cell.switches() == {"grip": "armed"} and not cell.out
+    cell.go_on(30)
+    assert cell.switches() == {"grip": "fired"} and cell.out
+    cell.go_on(60)
+    assert cell.status()["inputs"] == GRIPPED
+    assert cell.gateway.counters["tool_switches_fired"] == 1
+
+
+@pytest.mark.parametrize("ahead", [5, 6, 17, 40])
+def test_it_fires_in_the_cycle_in_which_the_playout_passes_its_stamp(ahead):
+    cell = ToolCell().follow()
+    played = []
+    cell.gateway.trace = lambda ipoc, session, state, stamp, position: played.append(stamp)
+    assert cell.ask(True, ahead=ahead)[0]
+    stamp = cell.status()["switches"][0]["stamp"]
+    before = len(cell.sent)
+    cell.go_on(ahead + 15)
+    fired = [index for index, values in enumerate(cell.sent[before:]) if values["vacuum"]]
+    passed = [index for index, at in enumerate(played) if at >= stamp]
+    assert fired == passed and played[passed[0]] - stamp < CYCLE_NS
+
+
+def test_two_switches_fire_in_the_order_of_their_stamps():
+    cell = ToolCell().follow()
+    assert cell.ask(False, ahead=20, id="second")[0] and cell.ask(True, ahead=10, id="first")[0]
+    cell.go_on(18)
+    assert cell.switches() == {"second": "armed", "first": "fired"} and cell.out
+    cell.go_on(10)
+    assert not cell.out and set(cell.switches().values()) == {"fired"}
+
+
+# -- refused
+
+
+@pytest.mark.parametrize(
+    "changes, sentence",
+    [
+        ({"output": "clamp"}, "has no output 'clamp'; it has vacuum"),
+        ({"stamp": 5}, "the playout has passed the stamp 5 already"),
+        ({"ahead": round(MOST_AHEAD * 250) + 100}, "ahead of the playout; at most 2 s"),
+        ({"session": "other"}, "session other does not command"),
+    ],
+)
+def test_what_is_refused_says_why_and_does_nothing(changes, sentence):
+    cell = ToolCell().follow()
+    ok, reason = cell.switch(True, **{"session": cell.session} | changes)
+    assert not ok and reason.startswith("tool: ") and sentence in reason
+    cell.go_on(40)
+    assert not cell.out and list(cell.switches().values()) == ["refused"]
+    assert cell.gateway.counters["refused_switch"] == 1 and sentence in cell.gateway.status()["last_refusal"]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, 1, "x", [], {}, {"id": "a", "output": "vacuum", "value": True}]
+    + [
+        {"id": "a", "output": "vacuum", "value": True, "stamp": 1} | change
+        for change in (
+            {"id": ""}, {"id": 5}, {"id": "\n"}, {"output": 7}, {"value": 1}, {"value": None}, {"stamp": 1.5}, {"stamp": True},
+            {"stamp": -1}, {"stamp": 1 << 70}, {"more": 1},
+        )
+    ],
+)  # fmt: skip
+def test_what_is_no_switch_is_refused(value):
+    cell = ToolCell().follow()
+    ok, reason = cell.control("switch", value, cell.session)
+    assert not ok and reason.startswith("tool: a switch must have")
+    assert cell.switches() == {}
+
+
+def test_a_switch_is_used_once_and_a_copy_of_its_message_is_refused():
+    cell = ToolCell().follow()
+    assert cell.ask(True, id="one")[0]
+    assert "was answered before" in cell.ask(True, id="one")[1]
+    content = {"id": "one", "output": "vacuum", "value": False, "stamp": cell.stamp + 20 * CYCLE_NS}
+    assert "asked for before" in cell.control("switch", content, cell.session)[1]
+    cell.go_on(40)
+    assert cell.out and cell.switches() == {"one": "fired"}
+
+
+def test_no_more_than_16_wait():
+    cell = ToolCell().follow()
+    answers = [cell.ask(True, ahead=60)[0] for _ in range(MOST_TOLD + 1)]
+    assert answers == [True] * MOST_TOLD + [False]
+
+
+def test_without_a_stream_and_in_commissioning_mode_nothing_is_switched():
+    cell = ToolCell()
+    cell.cycle(5)
+    ok, reason = cell.switch(True)
+    assert not ok and "no stream is followed, the gateway is ready" in reason
+    cell = ToolCell(commissioning=True).follow()
+    ok, reason = cell.ask(True)
+    assert not ok and "commissioning mode" in reason
+
+
+def test_a_gateway_without_a_tool_refuses_and_tells_of_none():
+    layout = dataclasses.replace(LAYOUT, switched=(), switched_holdon=(), send=("AIPos", "ASPos", "Delay"))
+    cell = ToolCell(layout=layout, tool=None).follow()
+    assert "tool" not in cell.gateway.status()
+    assert "the configuration has none" in cell.ask(True)[1]
+    assert cell.control("void", None, cell.session) == (True, "0 armed switches are void")
+
+
+# -- void
+
+
+def stop(cell):
+    assert cell.control("stop", None, "anybody")[0]
+
+
+def end(cell):
+    assert cell.control("end", None, "anybody")[0]
+
+
+def silence(cell):
+    cell.cycle(60)
+    assert cell.state in (State.BRAKING, State.HOLDING)
+
+
+def refused_command(cell):
+    cell.send((1.0, *HOME[1:]), cell.session)
+    assert cell.gateway.fault
+
+
+def reset(cell):
+    assert cell.control("reset", None, cell.session)[0]
+
+
+def rsi_ends(cell):
+    cell.now += NANOSECONDS
+    cell.gateway.poll(cell.now)
+    assert cell.state is State.NO_CONTROLLER
+
+
+def rsi_restarts(cell):
+    cell.restart()
+    cell.cycle()
+
+
+def speed_limit_0(cell):
+    assert cell.control("speed_limit", 0.0, cell.session)[0]
+
+
+def void(cell):
+    assert cell.control("void", None, "anybody") == (True, "1 armed switch is void")
+
+
+def read_back_lost(cell):
+    cell.tool.hidden = True
+    cell.send(session=cell.session)
+    cell.cycle()
+    cell.tool.hidden = False
+
+
+CASES = [
+    (stop, "asked for by anybody"),
+    (end, "end asked for by anybody"),
+    (silence, "no command for"),
+    (refused_command, "A1"),
+    (reset, "reset"),
+    (rsi_ends, "no telegram for"),
+    (rsi_restarts, "another RSI session began"),
+    (speed_limit_0, "the speed limit is 0"),
+    (void, "asked for by anybody"),
+    (read_back_lost, "the outputs are not read back"),
+]
+
+
+@pytest.mark.parametrize("cause, sentence", CASES, ids=[cause.__name__ for cause, _ in CASES])
+def test_an_armed_switch_is_void_for_good(cause, sentence):
+    cell = ToolCell().follow()
+    assert cell.ask(True, ahead=100, id="grip")[0]
+    cause(cell)
+    switch = cell.status()["switches"][0]
+    assert (switch["id"], switch["state"]) == ("grip", "void") and sentence in switch["reason"]
+    # and nothing fires on resume
+    if cell.state is State.FOLLOWING:
+        cell.control("speed_limit", 1.0, cell.session, id="1000")
+        cell.go_on(150)
+    else:
+        cell.cycle(200)
+        if not cell.controller.running:
+            cell.restart()
+        cell.follow(150)
+    assert not cell.out and cell.switches() == {"grip": "void"}
+    assert cell.gateway.counters["tool_switches_void"] == 1
+
+
+def test_after_a_stop_a_new_switch_of_a_new_session_fires():
+    cell = ToolCell().follow()
+    assert cell.ask(True, ahead=60, id="old")[0]
+    stop(cell)
+    cell.cycle(10)
+    cell.follow()
+    assert cell.ask(True, id="new")[0]
+    cell.go_on(30)
+    assert cell.switches() == {"old": "void", "new": "fired"} and cell.out
+
+
+def test_a_stream_that_runs_dry_for_some_cycles_fires_nothing_meanwhile_and_goes_on():
+    cell = ToolCell().follow()
+    assert cell.ask(True, ahead=6)[0]
+    cell.go_on(4)
+    cell.cycle(12)  # dry, not yet given up
+    assert cell.state is State.FOLLOWING and not cell.out and list(cell.switches().values()) == ["armed"]
+    cell.go_on(40)
+    assert cell.out
+
+
+def test_at_a_speed_limit_of_0_no_switch_is_armed():
+    cell = ToolCell().follow()
+    speed_limit_0(cell)
+    assert "the speed limit is 0" in cell.ask(True)[1]
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(
+        st.sampled_from(["go", "arm", "grip", "release", "stop", "reset", "void", "silent", "restart", "blind"]),
+        max_size=25,
+    )
+)
+def test_armed_switches_exist_only_while_a_stream_is_followed_and_final_states_stay(actions):
+    cell = ToolCell().follow(10)
+    final, count = {}, 0
+    for action in actions:
+        count += 1
+        if action == "go" and cell.state is State.FOLLOWING:
+            cell.go_on(7)
+        elif action == "arm" and cell.state is State.HOLDING:
+            cell.follow(10)
+        elif action in ("grip", "release") and cell.gateway.session:
+            cell.ask(action == "grip", ahead=12, id=f"s{count}")
+        elif action in ("stop", "void"):
+            cell.control(action, None, "anybody")
+        elif action == "silent":
+            cell.cycle(40)
+        elif action == "restart":
+            cell.restart()
+            cell.follow(10)
+        elif action == "blind":
+            cell.tool.hidden = not cell.tool.hidden
+        cell.cycle()
+        told = cell.switches()
+        assert "armed" not in told.values() or cell.state is State.FOLLOWING
+        assert {id: told[id] for id in final if id in told} == {id: s for id, s in final.items() if id in told}
+        final |= {id: state for id, state in told.items() if state != "armed"}
+
+
+def test_the_table_has_words_and_every_final_state_has_no_way_out():
+    assert len(cells(SWITCH_TABLE)) == len(set(SWITCH_TABLE))
+    assert {row.event for row in SWITCH_TABLE} == set(SwitchEvent)
+    assert {row.action for row in SWITCH_TABLE} == set(SwitchAction)
+    assert {row.state for row in SWITCH_TABLE} == {SwitchState.ASKED, SwitchState.ARMED}
+    assert {row.target for row in SWITCH_TABLE} == set(SwitchState) - {SwitchState.ASKED}
+
+
+# -- nothing opens before the outputs are known
+
+
+def test_what_is_held_stays_held_over_the_end_of_rsi_and_its_restart():
+    cell = gripped()
+    cell.answering = False
+    cell.cycle(150)
+    assert not cell.controller.running and cell.out
+    cell.now += NANOSECONDS
+    cell.gateway.poll(cell.now)
+    status = cell.status()
+    assert (status["known"], status["outputs"]) == (False, {}) and "no telegram for" in status["reason"]
+    cell.answering = True
+    cell.restart()
+    cell.sent.clear()
+    cell.cycle(20)
+    assert cell.out and cell.status()["inputs"] == GRIPPED
+    assert cell.status()["outputs"] == cell.status()["commanded"] == {"vacuum": True}
+    # replies carry what was read back, and leave it alone
+    assert all(values == {"Enable": False, "vacuum": True} for values in cell.sent)
+
+
+def test_a_context_that_maps_outputs_plainly_opens_the_grip_at_rsi_on():
+    """The danger that Set.Enable is there for: the mock shows it."""
+    layout, grip = LAYOUT, {}
+    for gated in (True, False):
+        cell = ToolCell(layout, gated=gated)
+        cell.follow()
+        assert cell.ask(True)[0]
+        cell.go_on(60)
+        cell.restart()
+        cell.cycle(2)
+        grip[gated] = cell.out
+    assert grip == {True: True, False: False}
+
+
+def test_until_the_read_back_comes_nothing_is_sent_and_switches_are_refused():
+    cell = gripped()
+    cell.restart()
+    cell.tool.hidden = True
+    cell.sent.clear()
+    cell.follow()
+    assert cell.status()["known"] is False
+    ok, reason = cell.ask(False)
+    assert not ok and reason.startswith("tool: the outputs are not known: telegrams do not tell")
+    cell.go_on(60)
+    assert cell.out and all(values == {"Enable": False, "vacuum": False} for values in cell.sent)
+    cell.tool.hidden = False
+    cell.go_on(5)
+    assert cell.status()["known"] is True and cell.ask(False)[0]
+    cell.go_on(30)
+    assert not cell.out
+
+
+def test_a_gateway_that_joins_a_running_session_refuses_switches():
+    cell = ToolCell().follow()
+    pose = tuple(q + 0.002 * k for k, q in zip((1, 0, 0, 0, 0, 0), HOME))
+    for part in range(40):
+        cell.send(tuple(a + (b - a) * part / 39 for a, b in zip(HOME, pose)), cell.session)
+        cell.cycle()
+    cell.cycle(5)
+    cell.start_gateway(run="run2")
+    cell.sent.clear()
+    cell.cycle(5)
+    assert cell.state is State.JOINED and cell.sent == []
+    status = cell.status()
+    assert status["known"] is False and "this RSI session is not answered" in status["reason"]
+    assert cell.status()["outputs"] == {"vacuum": False}
+    assert not cell.switch(True)[0]
+
+
+def test_a_gateway_started_again_at_the_origin_reads_back_and_changes_nothing():
+    cell = gripped()
+    cell.start_gateway(run="run2")
+    cell.sent.clear()
+    cell.cycle(10)
+    assert cell.out and cell.status()["known"] is True and cell.status()["outputs"] == {"vacuum": True}
+    assert all(values == {"Enable": False, "vacuum": True} for values in cell.sent)
+    assert cell.status()["switches"] == []
+
+
+def test_what_a_person_switches_at_the_pendant_before_the_first_switch_is_right():
+    cell = ToolCell()
+    cell.cycle(5)
+    cell.tool.outputs["vacuum"] = True
+    cell.cycle(50)
+    assert cell.out and cell.status()["commanded"] == {"vacuum": True} and cell.status()["reason"] == ""
+
+
+def test_outputs_that_read_back_as_something_else_are_told():
+    cell = gripped()
+    cell.tool.outputs["vacuum"] = False
+    cell.go_on(round(LONGEST_DIFFERENCE * 250))
+    assert cell.status()["reason"] == ""
+    cell.gateway.take_change()
+    cell.go_on(2)
+    assert cell.gateway.take_change()
+    assert cell.status()["reason"] == "vacuum reads back off, commanded on, for more than 0.1 s"
+    assert cell.gateway.counters["tool_outputs_differ"] == 1 and cell.status()["known"] is False
+    assert cell.status()["outputs"] == {"vacuum": False}
+    cell.tool.outputs["vacuum"] = True
+    cell.go_on(2)
+    assert cell.status()["reason"] == "" and cell.status()["known"] is True
+
+
+def test_while_outputs_differ_nothing_is_switched_and_the_sentence_says_what_to_do():
+    cell = gripped()
+    assert cell.ask(True, ahead=60, id="waiting")[0]
+    cell.tool.outputs["vacuum"] = False
+    cell.go_on(round(LONGEST_DIFFERENCE * 250) + 2)
+    assert cell.switches()["waiting"] == "void"
+    ok, reason = cell.ask(True)
+    assert not ok and "reads back off, commanded on" in reason and "end the RSI program and start it anew" in reason
+    cell.restart()
+    cell.follow()
+    assert cell.status()["known"] is True and cell.status()["commanded"] == {"vacuum": False}
+    assert cell.ask(True)[0]
+    cell.go_on(20)
+    assert cell.out
+
+
+# -- missed replies, and the end
+
+
+def drilling() -> ToolCell:
+    """Return a cell whose output is off without RSI, and on."""
+    cell = ToolCell(*switched_off_on_stop()).follow()
+    assert cell.ask(True)[0]
+    cell.go_on(60)
+    assert cell.out
+    return cell
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 30])
+@pytest.mark.parametrize("told_by", ["read-back", "count", "gap"])
+def test_what_a_missed_reply_switched_off_stays_off_until_it_is_switched_on_anew(count, told_by, monkeypatch):
+    cell = drilling()
+    assert cell.ask(True, ahead=60, id="waiting")[0]
+    if told_by != "count":
+        monkeypatch.setattr(cell.gateway, "on_telegram", without_delay(cell.gateway))
+    if told_by == "count":
+        # a controller whose read-back comes late: only its count of late replies tells it
+        monkeypatch.setattr(cell.gateway.tool, "note", lambda reading, note=cell.gateway.tool.note, on=TRUE: note(on))
+    which = "answering" if told_by == "gap" else "delivering"
+    setattr(cell, which, False)
+    cell.go_on(count)
+    setattr(cell, which, True)
+    cell.sent.clear()
+    seen = set()
+    for _ in range(100):
+        cell.go_on(1)
+        seen.add(cell.out)
+    assert seen == {False} and not any(values["vacuum"] for values in cell.sent)
+    assert cell.switches()["waiting"] == "void" and cell.gateway.counters["tool_outputs_dropped"] == 1
+    if told_by == "count":
+        return
+    assert "stays off until it is switched on anew" in cell.status()["reason"] and cell.status()["known"] is True
+    if cell.state is not State.FOLLOWING:
+        cell.follow()
+    assert cell.ask(True, id="again")[0]
+    cell.go_on(30)
+    assert cell.out and cell.status()["reason"] == ""
+
+
+#: A reading that says that the output is on.
+TRUE = ToolReading((True,), (True,))
+
+
+def without_delay(gateway):
+    """Return the gateway's `on_telegram` for a controller that does not count late replies."""
+    hear = gateway.on_telegram
+    return lambda telegram, source, now: hear(dataclasses.replace(telegram, delay=None), source, now)
+
+
+def test_an_output_that_is_off_without_rsi_goes_off_at_a_gap_in_the_telegrams():
+    cell = drilling()
+    cell.now += CYCLE_NS
+    cell.controller.begin_cycle()
+    cell.sent.clear()
+    cell.go_on(50)
+    assert not cell.out and not any(values["vacuum"] for values in cell.sent)
+
+
+def pure(count=2):
+    """Return the switches of a tool whose outputs are off without RSI, in a session that has read them back off."""
+    names = [f"o{number}" for number in range(count)]
+    layout = dataclasses.replace(LAYOUT, switched=("Enable", *names), switched_holdon=(True, *[False] * count))
+    tool = dataclasses.replace(TOOL, outputs=tuple(ToolOutput(name, "off", True) for name in names))
+    switches = ToolSwitches(tool, layout, CYCLE_NS, Counter())
+    switches.begin_session()
+    read(switches, [False] * count)
+    return switches
+
+
+def read(switches, outputs, missed=False):
+    switches.note(ToolReading(tuple(outputs), (False,)))
+    switches.hear("", missed)
+    return switches.channels()
+
+
+def fire(switches, output):
+    assert switches.arm({"id": output, "output": output, "value": True, "stamp": 5}, 0.01, "") == ""
+    switches.play(5)
+
+
+def test_a_round_trip_is_waited_for_and_an_output_that_never_comes_on_is_given_up():
+    switches = pure()
+    fire(switches, "o0")
+    assert [read(switches, [False, False])[1] for _ in range(ROUND_TRIP + 1)] == [True] * ROUND_TRIP + [False]
+    assert read(switches, [True, False]) == (True, False, False)
+
+
+def test_switches_one_after_the_other_do_not_take_each_other_for_missed():
+    switches = pure()
+    fire(switches, "o0")
+    assert read(switches, [False, False]) == (True, True, False)
+    fire(switches, "o1")
+    for outputs in ([False, False], [True, False], [True, True]):
+        assert read(switches, outputs) == (True, True, True)
+    assert read(switches, [True, False]) == (True, True, False)
+    assert read(switches, [True, False], missed=True) == (True, False, False)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=40))
+def test_what_was_dropped_never_comes_on_by_itself(telegrams):
+    switches = pure(1)
+    fire(switches, "o0")
+    on = True
+    for value, missed in telegrams:
+        now = read(switches, [value], missed)[1]
+        assert on or not now
+        on = now
+
+
+def test_missed_replies_keep_an_output_or_switch_it_off_as_the_tool_file_says():
+    for layout, tool, held in ((LAYOUT, TOOL, True), (*switched_off_on_stop(), False)):
+        cell = ToolCell(layout, tool).follow()
+        assert cell.ask(True)[0]
+        cell.go_on(60)
+        cell.answering = False
+        cell.cycle(3)
+        assert cell.out is held
+        cell.cycle(150)
+        assert not cell.controller.running and cell.out is held
+
+
+def test_at_the_end_of_rsi_outputs_are_kept_or_switched_off():
+    for layout, tool, held in ((LAYOUT, TOOL, True), (*switched_off_on_stop(), False)):
+        cell = ToolCell(layout, tool).follow()
+        assert cell.ask(True)[0]
+        cell.go_on(60)
+        end(cell)
+        cell.cycle(5)
+        assert not cell.controller.running and cell.controller.reason.startswith("stop: requested")
+        assert cell.out is held
+
+
+# -- faults of the gripper
+
+
+def test_a_grip_that_fails_or_is_lost_is_seen_at_the_inputs():
+    cell = ToolCell().follow()
+    faults = FaultBoard(cell.controller, 0)
+    faults.inject(Fault("grip_fails"))
+    assert cell.ask(True)[0]
+    cell.go_on(100)
+    assert cell.out and cell.status()["inputs"] == {"vacuum_reached": False}
+    faults.end(Fault("grip_fails"))
+    cell.go_on(60)
+    assert cell.status()["inputs"] == GRIPPED
+    cell.gateway.take_change()
+    cell.go_on(20)
+    assert "carried out" in faults.inject(Fault("grip_lost"))
+    cell.go_on(3)
+    assert cell.status()["inputs"] == {"vacuum_reached": False} and cell.out
+    assert cell.gateway.take_change()
+    cell.go_on(100)
+    assert cell.status()["inputs"] == {"vacuum_reached": False}
+    assert cell.ask(False)[0]
+    cell.go_on(80)
+    assert cell.ask(True)[0]
+    cell.go_on(80)
+    assert cell.status()["inputs"] == GRIPPED
+
+
+def test_no_read_back_is_a_fault_of_the_mock():
+    cell = ToolCell().follow()
+    faults = FaultBoard(cell.controller, 0)
+    faults.inject(Fault("no_read_back"))
+    cell.go_on(2)
+    assert cell.status()["known"] is False
+    faults.end(Fault("no_read_back"))
+    cell.go_on(2)
+    assert cell.status()["known"] is True
+
+
+# -- how often it is told
+
+
+def switches_of_one_tool():
+    return ToolSwitches(TOOL, LAYOUT, CYCLE_NS, Counter())
+
+
+def test_inputs_that_chatter_are_told_at_most_20_times_a_second():
+    tool, told = switches_of_one_tool(), 0
+    for cycle in range(1000):
+        tool.note(ToolReading((False,), (cycle % 2 == 0,)))
+        tool.hear()
+        told += tool.take_change()
+    assert 60 <= told <= 82
+
+
+def test_a_single_change_of_an_input_is_told_at_once():
+    tool = switches_of_one_tool()
+    for value, count in ((False, 100), (True, 1)):
+        for _ in range(count):
+            tool.note(ToolReading((False,), (value,)))
+            tool.hear()
+            news = tool.take_change()
+    assert news
+
+
+def test_nothing_is_told_while_nothing_changes():
+    cell = ToolCell().follow()
+    cell.gateway.take_change()
+    cell.go_on(100)
+    assert not cell.gateway.take_change()

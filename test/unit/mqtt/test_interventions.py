@@ -1,0 +1,106 @@
+"""`stop`, `pause` and `resume` by MQTT: what is read, what is refused, and how often an account is answered."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.mqtt.interventions import (
+    MAX_BYTES,
+    PAUSE,
+    RESUME,
+    STOP,
+    AnswerPace,
+    Intervention,
+    intervention_answer,
+    parse_intervention,
+)
+from construction_twin.mqtt.messages import account_of
+
+
+def refusal(verb: str, payload: bytes, retained: bool = False) -> str:
+    with pytest.raises(PayloadError) as caught:
+        parse_intervention(verb, "ada", payload, retained)
+    assert len(str(caught.value)) < 300
+    return caught.value.reason
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE, RESUME])
+def test_an_id_alone_is_what_is_asked_for(verb):
+    assert parse_intervention(verb, "ada", b'{"id": "a-1"}', False) == Intervention(verb, "ada", "a-1")
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE, RESUME])
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"", b"stop", b"{}", b"[]", b"null", b'{"id": 1}', b'{"id": ""}', b'{"id": "  "}', b'{"id": "a\\nb"}', b'{"id": null}',
+        b'{"id": "1", "account": "bob"}', b'{"id": "1", "id": "2"}', b'{"verb": "stop"}', b"\xff\xfe", b"[" * 200,
+        json.dumps({"id": "x" * 65}).encode(), b'{"id": "1"}' + b" " * MAX_BYTES,
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused_under_the_verb(verb, payload):
+    assert refusal(verb, payload) == verb
+
+
+@pytest.mark.parametrize("payload", [b'{"id": "1"}', b""])
+def test_a_retained_one_is_refused_because_its_age_is_unknown(payload):
+    assert refusal(RESUME, payload, retained=True) == "retained"
+
+
+@given(st.binary(max_size=MAX_BYTES + 10))
+def test_no_bytes_do_more_than_be_refused(payload):
+    assert refusal(STOP, payload) == STOP
+
+
+@given(st.dictionaries(st.sampled_from(["id", "session"]), st.none() | st.integers() | st.text(max_size=70)))
+def test_what_is_taken_is_one_short_line(document):
+    try:
+        taken = parse_intervention(STOP, "ada", json.dumps(document).encode(), False)
+    except PayloadError as error:
+        assert error.reason == STOP
+    else:
+        assert document == {"id": taken.id} and taken.id.isprintable() and 0 < len(taken.id) <= 64
+
+
+@pytest.mark.parametrize("verb", ["stop", "pause", "resume", "review"])
+def test_the_account_is_the_last_level_and_an_answer_is_nobody_s(verb):
+    assert account_of(f"twin/kr120/{verb}/kr120-reviewer-ada") == "kr120-reviewer-ada"
+    assert account_of(f"twin/kr120/{verb}/ack") == ""
+
+
+@pytest.mark.parametrize("name", ["", "a b", "ä", "a" * 101, "a.b", "$x", "a\n"])
+def test_a_last_level_that_no_account_can_have_is_refused(name):
+    with pytest.raises(PayloadError) as caught:
+        account_of(f"twin/kr120/stop/{name}")
+    assert caught.value.reason == "sender" and len(str(caught.value)) < 300
+
+
+def test_an_answer_names_whom_it_answers_and_who_answers():
+    assert json.loads(intervention_answer("7", "ada", "gateway", False, "why")) == {
+        "id": "7", "account": "ada", "ok": False, "reason": "why", "by": "gateway"
+    }  # fmt: skip
+
+
+def test_one_account_is_answered_only_so_often_and_does_not_slow_another():
+    pace = AnswerPace(100, 3)
+    assert [pace.take("ada", now) for now in (0, 0, 1, 2, 99, 100, 101, 200)] == [True] * 3 + [
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
+    assert pace.take("bob", 201) and not pace.take("ada", 201)
+    assert [pace.take("ada", 10_000) for _ in range(4)] == [True] * 3 + [False]
+
+
+def test_of_many_names_only_some_are_answered_and_none_is_kept():
+    pace = AnswerPace(100, 1)
+    answered = [pace.take(f"name-{k}", 0) for k in range(1000)]
+    assert answered.count(True) == 64
+    assert pace.take("ada", 100)

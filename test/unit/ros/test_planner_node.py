@@ -1,0 +1,306 @@
+"""The planner node's work plans: what plan_work publishes and refuses, the way back, and nothing else while engaged."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections import Counter
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rospy
+import yaml
+from construction_twin.msg import Engagement, Signal, ToolSwitch, WorkSegment
+from construction_twin.srv import (
+    PlanCartesianRequest,
+    PlanFromCsvRequest,
+    PlanToJointsRequest,
+    PlanToPoseRequest,
+    PlanTrajectoryRequest,
+    PlanWorkRequest,
+    PlanWorkResponse,
+)
+from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, WALL, standing
+from std_srvs.srv import TriggerRequest
+from trajectory_msgs.msg import JointTrajectory
+
+from construction_twin.planning import work_plan
+from construction_twin.planning.timing import time_path
+from construction_twin.ros.messages import convert
+from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg
+from construction_twin.ros.nodes import planner as module
+from construction_twin.ros.nodes.planner import PlannerNode, Settings
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
+
+HELD = SceneObject("block", "box", (0.3, 0.3, 0.3), (0.0, 0.0, 0.25), link="tool0")
+BLOCK = standing(HELD, RIGHT)
+SCENE = Scene((BLOCK,), 0.01)
+
+
+class Bench:
+    """The node without ROS: its topics and services as calls, its messages through the wire format."""
+
+    def __init__(self, monkeypatch):
+        self.services: dict[str, Callable] = {}
+        self.callbacks: dict[str, Callable] = {}
+        self.published: dict[str, list] = {"plan": [], "plan_outcome": []}
+        self.refused: Counter[str] = Counter()
+        self.pose = tuple(HOME)
+        values = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
+        values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": "", "seed": 1}
+        values |= {"max_waypoints": 600}
+        patch = monkeypatch.setattr
+        patch(module, "read_parameters", lambda _: Settings(**values))
+        patch(module, "robot_from_parameters", lambda: ROBOT)
+        patch(module, "neighbour_settings", lambda: None)
+        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=self.refuse, count=self.refuse))
+        patch(module, "Publisher", self.publisher)
+        patch(module, "Subscriber", self.subscriber)
+        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
+        patch(module, "LatestPose", lambda *_: SimpleNamespace(pose=lambda *_: self.pose))
+        patch(module, "caller_of", lambda _: "a caller")
+        patch(module, "now_ns", lambda: 7_000_000_000)
+        patch(module.tf2_ros, "Buffer", lambda: None)
+        patch(module.tf2_ros, "TransformListener", lambda _: None)
+        patch(module.rospy, "resolve_name", lambda name: f"/kr120/{name}")
+        patch(module.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
+        self.node = PlannerNode()
+        self.show(SCENE)
+
+    def refuse(self, reason: str, sentence: str) -> None:
+        self.refused[reason] += 1
+
+    def publisher(self, topic: str, *_, **__):
+        return SimpleNamespace(publish=lambda message: self.published[topic].append(over_the_wire(message)))
+
+    def subscriber(self, topic: str, _kind, callback, *_, **__):
+        self.callbacks[topic] = callback
+        return SimpleNamespace(get_num_connections=lambda: 1)
+
+    def show(self, scene: Scene) -> None:
+        self.callbacks["scene"](scene_to_msg(scene, rospy.Time(6), "base_link"))
+
+    def work(self, segments: list[WorkSegment], task: str = "task-1") -> PlanWorkResponse:
+        return self.services["plan_work"](over_the_wire(PlanWorkRequest(task=task, source="work", segments=segments)))
+
+    def engage(self, end: float, path=None) -> None:
+        trajectory = motion(HOME, RIGHT) if path is None else path
+        self.callbacks["engagement"](
+            over_the_wire(
+                Engagement(
+                    engaged=True, plan_id="p0", task="task-1", segment="carry", reason="stopped by a person",
+                    trajectory=convert.trajectory_to_msg(trajectory), end=end, requires=[Signal("held", True)],
+                    scenes=[SCENE.hash],
+                )
+            )
+        )  # fmt: skip
+
+
+def over_the_wire(message):
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return type(message)().deserialize(buffer.getvalue())
+
+
+def motion(begin, end):
+    return time_path(np.array([begin, end]), ROBOT, speed_scale=0.5)
+
+
+def segment(name: str, begin, end, put=(), remove=(), **fields) -> WorkSegment:
+    return WorkSegment(
+        name=name, trajectory=convert.trajectory_to_msg(motion(begin, end)), put=list(map(object_to_msg, put)),
+        remove=list(remove), **fields,
+    )  # fmt: skip
+
+
+def task() -> list[WorkSegment]:
+    close = ToolSwitch(output="vacuum", value=True, confirm=[Signal("held", True)], timeout=2.0)
+    open_ = ToolSwitch(output="vacuum", value=False, confirm=[Signal("held", False)], timeout=2.0)
+    held = [Signal("held", True)]
+    return [
+        segment("fetch", HOME, RIGHT, put=[HELD], engaged=True, switches=[close]),
+        segment("carry", RIGHT, LEFT, remove=["block"], engaged=True, requires=held, switches=[open_]),
+        segment("leave", LEFT, HOME),
+    ]
+
+
+@pytest.fixture
+def bench(monkeypatch) -> Bench:
+    return Bench(monkeypatch)
+
+
+def test_a_task_is_published_as_one_plan_for_review_with_its_segments_and_what_they_do_to_the_scene(bench):
+    answer = bench.work(task())
+    assert answer.success and "waiting for review" in answer.message, answer.message
+    (message,) = bench.published["plan"]
+    plan = convert.plan_from_msg(message)
+    assert (answer.plan_id, answer.plan_hash, answer.duration) == (plan.id, plan.hash, plan.trajectory.duration)
+    assert (plan.task, plan.source, plan.planner) == ("task-1", "work", "work")
+    assert [(each.name, each.engaged) for each in plan.segments] == [
+        ("fetch", True),
+        ("carry", True),
+        ("leave", False),
+    ]
+    assert plan.segments[-1].end == plan.trajectory.duration
+    changes = list(map(convert.change_from_msg, message.segments))
+    assert changes == [SceneChange((HELD,)), SceneChange((), ("block",)), SceneChange()]
+    # whoever applies them to the scene gets the hashes that the approval covers
+    scene = SCENE
+    for each, change in zip(plan.segments, changes):
+        assert each.scene == scene.hash
+        scene = change.apply(scene)
+        assert each.scene_after == scene.hash
+    assert bench.published["plan_outcome"][-1].plan_id == plan.id
+
+
+def nan_in_the_trajectory(segments):
+    segments[1].trajectory.points[4].positions = [math.nan] * 6
+
+
+def nan_in_an_object(segments):
+    segments[0].put[0].size = [0.3, math.nan, 0.3]
+
+
+def put_twice(segments):
+    segments[0].put *= 2
+
+
+def too_fast(segments):
+    for point in segments[1].trajectory.points:
+        point.time_from_start /= 4
+        point.velocities = [4 * value for value in point.velocities]
+        point.accelerations = [16 * value for value in point.accelerations]
+
+
+def gap(segments):
+    segments[2] = segment("leave", LEFT + 0.01, HOME)
+
+
+def not_at_rest(segments):
+    segments[1].trajectory.points[-1].velocities = [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]
+
+
+def no_accelerations(segments):
+    for point in segments[1].trajectory.points:
+        point.accelerations = []
+
+
+def wall_before_the_third(segments):
+    segments[1].put = [object_to_msg(WALL)]
+    segments[2] = segment("leave", LEFT, RIGHT)
+
+
+def unknown_object(segments):
+    segments[2].remove = ["nobody"]
+
+
+def dense(segments):
+    segments[1] = WorkSegment(
+        name="carry", trajectory=convert.trajectory_to_msg(time_path(np.array([RIGHT, LEFT]), ROBOT, waypoints=700))
+    )
+
+
+def far_from_the_arm(segments):
+    segments[0] = segment("fetch", HOME + 0.01, RIGHT)
+
+
+@pytest.mark.parametrize(
+    "spoil,words",
+    [
+        (wall_before_the_third, "segment 2 .'leave'.*touches wall .at"),
+        (too_fast, "segment 1 .'carry'.*its limit is"),
+        (gap, "segment 2 .'leave'.*away from where the segment before it ends"),
+        (not_at_rest, "segment 1 .'carry'.*it ends with a velocity of .* of joint_a3"),
+        (no_accelerations, "segment 1 .'carry'.*accelerations"),
+        (unknown_object, "segment 2 .'leave'.*'nobody'"),
+        (nan_in_the_trajectory, "segment 1 .'carry'.*nan"),
+        (nan_in_an_object, "segment 0 .'fetch'.*nan"),
+        (put_twice, "segment 0 .'fetch'.*'block'.*each name once"),
+        (far_from_the_arm, "segment 0 .'fetch'.*away from where the arm is"),
+        (dense, "waypoints would be"),
+        (list.clear, "0 segments"),
+    ],
+)
+def test_plan_work_refuses_with_one_sentence_and_publishes_nothing(bench, spoil, words):
+    segments = task()
+    spoil(segments)
+    answer = bench.work(segments)
+    assert not answer.success and "\n" not in answer.message
+    assert re.search(words, answer.message), answer.message
+    assert not bench.published["plan"] and not bench.published["plan_outcome"][-1].success
+    assert sum(bench.refused.values()) == 1
+    assert bench.work(task()).success
+
+
+def test_a_scene_that_changes_while_a_task_is_checked_drops_its_plan(bench, monkeypatch):
+    recheck = work_plan.recheck
+
+    def edited(*arguments):
+        bench.show(Scene((), 0.01))
+        return recheck(*arguments)
+
+    monkeypatch.setattr(work_plan, "recheck", edited)
+    answer = bench.work(task())
+    assert not answer.success and "the scene changed while planning" in answer.message
+    assert not bench.published["plan"]
+
+
+def test_while_engaged_only_the_way_back_is_planned(bench):
+    path = motion(HOME, RIGHT)
+    bench.engage(0.8 * path.duration)
+    bench.pose = tuple(path.sample(0.8 * path.duration)[0])
+    wanted = (
+        "left in 'carry' of task task-1 .stopped by a person.: only the way back.*plan_way_back.*release_engagement"
+    )
+    asked = [
+        ("plan_to_joints", PlanToJointsRequest(goal=list(LEFT))),
+        ("plan_to_pose", PlanToPoseRequest()),
+        ("plan_cartesian", PlanCartesianRequest()),
+        ("plan_from_csv", PlanFromCsvRequest(path=str(ROOT / "benchmarks/problems/free.csv"))),
+        ("plan_trajectory", PlanTrajectoryRequest(trajectory=convert.trajectory_to_msg(path))),
+        ("plan_work", PlanWorkRequest(task="t", segments=task())),
+    ]
+    assert {name for name, _ in asked} | {"plan_way_back"} == set(bench.services)
+    for name, request in asked:
+        answer = bench.services[name](request)
+        assert not answer.success and re.search(wanted, answer.message), (name, answer.message)
+    bench.callbacks["joint_trajectory"](convert.trajectory_to_msg(path))
+    assert not bench.published["plan"] and bench.refused["EngagedError"] == 7
+    answer = bench.services["plan_way_back"](TriggerRequest())
+    assert answer.success, answer.message
+    plan = convert.plan_from_msg(bench.published["plan"][0])
+    assert (plan.planner, plan.task, plan.segments[0].requires[0].name) == ("way back", "task-1", "held")
+    assert "carry" in plan.source and "stopped by a person" in plan.source
+    np.testing.assert_array_equal(plan.trajectory.positions[[0, -1]], [bench.pose, HOME])
+
+
+def test_there_is_no_way_back_in_a_scene_that_does_not_know_what_hangs_on_the_tool(bench):
+    path = motion(HOME, RIGHT)
+    bench.engage(path.duration)
+    bench.pose = tuple(RIGHT)
+    bench.show(Scene((), 0.01))
+    answer = bench.services["plan_way_back"](TriggerRequest())
+    assert not answer.success and not bench.published["plan"]
+    assert f"the scene must become {SCENE.hash[:12]} first" in answer.message
+
+
+def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):
+    answer = bench.services["plan_way_back"](TriggerRequest())
+    assert not answer.success and "not left inside an engaged segment" in answer.message
+    bench.engage(1.0)
+    bench.callbacks["engagement"](Engagement())
+    assert bench.work(task()).success
+    assert not bench.services["plan_way_back"](TriggerRequest()).success
+
+
+def test_an_engagement_whose_path_makes_no_sense_is_an_answer(bench):
+    bench.engage(1.0)
+    bench.callbacks["engagement"](
+        Engagement(engaged=True, task="t", segment="s", trajectory=JointTrajectory(), end=1.0)
+    )
+    answer = bench.services["plan_way_back"](TriggerRequest())
+    assert not answer.success and not bench.published["plan"]

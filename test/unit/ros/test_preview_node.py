@@ -1,0 +1,167 @@
+"""The preview node's markers of a work plan: all of it in every message, and the element in the ghost's grip."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rospy
+from construction_twin.msg import Review
+from construction_twin.srv import PreviewPlanRequest
+from plan_samples import make_plan
+from planning_cell import HOME, LEFT, RIGHT, ROBOT
+from visualization_msgs.msg import Marker
+
+from construction_twin.core.errors import PoseUnknownError
+from construction_twin.planning.timing import time_path
+from construction_twin.planning.work_plan import joined
+from construction_twin.robot.plan import Plan, content_hash
+from construction_twin.robot.segments import Segment
+from construction_twin.ros.messages.convert import plan_to_msg
+from construction_twin.ros.messages.scene_convert import scene_to_msg
+from construction_twin.ros.nodes import preview as module
+from construction_twin.ros.nodes.preview import PreviewNode, Settings
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
+
+STOCK = SceneObject("beam/0", "box", (0.1, 0.1, 1.0), (1.0, -1.0, 0.5))
+HELD = dataclasses.replace(STOCK, position=(0.0, 0.0, 0.5), link="tool0")
+BUILT = dataclasses.replace(STOCK, position=(1.0, 1.0, 0.5))
+SCENES = [Scene((item,), 0.01) for item in (STOCK, HELD, BUILT)]
+CHANGES = (SceneChange((HELD,)), SceneChange((BUILT,)), SceneChange())
+
+
+def work_plan() -> Plan:
+    motion, ends = joined([time_path(np.array(pair), ROBOT) for pair in ((HOME, RIGHT), (RIGHT, LEFT), (LEFT, HOME))])
+    hashes = [scene.hash for scene in (*SCENES, SCENES[2])]
+    segments = tuple(
+        Segment(name, end, name == "carry", (), (), *hashes[number : number + 2])
+        for number, (name, end) in enumerate(zip(("fetch", "carry", "home"), ends))
+    )
+    made = make_plan(motion, "w1", hashes[0])
+    return dataclasses.replace(made, hash=content_hash(motion, "t", segments), task="t", segments=segments)
+
+
+class Bench:
+    """The node without ROS; the markers as rviz would hold them."""
+
+    def __init__(self, monkeypatch):
+        self.callbacks: dict[str, Callable] = {}
+        self.services: dict[str, Callable] = {}
+        self.messages: list = []
+        self.refused: list[str] = []
+        self.now = 100.0
+        patch = monkeypatch.setattr
+        patch(module, "read_parameters", lambda _: Settings(frame_rate=25.0, tf_prefix="kr120/preview"))
+        patch(module, "robot_from_parameters", lambda: ROBOT)
+        refuse = lambda _, sentence: self.refused.append(sentence)  # noqa: E731
+        patch(module, "NodeDiagnostics", lambda *_: SimpleNamespace(refuse=refuse))
+        patch(module, "JointPublisher", lambda *_: SimpleNamespace(publish=lambda *_: None))
+        patch(module, "Publisher", lambda *_, **__: SimpleNamespace(publish=self.messages.append))
+        patch(module, "Subscriber", lambda topic, _, callback, *__, **___: self.callbacks.update({topic: callback}))
+        patch(module, "Service", lambda name, _, handler: self.services.update({name: handler}))
+        patch(module, "LatestPose", lambda *_: SimpleNamespace(pose=self.unknown))
+        patch(module, "now_ns", lambda: 0)
+        patch(module.time, "monotonic", lambda: self.now)
+        patch(module.rospy, "Timer", lambda _, callback: self.callbacks.update({"timer": callback}))
+        self.node = PreviewNode()
+
+    def unknown(self, _):
+        raise PoseUnknownError("twin/joint_states", 1.0, 0.5)
+
+    def hear_plan(self, plan: Plan) -> None:
+        path = np.zeros((len(plan.trajectory.times), 3))
+        self.callbacks["plan"](plan_to_msg(plan, "kr120/twin/base_link", path, CHANGES if plan.segments else ()))
+
+    def hear_scene(self, scene: Scene) -> None:
+        self.callbacks["scene"](scene_to_msg(scene, rospy.Time(1), "kr120/twin/base_link"))
+
+    def at(self, now: float) -> None:
+        self.now = now
+        self.callbacks["timer"](None)
+
+    def shown(self, namespace: str) -> list[Marker]:
+        """Markers of a namespace in the newest message, which stands alone: it begins with the removal of all others."""
+        first, *markers = self.messages[-1].markers
+        assert first.action == Marker.DELETEALL
+        return [marker for marker in markers if marker.ns == namespace]
+
+
+@pytest.fixture
+def bench(monkeypatch) -> Bench:
+    made = Bench(monkeypatch)
+    made.hear_scene(SCENES[0])
+    made.hear_plan(work_plan())
+    return made
+
+
+def test_a_work_plan_is_drawn_with_paths_ends_names_and_the_placed_element(bench):
+    assert [len(marker.points) > 1 for marker in bench.shown("plan_path")] == [True] * 3
+    fetch, carry, home = bench.shown("plan_path")
+    assert carry.color != fetch.color and carry.scale.x > fetch.scale.x and home.color.b < carry.color.b
+    assert [marker.text for marker in bench.shown("plan_names")] == ["1 fetch", "2 carry", "3 home"]
+    (placed,) = bench.shown("plan_placed")
+    assert (placed.header.frame_id, placed.pose.position.y, placed.color.a < 1.0) == ("kr120/twin/base_link", 1.0, True)
+    text = bench.shown("plan")[0].text
+    assert "2 carry" in text and "LOOK TWICE" not in text
+
+
+def test_the_ghost_has_the_element_in_its_grip_while_it_carries_it(bench):
+    ends = [segment.end for segment in work_plan().segments]
+    assert bench.shown("plan_grip") == []
+    assert bench.services["preview_plan"](PreviewPlanRequest(speed=1.0, loop=False)).success
+    bench.at(100.0 + ends[0] - 0.01)
+    assert bench.shown("plan_grip") == []
+    bench.at(100.0 + ends[0] + 0.01)
+    (grip,) = bench.shown("plan_grip")
+    # it moves with the ghost's tool, not with the twin's
+    assert (grip.header.frame_id, grip.frame_locked, grip.pose.position.z) == ("kr120/preview/tool0", True, 0.5)
+    assert len(bench.shown("plan_path")) == 3
+    count = len(bench.messages)
+    bench.at(100.0 + ends[1] - 0.01)
+    assert len(bench.messages) == count
+    bench.at(100.0 + ends[1] + 0.01)
+    assert bench.shown("plan_grip") == []
+
+
+def test_once_it_is_approved_the_twin_shows_what_is_carried(bench):
+    bench.services["preview_plan"](PreviewPlanRequest(speed=1.0, loop=True))
+    bench.at(100.0 + work_plan().segments[0].end + 0.01)
+    assert bench.shown("plan_grip")
+    bench.callbacks["review"](Review(plan_id="w1", approved=True))
+    bench.at(bench.now)
+    assert bench.shown("plan_grip") == [] and len(bench.shown("plan_path")) == 3
+
+
+def test_a_scene_that_comes_after_the_plan_completes_the_picture(monkeypatch):
+    bench = Bench(monkeypatch)
+    bench.hear_plan(work_plan())
+    assert "LOOK TWICE: the scene that the plan begins in is not known here" in bench.shown("plan")[0].text
+    bench.hear_scene(SCENES[0])
+    assert "LOOK TWICE" not in bench.shown("plan")[0].text
+    count = len(bench.messages)
+    bench.hear_scene(SCENES[1])
+    assert len(bench.messages) == count
+
+
+def test_a_plan_of_one_motion_is_drawn_as_before(bench):
+    bench.hear_plan(make_plan(time_path(np.array([HOME, RIGHT]), ROBOT), "p2", SCENES[0].hash))
+    assert {marker.ns for marker in bench.messages[-1].markers[1:]} == {"plan"}
+    assert [marker.type for marker in bench.shown("plan")] == [Marker.LINE_STRIP, Marker.TEXT_VIEW_FACING]
+
+
+def test_a_rejected_work_plan_disappears(bench):
+    bench.callbacks["review"](Review(plan_id="w1", approved=False))
+    assert len(bench.messages[-1].markers) == 1
+
+
+def test_a_plan_with_an_object_that_makes_no_sense_is_refused(bench):
+    path = np.zeros((len(work_plan().trajectory.times), 3))
+    message = plan_to_msg(dataclasses.replace(work_plan(), id="w2"), "base", path, CHANGES)
+    message.segments[0].put[0].size = [-1.0, 1.0, 1.0]
+    count = len(bench.messages)
+    bench.callbacks["plan"](message)
+    assert len(bench.messages) == count and "beam/0" in bench.refused[0]

@@ -1,0 +1,290 @@
+"""Wishes for plans and dragged poses from consoles, without ROS master and broker."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rospy
+from construction_twin.srv import (
+    PlanCartesianRequest,
+    PlanCartesianResponse,
+    PlanToJointsRequest,
+    PlanToJointsResponse,
+    PlanToPoseRequest,
+    PlanToPoseResponse,
+    WorkPlanTaskRequest,
+    WorkPlanTaskResponse,
+)
+from std_srvs.srv import TriggerRequest, TriggerResponse
+
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.link.remote_trajectory import Joints
+from construction_twin.mqtt.messages import Topics
+from construction_twin.robot.plan import Clearance
+from construction_twin.ros.shared import request_desk
+from construction_twin.ros.shared.request_desk import IK_ACCOUNTS, IK_RATE, PlanServices, RequestDesk, Surroundings
+from construction_twin.ros.shared.request_line import RequestLine
+from construction_twin.views.reachability import PoseVerdict, Reach
+
+JOINTS = Joints(("joint_a1", "track"), (False, True))
+ADA = "kr120-planner-ada"
+POSE = {"position": [1.0, 0.0, 2.0], "orientation": [0.0, 0.0, 0.0, 1.0]}
+PLAN = {"success": True, "message": "waiting for review", "plan_id": "p1", "plan_hash": "cafe"}
+TIMED = PLAN | {"duration": 2.5}
+
+
+class Service:
+    """In place of a `rospy.ServiceProxy`: fields that the service does not have are an error."""
+
+    def __init__(self, name: str, request: type, answer):
+        self.resolved_name, self._request, self.answer = f"/kr120/{name}", request, answer
+        self.asked: list = []
+
+    def __call__(self, **fields):
+        self.asked.append(self._request(**fields))
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+class Judge:
+    """In place of a PoseJudge."""
+
+    def __init__(self):
+        self.asked: list = []
+        self.verdict = PoseVerdict(Reach.FREE, "can be reached", np.array([0.25, 1.5]))
+        self.error: Exception | None = None
+        self.clearance: Clearance | None = Clearance(0.25, ("link_3", "wall"), (1.0, 2.0, 3.0))
+
+    def judge(self, position, rotation, seed):
+        self.asked.append((tuple(position), np.asarray(rotation).tolist(), tuple(seed)))
+        if self.error is not None:
+            raise self.error
+        return self.verdict
+
+    def closest(self, q):
+        if self.error is not None:
+            raise self.error
+        return self.clearance
+
+
+class Bench:
+    def __init__(self):
+        self.published: list[tuple[str, dict]] = []
+        self.refused: list[str] = []
+        self.steady, self.wall = 1000.0, 1_764_000_000 * 10**9
+        self.twin, self.work, self.engaged = (0.5, 1.0), False, False
+        self.judge = Judge()
+        self.services = PlanServices(
+            Service("plan_to_joints", PlanToJointsRequest, PlanToJointsResponse(**TIMED)),
+            Service("plan_to_pose", PlanToPoseRequest, PlanToPoseResponse(**TIMED)),
+            Service("plan_cartesian", PlanCartesianRequest, PlanCartesianResponse(**TIMED, fraction=1.0)),
+            Service("plan_way_back", TriggerRequest, TriggerResponse(True, "the way back waits")),
+            Service("work/plan", WorkPlanTaskRequest, WorkPlanTaskResponse(**PLAN, task="t")),
+        )
+        self.line = RequestLine(4, 5.0, 1.0, lambda: self.steady, self._publish, self._refuse)
+        around = Surroundings(lambda: self.twin, lambda: self.work, lambda: self.engaged)
+        self.desk = RequestDesk(
+            Topics("twin", "kr120"), JOINTS, self.line, self.services, self.judge, around, self._publish, self._refuse,
+            lambda account: f"MQTT account {account}",
+        )  # fmt: skip
+
+    def _publish(self, topic: str, payload: bytes, qos: int = 1) -> None:
+        self.published.append((topic, json.loads(payload)))
+
+    def _refuse(self, reason: str, sentence: str) -> None:
+        self.refused.append(reason)
+
+    def ask(self, account: str = ADA, retained: bool = False, **document) -> dict:
+        """Send a wish, and have it carried out; return the newest answer."""
+        self.desk.on_plan_request(account, json.dumps({"id": "7"} | document).encode(), retained)
+        self.line.run()
+        self.steady += 1.1
+        topic, answer = self.published[-1]
+        assert topic == "twin/kr120/plan_request/ack"
+        return answer
+
+    def drag(self, account: str = ADA, **document) -> None:
+        self.desk.on_ik(account, json.dumps({"id": "3"} | POSE | document).encode(), False)
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    made = Bench()
+    monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
+    monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
+    monkeypatch.setattr(request_desk, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    monkeypatch.setattr(request_desk, "now_ns", lambda: made.wall)
+    return made
+
+
+def test_joint_values_become_a_plan_that_a_stop_before_its_turn_voids(bench):
+    answer = bench.ask(kind="joints", joints={"track": 1.5, "joint_a1": 0.25}, speed_scale=0.5)
+    assert answer == {
+        "id": "7", "account": ADA, "kind": "joints", "ok": True, "reason": "waiting for review",
+        "plan_id": "p1", "plan_hash": "cafe", "duration": 2.5,
+    }  # fmt: skip
+    (asked,) = bench.services.to_joints.asked
+    assert (list(asked.goal), list(asked.start), asked.speed_scale) == ([0.25, 1.5], [], 0.5)
+    assert (asked.source, asked.asked.to_nsec()) == (f"MQTT account {ADA}", bench.wall)
+
+
+def test_a_pose_and_a_line_are_poses_of_the_tool_in_the_base(bench):
+    assert bench.ask(kind="pose", configuration="front up positive", **POSE)["ok"]
+    (asked,) = bench.services.to_pose.asked
+    assert (asked.goal.header.frame_id, asked.configuration) == ("", "front up positive")
+    assert (asked.goal.pose.position.z, asked.goal.pose.orientation.w) == (2.0, 1.0)
+    assert bench.ask(kind="line", speed=0.1, **POSE)["duration"] == 2.5
+    (asked,) = bench.services.line.asked
+    (waypoint,) = asked.waypoints
+    assert (asked.frame_id, asked.speed, waypoint.arc, waypoint.pose.position.x) == ("", 0.1, False, 1.0)
+
+
+def test_the_way_back_is_the_planners_and_the_work_nodes_where_it_carries_a_task(bench):
+    assert bench.ask(kind="way_back")["plan_id"] == ""
+    bench.work = True
+    bench.ask(kind="way_back", id="8")
+    assert len(bench.services.way_back.asked) == 2 and bench.services.work_task.asked == []
+    bench.engaged = True
+    assert bench.ask(kind="way_back", id="9")["plan_id"] == "p1"
+    assert len(bench.services.way_back.asked) == 2 and bench.services.work_task.asked[0].task == ""
+
+
+def test_a_task_is_planned_only_where_a_building_model_is_worked_on(bench):
+    answer = bench.ask(kind="work_task", task="t")
+    assert not answer["ok"] and "no building model" in answer["reason"] and bench.services.work_task.asked == []
+    bench.work = True
+    assert bench.ask(kind="work_task", task="t", id="8")["plan_id"] == "p1"
+    assert bench.services.work_task.asked[0].task == "t"
+
+
+def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench):
+    bench.services.to_pose.answer = PlanToPoseResponse(False, "link_3 would touch wall", "", "", 0.0)
+    answer = bench.ask(kind="pose", **POSE)
+    assert (answer["ok"], answer["reason"], answer["plan_id"]) == (False, "link_3 would touch wall", "")
+    bench.services.to_pose.answer = rospy.ServiceException("connection refused")
+    answer = bench.ask(kind="pose", id="8", **POSE)
+    assert "/kr120/plan_to_pose does not answer: connection refused" in answer["reason"]
+    assert bench.desk.counts == {"plan_requests no plan": 2}
+
+
+@pytest.mark.parametrize(
+    "account, document, retained, reason, name",
+    [
+        (ADA, {"kind": "way_back"}, True, "retained", ""),
+        (ADA, {"kind": "dance"}, False, "format", "7"),
+        (ADA, {"kind": "joints", "joints": {}}, False, "joints", "7"),
+        (ADA, {"kind": "line", "speed": -1, **POSE}, False, "values", "7"),
+        ("no account", {"kind": "way_back"}, False, "sender", ""),
+    ],
+)
+def test_what_is_refused_is_counted_and_answered_with_its_id(bench, account, document, retained, reason, name):
+    answer = bench.ask(account, retained, **document)
+    assert bench.refused == [reason] and (answer["ok"], answer["id"]) == (False, name)
+
+
+def test_nobody_asks_more_than_once_a_second_and_the_same_message_is_one_wish(bench):
+    payload = json.dumps({"id": "7", "kind": "way_back"}).encode()
+    bench.desk.on_plan_request(ADA, payload, False)
+    bench.desk.on_plan_request(ADA, payload, False)
+    bench.desk.on_plan_request(ADA, payload.replace(b'"7"', b'"8"'), False)
+    bench.line.run()
+    assert bench.refused == ["repeated", "busy"] and len(bench.services.way_back.asked) == 1
+    assert [(answer["id"], answer["ok"]) for _, answer in bench.published] == [("8", False), ("7", True)]
+
+
+# -- poses that are dragged
+
+
+def test_a_pose_is_solved_near_the_twin_or_near_a_seed(bench):
+    bench.drag()
+    bench.desk.solve_waiting()
+    bench.drag(seed={"joint_a1": 0.1, "track": 0.2})
+    bench.desk.solve_waiting()
+    assert [seed for _, _, seed in bench.judge.asked] == [(0.5, 1.0), (0.1, 0.2)]
+    assert bench.published[0] == (
+        f"twin/kr120/ik/ack/{ADA}",
+        {
+            "id": "3",
+            "reach": "free",
+            "joints": {"joint_a1": 0.25, "track": 1.5},
+            "sentence": "can be reached",
+            "between": [],
+        },
+    )
+
+
+def test_only_the_newest_pose_of_an_account_is_solved(bench):
+    for number in range(3):
+        bench.drag(id=str(number))
+    bench.drag("other", id="9")
+    bench.desk.solve_waiting()
+    assert [answer["id"] for _, answer in bench.published] == ["2", "9"]
+    assert bench.desk.counts == {"ik free": 2, "ik overtaken": 2}
+
+
+def test_no_account_has_more_poses_taken_than_its_rate(bench):
+    for number in range(100):
+        bench.drag(id=str(number))
+        bench.desk.solve_waiting()
+        bench.steady += 0.01
+    assert len(bench.published) == IK_RATE and bench.refused == ["ik_rate"] * (100 - IK_RATE)
+
+
+def test_no_more_accounts_wait_than_are_solved_at_once(bench):
+    for number in range(IK_ACCOUNTS + 1):
+        bench.drag(f"account-{number}")
+    assert bench.refused == ["busy"] and bench.published[0][1]["reach"] == "unknown"
+    bench.desk.solve_waiting()
+    assert len(bench.published) == IK_ACCOUNTS + 1
+
+
+def test_what_cannot_be_solved_is_a_sentence(bench):
+    bench.judge.verdict = PoseVerdict(
+        Reach.CONTACT, "link_3 would touch wall", np.array([0.0, 1.0]), ("link_3", "wall")
+    )
+    bench.drag()
+    bench.desk.solve_waiting()
+    bench.judge.verdict = PoseVerdict(Reach.OUT, "out of reach by 7 mm")
+    bench.drag()
+    bench.desk.solve_waiting()
+    bench.judge.error = SceneError("scene", "x", "y")
+    bench.drag()
+    bench.desk.solve_waiting()
+    bench.twin = ()
+    bench.drag()
+    bench.desk.solve_waiting()
+    answers = [answer for _, answer in bench.published]
+    assert [answer["reach"] for answer in answers] == ["contact", "out", "unknown", "unknown"]
+    assert answers[0]["between"] == ["link_3", "wall"] and answers[1]["joints"] is None
+    assert "twin's pose is not known" in answers[3]["sentence"] and bench.refused == ["ik"]
+
+
+def test_a_pose_that_cannot_be_read_is_answered_where_the_account_is_one(bench):
+    bench.drag(position=[0.0])
+    bench.drag("no account")
+    assert bench.refused == ["values", "sender"]
+    assert [(topic, answer["id"]) for topic, answer in bench.published] == [(f"twin/kr120/ik/ack/{ADA}", "3")]
+
+
+def test_the_closest_two_bodies_are_shown_with_their_age(bench):
+    assert bench.desk.closest() is None
+    bench.desk.look_around()
+    bench.steady += 0.5
+    closest = bench.desk.closest()
+    assert (closest.distance, closest.between, closest.point, closest.age) == (
+        0.25,
+        ("link_3", "wall"),
+        (1.0, 2.0, 3.0),
+        0.5,
+    )
+    bench.judge.error = SceneError("scene", "x", "y")
+    bench.desk.look_around()
+    bench.desk.look_around()
+    assert bench.desk.closest() is None and bench.refused == ["closest"], "said once"
+    bench.judge.error, bench.twin = None, ()
+    bench.desk.look_around()
+    assert bench.desk.closest() is None

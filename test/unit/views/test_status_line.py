@@ -1,0 +1,152 @@
+"""The status line: every state has its words, every page exists, and the most urgent line comes first."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from construction_twin.execution.states import ExecutorState
+from construction_twin.link.states import LinkState
+from construction_twin.monitor.states import SyncState
+from construction_twin.views.startup import Deployment, Missing, Word, first_missing
+from construction_twin.views.startup import Seen as StartSeen
+from construction_twin.views.status_line import (
+    TABLE,
+    TOPICS,
+    WHO,
+    Heard,
+    Level,
+    WorkFacts,
+    states_of,
+    status_lines,
+    work_state,
+)
+from construction_twin.work.task_states import TaskState
+
+DOCS = Path(__file__).parents[3] / "docs"
+WELL = Heard(Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", ""))
+
+
+def lines(heard: Heard) -> dict[str, dict]:
+    return {line.topic: line.document() for line in status_lines(heard)}
+
+
+def test_every_state_of_every_node_has_words():
+    assert {state.name for state in LinkState} | {""} == set(states_of("link"))
+    assert {state.name for state in SyncState} | {""} == set(states_of("sync"))
+    assert {state.name for state in ExecutorState} | {"", "REVIEW", "ENGAGED"} == set(states_of("execution"))
+    assert {topic for topic, _ in TABLE} == set(TOPICS)
+
+
+@pytest.mark.parametrize("key", TABLE, ids=" ".join)
+def test_words_are_a_sentence_and_say_who_and_what_to_do_where_a_person_is_needed(key):
+    words = TABLE[key]
+    assert words.sentence[0].isupper() and words.sentence.endswith(".") and words.who in WHO
+    assert bool(words.who) == (words.level is not Level.WELL), "somebody is waited for, or nobody"
+    if words.level is Level.PERSON and key != ("startup", "waiting"):
+        assert words.waits_for and words.todo and words.who != "system"
+
+
+@pytest.mark.parametrize("page", sorted({words.page for words in TABLE.values()}))
+def test_every_page_and_its_heading_exist(page):
+    name, _, anchor = page.partition("#")
+    headings = re.findall(r"^#+ (.+)$", (DOCS / name).read_text(), re.MULTILINE)
+    slugs = {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+    assert anchor in slugs
+
+
+def test_all_is_well():
+    said = lines(WELL)
+    # what the arm does comes first where nothing is urgent
+    assert list(said) == ["execution", "link", "sync"]
+    assert all(line["level"] == 0 and not line["waits_for"] and not line["todo"] for line in said.values())
+    assert said["execution"]["sentence"] == "The arm holds its pose; no plan is executed."
+
+
+def test_what_is_well_is_said_without_a_session_s_number():
+    said = lines(Heard(Word("ARMED", "session 41ee"), Word("IN_SYNC", "poses agree"), Word("PLAYING", "at 50 %")))
+    assert said["link"]["sentence"] == "The arm follows the twin." and said["sync"]["sentence"] == "Twin and arm agree."
+    assert said["execution"]["sentence"] == "The arm moves along the approved plan: at 50 %"
+
+
+def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
+    heard = Heard(
+        Word("ARMED", ""), Word("HOLDING", "joint_a3 differs by 0.7 deg"), Word("HELD", "at 2.1 s"), started=True,
+    )  # fmt: skip
+    found = status_lines(heard)
+    assert [line.topic for line in found] == ["sync", "execution", "startup", "link"]
+    assert found[0].sentence == "The arm holds, because it is not where the twin is: joint_a3 differs by 0.7 deg"
+    assert (found[0].who, found[0].waits_for) == ("operator", "twin and arm to agree again")
+
+
+def test_what_is_silent_is_a_line_of_its_own():
+    said = lines(Heard())
+    assert [line["state"] for line in said.values()] == ["", "", ""] and all(
+        line["level"] == 2 for line in said.values()
+    )
+    assert "link" not in lines(Heard(arm=False)), "without an arm there is none"
+
+
+def test_a_plan_under_review_waits_for_the_reviewer():
+    line = lines(Heard(WELL.link, WELL.sync, WELL.execution, plan="p1"))["execution"]
+    assert (line["state"], line["who"], line["waits_for"]) == ("IDLE", "reviewer", "a verdict")
+    engaged = lines(Heard(WELL.link, WELL.sync, WELL.execution, engaged=True))["execution"]
+    assert engaged["todo"].startswith("plan the way back")
+    playing = lines(Heard(WELL.link, WELL.sync, Word("PLAYING", ""), plan="p1"))["execution"]
+    assert playing["level"] == 0, "the plan that waits comes after this one"
+
+
+def test_a_bare_plc_is_armed_by_name_and_not_reset():
+    link = Word("NEEDS_RESET", "nobody has armed")
+    assert "by name" in lines(Heard(link, bare=True))["link"]["todo"]
+    assert "reset" in lines(Heard(link))["link"]["todo"]
+
+
+@pytest.mark.parametrize("gateway_kind", ["rsi", "plc"])
+@pytest.mark.parametrize("state", [*LinkState, None])
+def test_whatever_a_start_waits_for_is_said_with_who_can_do_something(state, gateway_kind):
+    deployment = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True, gateway_kind)
+    link = None if state is None else Word(state.name, "because")
+    missing = first_missing(StartSeen(link, feedback=True, twin=True, scene=True), deployment)
+    said = lines(Heard(link, started=True, missing=missing))["startup"]
+    assert (said["state"] == "ready") == (missing is None)
+    if missing is not None:
+        assert (said["waits_for"], said["todo"]) == (missing.what, missing.action) and said["who"] in WHO[1:]
+        assert said["level"] == (1 if said["who"] == "system" else 2)
+
+
+def test_a_start_that_misses_something_unheard_of_is_the_technician_s():
+    said = lines(Heard(started=True, missing=Missing("a moon", "it is day", "wait")))["startup"]
+    assert said["who"] == "technician" and said["sentence"] == "Not everything is there yet: it is day"
+
+
+def facts(*states: str, **changes) -> WorkFacts:
+    given = {"engaged": False, "proposed": False, "next": "", "reason": "why"} | changes
+    return WorkFacts(states, **given)
+
+
+@pytest.mark.parametrize(
+    "work, state",
+    [
+        (facts(), "unavailable"),
+        (facts("done", "asks", "waiting"), "asks"),
+        (facts("asks", engaged=True), "engaged"),
+        (facts("done", "carrying", "ready"), "working"),
+        (facts("planned", "waiting"), "planned"),
+        (facts("ready", proposed=True), "proposed"),
+        (facts("ready", "waiting", next="t"), "ready"),
+        (facts("done", "skipped"), "done"),
+        (facts("held", "waiting"), "waiting"),
+    ],
+)
+def test_the_work_is_in_one_state(work, state):
+    assert work_state(work) == state
+    said = lines(Heard(work=work))["work"]
+    assert said["state"] == state and said["sentence"].endswith(": why")
+
+
+def test_every_state_of_a_task_leads_to_a_state_of_the_work():
+    found = {work_state(facts(state.value)) for state in TaskState}
+    assert found <= set(states_of("work")) and {"working", "planned", "asks", "done", "waiting"} == found

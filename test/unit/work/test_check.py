@@ -1,0 +1,110 @@
+"""What is found out about each task before anything starts, and how it is told."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from building_models import box, building, element
+from work_samples import box_pieces
+
+from construction_twin.ros.commands.work_check_pool import Arm, Setup, check_all
+from construction_twin.work.building import Task
+from construction_twin.work.check import CheckedTask, reason_kind
+from construction_twin.work.check_report import Header, as_json, page, row, short_why, why
+from construction_twin.work.schedule import Schedule
+from construction_twin.work.site import read_site
+from construction_twin.work.site_scene import Layout
+
+ROOT = Path(__file__).resolve().parents[3]
+ARM = Arm(
+    ROOT / "urdf/kr120_track.urdf.xacro",
+    ROOT / "config/kr120_track.yaml",
+    ROOT / "config/kr120_track_self_collision.yaml",
+    ROOT / "config/planner.yaml",
+)
+CELL = ROOT / "config/work/timber_panel.yaml"
+DONE = CheckedTask(0, "t", "Lay <b>", "e", "E", "IfcMember", True, "up", 0.5, 0.021, 9.5, 1.0)
+FAILED = CheckedTask(1, "u", "Lay u", "f", "F", "IfcMember", False, stage="reach", reason="too far", tried=True)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Three tasks: a stud that can be placed, one far beyond the track, one without geometry."""
+    body = box((-0.5, -0.03, 0.0), (0.5, 0.03, 0.12))
+    elements = [
+        element("near", body, at=(1.2, 0.3, 0.0), name="Stud near"),
+        element("far", body, at=(1.2, 9.0, 0.0), name="Stud far"),
+        element("empty", name="Stud empty"),
+    ]
+    tasks = [Task(f"t{one.id}", f"Place {one.id}", products=(one.id,)) for one in elements]
+    model = building(*(replace(one, mass=5.0, type_name="Stud 60x120") for one in elements), tasks=tasks)
+    pieces = {one.id: box_pieces(one) for one in elements if one.bodies}
+    setup = Setup(ARM, CELL, model, pieces, Schedule.of(model).jobs, changes=0.0)
+    seen = []
+    checked = check_all(setup, 2, seen.append)
+    return setup, checked, seen
+
+
+def test_each_task_is_told_in_the_schedules_order_whenever_it_was_found(found):
+    _, checked, seen = found
+    assert [task.name for task in checked.tasks] == ["Place near", "Place far", "Place empty"]
+    assert sorted(task.number for task in seen) == [0, 1, 2] and checked.rss_mb > 0.0
+
+
+def test_a_possible_task_has_grip_track_clearance_time_and_path(found):
+    _, checked, _ = found
+    task = checked.tasks[0]
+    assert task.possible and task.reason == "" and task.grip
+    assert -2.0 <= task.track <= 2.0 and 0.0 < task.clearance and 1.0 < task.duration < 60.0
+    # the path comes by the place: model (1.2, 0.3, 0.12) is the middle of its upper face
+    goal = np.array([0.0, 1.4, 0.72])
+    assert np.linalg.norm(np.array(task.path) - goal, axis=1).min() < 0.02
+
+
+def test_what_is_out_of_reach_or_without_geometry_says_so(found):
+    _, checked, _ = found
+    _, far, empty = checked.tasks
+    assert not far.possible and far.stage == "reach" and not far.tried
+    assert not empty.possible and empty.reason == "the element has no geometry"
+
+
+def test_the_page_holds_every_task_and_three_pictures_and_no_markup_of_the_model(found):
+    setup, checked, _ = found
+    robot = ARM.robot()
+    layout = Layout(read_site(CELL), setup.building, setup.pieces, list(setup.pieces), robot.tip_link)
+    header = Header("m<1>.ifc", "ab" * 32, "c.yaml", "kr120", True, 3.0, 500.0, ("a <note>",))
+    text = page(header, checked.tasks, layout)
+    assert text.count("data:image/png;base64,") == 3
+    assert all(task.name in text for task in checked.tasks)
+    assert (
+        "m&lt;1&gt;.ifc" in text and "a &lt;note&gt;" in text and "<note>" not in text and "person must accept" in text
+    )
+
+
+def test_of_another_robots_tasks_none_is_checked_but_their_elements_stand_in_the_scene(found):
+    setup, _, _ = found
+    own = replace(setup, jobs=(replace(setup.jobs[0], robots=("other",)), replace(setup.jobs[2], robots=("kr120",))))
+    checked = check_all(replace(own, robot="kr120"), 1)
+    assert [task.name for task in checked.tasks] == ["Place empty"] and checked.tasks[0].number == 1
+    assert "near/0" in own.layout(ARM.robot()).scene().names
+
+
+def test_reasons_that_differ_in_figures_only_are_of_one_kind():
+    assert reason_kind(replace(FAILED, reason="1.5 m too far")) == reason_kind(replace(FAILED, reason="-2 m too far"))
+    assert reason_kind(FAILED) != reason_kind(replace(FAILED, stage="carry"))
+
+
+def test_rows_and_reasons_read_well():
+    assert row(DONE) == ("1", "Lay <b>", "E", "yes", "up", "0.50", "21", "9.5", "")
+    assert short_why(DONE) == "" and short_why(FAILED) == "reach"
+    assert why(FAILED) == "reach: too far. Nothing that was tried helps"
+    assert why(replace(FAILED, tried=False)).endswith("No change was tried")
+    assert why(replace(FAILED, change="turn it")).endswith("Would help: turn it")
+
+
+def test_the_json_counts_what_is_possible():
+    header = Header("m.ifc", "", "c.yaml", "kr120", False, 3.0, 500.0, ())
+    content = json.loads(as_json(header, (DONE, FAILED)))
+    assert content["tasks"] == 2 and content["possible"] == 1 and content["checked"][1]["reason"] == "too far"

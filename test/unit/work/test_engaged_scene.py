@@ -1,0 +1,121 @@
+"""What is done about the scene of an arm that was left engaged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.work.engaged_scene import Due, Left, Step, confirmed, due
+
+SIDE = (0.1, 0.1, 0.1)
+
+
+def at(x: float) -> Pose:
+    return Pose(np.array([x, 0.0, 0.0]), np.eye(3))
+
+
+BODY = SceneObject("E1/0", "box", SIDE)
+STOCK, HELD, PLACED = BODY.moved(at(1.0)), BODY.moved(at(0.3), "tool0"), BODY.moved(at(2.0))
+TOOL = SceneObject("tool/post", "box", SIDE, link="tool0", touch=("E1/0",))
+FLOOR = SceneObject("floor", "box", (5.0, 5.0, 0.1), touch=("E1/0",))
+FENCE = SceneObject("fence", "box", SIDE).moved(at(-2.0))
+
+
+def scene(*items: SceneObject) -> Scene:
+    return Scene((FLOOR, TOOL, *items), 0.01)
+
+
+BEFORE, GRIPPED, BUILT = scene(STOCK), scene(HELD), scene(PLACED)
+GRIP = Step(BEFORE.hash, GRIPPED.hash, SceneChange((HELD,)))
+LET_GO = Step(GRIPPED.hash, BUILT.hash, SceneChange((PLACED,)))
+STEPS = (GRIP, LET_GO)
+
+
+def left(*scenes: Scene) -> Left:
+    return Left("p1", "lower", tuple(one.hash for one in scenes))
+
+
+def led(found: Due, present: Scene) -> str:
+    """Return the scene that a change leads to; fails when none is due."""
+    assert found.change is not None, found.sentence
+    assert found.change.apply(present).hash == found.after
+    return found.after
+
+
+@pytest.mark.parametrize("present", [BEFORE, GRIPPED])
+def test_a_scene_that_is_named_stays_as_it_is(present):
+    found = due(left(BEFORE, GRIPPED), present, STEPS)
+    assert (found.change, found.sentence) == (None, "")
+
+
+@pytest.mark.parametrize(("present", "wanted"), [(BEFORE, GRIPPED), (GRIPPED, BUILT)])
+def test_the_change_that_a_stop_has_cut_off_is_due(present, wanted):
+    assert led(due(left(wanted), present, STEPS), present) == wanted.hash
+
+
+def test_the_scene_before_the_grip_is_restored_when_it_was_seen():
+    assert led(due(left(BEFORE), GRIPPED, STEPS, [BEFORE]), GRIPPED) == BEFORE.hash
+
+
+@pytest.mark.parametrize("wanted", [BEFORE, GRIPPED, BUILT])
+@pytest.mark.parametrize("present", [BEFORE, GRIPPED, BUILT])
+def test_without_plan_and_earlier_scenes_the_ledger_has_what_it_takes(present, wanted):
+    found = due(left(wanted), present, (), element="E1", forms=[(STOCK,), (HELD,), (PLACED,)])
+    assert (wanted is present) == (found.change is None)
+    assert found.sentence == "" and (wanted is present or led(found, present) == wanted.hash)
+
+
+def test_what_follows_a_change_of_the_tools_inputs():
+    """The other way round, as soon as the engagement names the other scene."""
+    held = due(left(GRIPPED), BEFORE, STEPS, [BEFORE])
+    assert led(held, BEFORE) == GRIPPED.hash
+    assert led(due(left(BEFORE), GRIPPED, STEPS, [GRIPPED, BEFORE]), GRIPPED) == BEFORE.hash
+
+
+@pytest.mark.parametrize("present", [scene(STOCK, FENCE), scene(HELD, FENCE)])
+def test_an_obstacle_that_came_meanwhile_is_named_and_not_taken_away(present):
+    found = due(left(GRIPPED), present, STEPS, [present, BEFORE])
+    assert found.change is None
+    assert "'fence' came into the scene" in found.sentence and "release_engagement" in found.sentence
+
+
+@pytest.mark.parametrize("other", [(TOOL, HELD), (replace(FLOOR, size=(4.0, 4.0, 0.1)), TOOL, HELD)])
+def test_an_obstacle_that_went_or_was_changed_is_not_put_back(other):
+    found = due(left(GRIPPED), Scene(other, 0.01), STEPS, [BEFORE])
+    assert found.change is None and "'floor' was changed or taken out" in found.sentence
+
+
+def test_another_padding_is_said():
+    found = due(left(GRIPPED), replace(GRIPPED, padding=0.02), STEPS, [GRIPPED])
+    assert found.change is None and "padding was changed since: set it back to 0.01 m" in found.sentence
+
+
+def test_an_element_that_is_gone_comes_back_with_what_may_touch_it():
+    present = BEFORE.remove("E1/0")
+    assert present.get("floor").touch == ()
+    assert led(due(left(BEFORE), present, STEPS, [present, BEFORE]), present) == BEFORE.hash
+
+
+def test_a_plan_that_nobody_knows_any_more_is_asked_about():
+    found = due(left(GRIPPED), BEFORE, ())
+    assert found.change is None
+    assert "plan p1 is not known any more" in found.sentence and "'lower'" in found.sentence
+
+
+def test_a_plans_change_that_leads_elsewhere_is_not_made():
+    wrong = Step(BEFORE.hash, GRIPPED.hash, SceneChange((HELD.moved(at(0.4), "tool0"),), ("nobody",)))
+    assert due(left(GRIPPED), BEFORE, [wrong]).change is None
+    assert due(left(GRIPPED), BEFORE, [replace(wrong, change=SceneChange((HELD.moved(at(0.4)),)))]).change is None
+
+
+def test_a_switch_counts_as_confirmed_only_where_no_other_scene_is_named():
+    assert confirmed(left(GRIPPED), GRIP)
+    assert not confirmed(left(BEFORE), GRIP)
+    assert not confirmed(left(BEFORE, GRIPPED), GRIP)
+    assert not confirmed(left(), GRIP)
+    assert not confirmed(left(GRIPPED), Step(GRIPPED.hash, GRIPPED.hash, SceneChange()))

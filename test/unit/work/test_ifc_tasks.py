@@ -1,0 +1,145 @@
+"""The schedule of an IFC file, as it stands there. In IFC2X3 times and lags are other entities."""
+
+from __future__ import annotations
+
+import pytest
+from ifc_models import IfcModel
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.work.building import Sequence
+from construction_twin.work.ifc.reader import read_ifc
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Write a model and read it again."""
+
+    def write_and_read(model):
+        return read_ifc(model.save(tmp_path / "model.ifc"), 1 << 24)
+
+    return write_and_read
+
+
+def two_tasks(schema="IFC4"):
+    """A model with two studs and a task for each, in one task."""
+    model = IfcModel(schema)
+    studs = [model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
+    schedule = model.schedule()
+    top = model.task("panel", schedule=schedule)
+    tasks = [model.task(f"place {stud.Name}", [stud], top) for stud in studs]
+    return model, studs, top, tasks
+
+
+@pytest.mark.parametrize("schema", ["IFC2X3", "IFC4", "IFC4X3"])
+def test_tasks_nest_make_products_and_name_who_does_them(read, schema):
+    model, studs, top, (first, second) = two_tasks(schema)
+    model.resource("kr120", first)
+    model.inputs(second, studs[0])
+    model.sequence(first, second)
+    found = read(model)
+    assert list(found.tasks) == [top.GlobalId, first.GlobalId, second.GlobalId]
+    one, two = found.tasks[first.GlobalId], found.tasks[second.GlobalId]
+    assert (one.name, one.parent, one.products, one.robots) == (
+        "place a", top.GlobalId, (studs[0].GlobalId,), ("kr120",),
+    )  # fmt: skip
+    assert (two.products, two.inputs, two.robots) == ((studs[1].GlobalId,), (studs[0].GlobalId,), ())
+    assert found.sequences == (Sequence(first.GlobalId, second.GlobalId),)
+
+
+@pytest.mark.parametrize("kind", ["FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH"])
+@pytest.mark.parametrize(
+    ("schema", "lag", "seconds"), [("IFC4", "P1DT2H", 93600), ("IFC4", "-PT30M", -1800), ("IFC2X3", 60.0, 60)]
+)
+def test_all_four_kinds_of_order_have_a_lag(read, kind, schema, lag, seconds):
+    model, _, _, (first, second) = two_tasks(schema)
+    model.sequence(first, second, kind, lag)
+    assert read(model).sequences == (Sequence(first.GlobalId, second.GlobalId, kind, float(seconds)),)
+
+
+def test_a_lag_that_is_a_ratio_is_of_the_duration_before(read):
+    model, _, _, (first, second) = two_tasks()
+    first.TaskTime = model.make("IfcTaskTime", ScheduleDuration="PT2H", DurationType="WORKTIME")
+    model.sequence(first, second, lag=0.5)
+    model.sequence(second, first, lag=0.5)
+    found = read(model)
+    assert [each.lag for each in found.sequences] == [3600.0, 0.0]
+    assert any("not known" in note for note in found.notes) and any(
+        "part of the duration" in note for note in found.notes
+    )
+
+
+def test_times_of_ifc4(read):
+    model, _, _, (first, second) = two_tasks()
+    first.TaskTime = model.make(
+        "IfcTaskTime",
+        ScheduleStart="2027-01-04T08:00:00",
+        ScheduleFinish="2027-01-04T10:00:00",
+        ScheduleDuration="PT2H",
+    )
+    second.TaskTime = model.make("IfcTaskTime", ScheduleStart="soon", ScheduleDuration="P1Y")
+    found = read(model)
+    one, two = found.tasks[first.GlobalId], found.tasks[second.GlobalId]
+    assert (one.start, one.finish, one.duration) == ("2027-01-04T08:00:00", "2027-01-04T10:00:00", 7200.0)
+    assert (two.start, two.duration) == ("", None)
+    assert any("no date" in note for note in found.notes) and any("years or months" in note for note in found.notes)
+
+
+def test_times_of_ifc2x3_are_a_control_of_its_own(read):
+    model, _, _, (first, _) = two_tasks("IFC2X3")
+    date = model.make("IfcCalendarDate", 4, 1, 2027)
+    start = model.make("IfcDateAndTime", date, model.make("IfcLocalTime", 8, 30))
+    control = model.root("IfcScheduleTimeControl", ScheduleStart=start, ScheduleDuration=5400.0)
+    schedule = model.file.by_type("IfcWorkSchedule")[0]
+    model.root("IfcRelAssignsTasks", RelatedObjects=[first], RelatingControl=schedule, TimeForTask=control)
+    task = read(model).tasks[first.GlobalId]
+    assert (task.start, task.duration) == ("2027-01-04T08:30:00", 5400.0)
+
+
+def test_workpieces_that_are_inputs_only_are_what_the_task_makes(read):
+    model = IfcModel()
+    stud, door = model.box("stud", (0.1, 0.1, 1.0)), model.box("door", (0.1, 0.1, 1.0), kind="IfcDoor")
+    task, wreck = model.task("place"), model.task("take down", PredefinedType="DEMOLITION")
+    model.inputs(task, stud, door)
+    model.inputs(wreck, stud)
+    found = read(model)
+    assert (found.tasks[task.GlobalId].products, found.tasks[task.GlobalId].inputs) == (
+        (stud.GlobalId,),
+        (door.GlobalId,),
+    )
+    assert (found.tasks[wreck.GlobalId].products, found.tasks[wreck.GlobalId].inputs) == ((), (stud.GlobalId,))
+    assert any("inputs only" in note and "place" in note for note in found.notes)
+
+
+def test_a_baseline_beside_the_plan_is_left_out(read):
+    model = IfcModel()
+    stud = model.box("stud", (0.1, 0.1, 1.0))
+    planned = model.task("place", [stud], schedule=model.schedule("Plan", PredefinedType="PLANNED"))
+    before = model.task("place then", [stud], schedule=model.schedule("Old", PredefinedType="BASELINE"))
+    model.sequence(before, planned)
+    found = read(model)
+    assert list(found.tasks) == [planned.GlobalId]
+    assert found.sequences == ()
+    assert any("Old" in note and "BASELINE" in note for note in found.notes)
+
+
+def test_what_is_assigned_and_no_element_is_told(read):
+    model = IfcModel()
+    task = model.task("tidy up", [model.site])
+    found = read(model)
+    assert found.tasks[task.GlobalId].products == ()
+    assert any("IfcSite" in note and "tidy up" in note for note in found.notes)
+
+
+def test_an_order_without_a_kind_is_finish_to_start(read):
+    model, _, _, (first, second) = two_tasks()
+    model.sequence(first, second, None)
+    found = read(model)
+    assert found.sequences[0].kind == "FINISH_START"
+    assert any("finish to start" in note for note in found.notes)
+
+
+def test_a_task_that_is_part_of_itself_is_refused_with_its_number(read):
+    model, _, top, (first, _) = two_tasks()
+    model.root("IfcRelNests", RelatingObject=first, RelatedObjects=[top])
+    with pytest.raises(BuildingError, match=rf"#({top.id()}|{first.id()})=IFCTASK: found part of itself"):
+        read(model)

@@ -1,0 +1,54 @@
+"""Elements that no task makes stand where the model has them."""
+
+from dataclasses import replace
+
+import numpy as np
+from building_models import box
+from work_samples import box_pieces, building, element, robot, site
+
+from construction_twin.work.site_scene import Layout, WorkState
+from construction_twin.work.standing import standing
+
+WALL = box((0.0, 0.0, 0.0), (2.0, 0.1, 1.0))
+
+
+def wall(name, at=(0.0, 0.3, 0.0), **changes):
+    return replace(element(name, at, ifc_class="IfcWall"), bodies=(WALL,), **changes)
+
+
+def made(model, *names):
+    return {name: box_pieces(model.element(name)) for name in names}
+
+
+def test_a_wall_that_no_task_makes_is_a_fixed_obstacle_where_the_model_has_it(tmp_path):
+    at = site(tmp_path)
+    model = building(element("b"), wall("wall"))
+    found = standing(model, ["b"], at, robot(), tmp_path)
+    assert set(found.pieces) == {"wall"} and not found.notes
+    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
+    for state in (WorkState(), WorkState({"b": layout.base_T_goal("b")})):
+        item = next(one for one in layout.scene(state).objects if one.name == "wall/0")
+        # model_T_base is (0, -1.6, -0.6), the middle of the wall (1, 0.35, 0.5) in the model
+        assert item.fixed and not item.link and np.allclose(item.position, (1.0, 1.95, 1.1))
+
+
+def test_what_an_element_of_the_work_touches_may_be_one_that_stands(tmp_path):
+    at = site(tmp_path)
+    model = building(element("b"), wall("wall", (-0.5, -0.05, -1.0)))
+    found = standing(model, ["b"], at, robot(), tmp_path)
+    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
+    assert "wall/0" in layout.job_for("b", layout.scene()).supports
+
+
+def test_what_the_work_is_part_of_the_base_and_what_is_far_away_do_not_stand(tmp_path):
+    at = site(tmp_path, {"model_T_base": None, "base_element": "base"})
+    part = replace(element("part"), assembly="panel")
+    model = building(part, wall("panel", assembly="house"), wall("house"), wall("base"), wall("far", (500.0, 0.0, 0.0)))
+    assert not standing(model, ["part"], at, robot(), tmp_path).pieces
+
+
+def test_an_element_whose_geometry_is_unusable_is_named(tmp_path):
+    flat = replace(WALL, vertices=np.full((8, 3), np.nan))
+    model = building(element("b"), replace(wall("odd"), bodies=(flat,)))
+    found = standing(model, ["b"], site(tmp_path), robot(), tmp_path)
+    assert not found.pieces and len(found.notes) == 1 and "'odd'" in found.notes[0]

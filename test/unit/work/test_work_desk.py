@@ -1,0 +1,400 @@
+"""The desk: what can be planned, what is refused and why, what stands where. With invented elements, without a model file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.tool import read_tool
+from construction_twin.scene.objects import Scene, SceneObject, product
+from construction_twin.work.built import as_built, change, deviation, pose_of_tuple, pose_tuple
+from construction_twin.work.desk import Desk, ElementFacts, Prepared, WorkRefused
+from construction_twin.work.ledger import Entry, Ledger
+from construction_twin.work.racks import Slot, StockPlan
+from construction_twin.work.schedule import Job, Schedule, Wait
+from construction_twin.work.task_states import TaskState
+
+ROOT = Path(__file__).parents[3]
+TOOL = read_tool(ROOT / "config/tools/vacuum_frame.yaml").tool
+MINUTE = 60 * 10**9
+
+
+def at(x: float, y: float = 0.0, z: float = 0.0, turn: float = 0.0) -> Pose:
+    c, s = np.cos(turn), np.sin(turn)
+    return Pose(np.array([x, y, z]), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+
+
+JOBS = (
+    Job("T1", "T1", "Place plate", "E1", (), ()),
+    Job("T2", "T2", "Place stud", "E2", (), (Wait("T1", True, 60.0),)),
+    Job("T3", "T3", "Place board", "E3", ("other",), (Wait("T2", True, 0.0),)),
+)
+HELD = at(0.0, 0.0, 0.3)
+
+
+class Clock:
+    def __init__(self):
+        self.now = 10**18
+
+    def __call__(self) -> int:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def prepared(proposed: bool = False) -> Prepared:
+    elements, slots = {}, {}
+    for number, job in zip(count(1), JOBS):
+        body = SceneObject(f"{job.element}/0", "box", (0.1, 0.1, 0.1))
+        elements[job.element] = ElementFacts(
+            f"element {number}", "IfcMember", "", (body,), at(number, 1.0), np.zeros((1, 3, 3))
+        )
+        # the third lies in the slot of the second, when that has been taken
+        slots[job.element] = Slot(job.element, "rack", min(number, 2), int(number == 3), at(number, -1.0), "")
+    tool = (SceneObject("tool/post", "box", (0.1, 0.1, 0.1), link="tool0"),)
+    schedule = Schedule(JOBS, (), (), proposed)
+    return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, tool)
+
+
+def desk(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr120") -> Desk:
+    ready = prepared(proposed)
+    return Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), robot, "tool0")
+
+
+def build(one: Desk, task: str, until: str = "finished", stands: Pose | None = None) -> None:
+    element = one.element_of(task)
+    for event in ("offered", "planned", "begun", "gripping", "gripped", "releasing", "released", "finished"):
+        pose = {"offered": pose_tuple(HELD), "released": pose_tuple(stands or one.goal(task))}.get(event, ())
+        one.ledger.add(Entry(event, task, element, plan="p", offer="o", pose=pose))
+        if event == until:
+            return
+
+
+def test_a_proposed_schedule_must_be_accepted_by_a_person_first(tmp_path, clock):
+    one = desk(tmp_path, clock, proposed=True)
+    assert one.schedule_word == "proposed" and one.next(clock()) == ""
+    assert "accept" in one.obstacle("T1", clock())
+    with pytest.raises(WorkRefused, match="name of a person"):
+        one.accept(" ", "")
+    one.accept("eva", "looks right")
+    assert one.schedule_word == "accepted" and one.next(clock()) == "T1"
+    with pytest.raises(WorkRefused, match="nothing to accept"):
+        one.accept("eva", "")
+
+
+def test_an_accepted_schedule_that_has_changed_is_a_proposal_again(tmp_path, clock):
+    one = desk(tmp_path, clock, proposed=True)
+    one.ledger.add(Entry("accept_schedule", schedule="other", person="eva"))
+    assert one.schedule_word == "proposed"
+
+
+def test_out_of_order_is_refused_with_the_predecessor_named(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    assert one.obstacle("T2", clock()) == "'Place stud' (T2) waits for 'Place plate' (T1)"
+    assert "no task 'T9'" in one.obstacle("T9", clock())
+
+
+def test_a_lag_is_waited_for(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    build(one, "T1")
+    assert "60 s from now" in one.obstacle("T2", clock())
+    clock.now += MINUTE + 1
+    assert one.obstacle("T2", clock()) == "" and one.next(clock()) == "T2"
+
+
+def test_another_robots_task_is_left_alone(tmp_path, clock):
+    for robot, word in (("kr120", "for other, not for kr120"), ("other", "")):
+        folder = tmp_path / robot
+        folder.mkdir()
+        one = desk(folder, clock, robot=robot)
+        build(one, "T1")
+        clock.now += MINUTE + 1
+        build(one, "T2")
+        assert word in one.obstacle("T3", clock())
+
+
+def test_one_task_at_a_time(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    one.ledger.add(Entry("offered", "T1", "E1", offer="o"))
+    assert one.busy() == "T1" and "under review" in one.obstacle("T1", clock())
+    with pytest.raises(WorkRefused, match="cannot be skipped"):
+        one.skip("T1", "eva", "")
+
+
+def test_a_question_comes_before_everything_else(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    build(one, "T1", until="gripped")
+    one.ledger.add(Entry("stopped", "T1", "E1"))
+    row = one.rows(clock())[0]
+    assert row.state == "asks" and row.question.startswith("where is element 1 now?") and "in_grip" in row.answers
+    assert "asks first" in one.obstacle("T1", clock())
+    for refused in (lambda: one.skip("T1", "eva", ""), lambda: one.answer("T1", "perhaps", "eva", "")):
+        with pytest.raises(WorkRefused):
+            refused()
+    one.answer("T1", "in_grip", "eva", "")
+    assert one.next(clock()) == "T1"
+    with pytest.raises(WorkRefused, match="asks nothing"):
+        one.answer("T1", "in_grip", "eva", "")
+
+
+def test_what_is_in_the_grip_comes_first(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    build(one, "T1")
+    clock.now += MINUTE + 1
+    build(one, "T2", until="gripped")
+    one.ledger.add(Entry("stopped", "T2", "E2"))
+    one.answer("T2", "in_grip", "eva", "")
+    one.redo("T1", "eva", "") if not one.ledger.book.followers("T1") else None
+    assert "is in the grip" in one.obstacle("T1", clock())
+
+
+@pytest.mark.parametrize("by_person", [True, False])
+def test_what_counts_as_carried_can_be_doubted(tmp_path, clock, by_person):
+    one = desk(tmp_path, clock)
+    assert one.lost() == ""
+    build(one, "T1", until="gripped")
+    one.ledger.add(Entry("stopped", "T1", "E1"))
+    one.answer("T1", "in_grip", "eva", "")
+    sentence = one.redo("T1", "eva", "it fell") if by_person else one.lost()
+    assert "where is element 1 now?" in sentence and not one.in_doubt
+    assert one.ledger.book.tasks["T1"].possible_answers() == ("in_stock", "in_grip", "placed", "gone")
+    one.answer("T1", "gone", "eva", "")
+    assert one.ledger.book.in_state(TaskState.HELD) == ("T1",)
+
+
+def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    build(one, "T1")
+    clock.now += MINUTE + 1
+    build(one, "T2")
+    with pytest.raises(WorkRefused, match="'Place stud' \\(T2\\) came after"):
+        one.redo("T1", "eva", "")
+    # the third counts as delivered where the second lay
+    one.skip("T3", "eva", "")
+    one.redo("T2", "eva", "")
+    one.redo("T1", "eva", "")
+    assert one.ledger.book.in_state(TaskState.READY) == ("T1",)
+    with pytest.raises(WorkRefused, match="not done or skipped"):
+        one.redo("T1", "eva", "")
+
+
+def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    with pytest.raises(WorkRefused, match="not placed yet"):
+        one.measured("E1", one.goal("T1"), "eva", "tape")
+    build(one, "T1")
+    assert one.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
+    found = one.measured("E1", product(one.goal("T1"), at(0.003, 0.0, 0.0, 0.01)), "eva", "tape")
+    assert (found.distance, found.angle) == (pytest.approx(0.003), pytest.approx(0.01))
+    assert one.rows(clock())[0].deviation == found and "measured by eva" in one.rows(clock())[0].reason
+    for wrong in (at(50.0), at(float("nan"))):
+        with pytest.raises(WorkRefused, match="robot's base_link"):
+            one.measured("E1", wrong, "eva", "")
+    with pytest.raises(WorkRefused, match="no task places"):
+        one.measured("E9", one.goal("T1"), "eva", "")
+
+
+def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_path, clock):
+    ready = prepared()
+    slots = {element: slot for element, slot in ready.stock.slots.items() if element != "E2"}
+    bodiless = replace(ready.elements["E2"], bodies=(), triangles=np.empty((0, 3, 3)))
+    ready = replace(
+        ready, stock=StockPlan(slots), elements={**ready.elements, "E2": bodiless}, unplannable={"E2": "no body"}
+    )
+    one = Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "other", "tool0")
+    build(one, "T1")
+    clock.now += MINUTE + 1
+    assert "cannot be planned: no body" in one.obstacle("T2", clock()) and "waits for" in one.obstacle("T3", clock())
+    assert {row.id: row.state for row in one.rows(clock())} == {"T1": "done", "T2": "ready", "T3": "waiting"}
+    assert not any(name.startswith("E2") for name in scene_of(one, Scene()).names)
+    assert [each.word for each in one.appearances(clock()) if each.element == "E2"] == ["todo"]
+    one.skip("T2", "eva", "stands already")
+    assert one.next(clock()) == "T3"
+
+
+def test_what_a_person_should_know_is_told_together(tmp_path, clock):
+    ready = replace(prepared(), notes=("left out",), schedule=Schedule(JOBS, ("a lead is not used",), ()))
+    former = Ledger(tmp_path / "ledger", {"T9": ()}, ready.digest, clock)
+    former.add(Entry("offered", "T9", "E9"))
+    former.close()
+    one = Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
+    assert one.notes[:2] == ("left out", "a lead is not used") and "T9" in one.notes[2]
+
+
+# -- the scene
+
+
+def scene_of(one: Desk, scene: Scene) -> Scene:
+    wanted, alone = one.wanted_scene()
+    wrong = change(scene, wanted, alone)
+    for name in wrong.remove:
+        scene = scene.remove(name)
+    for item in wrong.put:
+        scene = scene.add(item, True)
+    assert not change(scene, *one.wanted_scene())
+    return scene
+
+
+def test_the_scene_follows_the_ledger(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    scene = scene_of(one, Scene((SceneObject("table", "box", (1.0, 1.0, 1.0)), SceneObject("old/0", "sphere", (1.0,)))))
+    # the third is not delivered yet, what is no work of ours stays, what a former model left goes
+    assert set(scene.names) == {"table", "tool/post", "E1/0", "E2/0"}
+    assert scene.get("E1/0").position == (1.0, -1.0, 0.0)
+    build(one, "T1", until="gripped")
+    scene = scene_of(one, scene)
+    assert (scene.get("E1/0").link, scene.get("E1/0").position) == ("tool0", (0.0, 0.0, 0.3))
+    one.ledger.add(Entry("stopped", "T1", "E1"))
+    assert scene_of(one, scene).hash == scene.hash, "what is asked about is left as it is"
+    one.answer("T1", "gone", "eva", "")
+    assert "E1/0" not in scene_of(one, scene).names
+
+
+def test_placed_elements_stand_as_built_and_not_as_designed(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    stands = product(one.goal("T1"), at(0.002))
+    build(one, "T1", stands=stands)
+    scene = scene_of(one, Scene())
+    np.testing.assert_allclose(scene.get("E1/0").position, stands.position, atol=1e-12)
+    assert one.deviation("T1").distance == pytest.approx(0.002)
+
+
+def test_a_planned_pose_is_not_told_as_measured(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    build(one, "T1", until="releasing")
+    one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.goal("T1")), source="planned"))
+    one.ledger.add(Entry("finished", "T1", "E1"))
+    assert one.deviation("T1") is None and one.rows(clock())[0].reason == "placed; as planned, not measured"
+    one.measured("E1", one.goal("T1"), "eva", "tape")
+    assert one.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_skipped_element_is_taken_out_and_the_next_delivered(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    one.skip("T1", "eva", "")
+    assert "take its element out" in one.skip("T2", "eva", "")
+    assert set(scene_of(one, Scene()).names) == {"tool/post", "E3/0"}
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_nothing_comes_back_into_a_slot_that_was_filled_again(tmp_path, clock, asked):
+    one = desk(tmp_path, clock)
+    build(one, "T1")
+    clock.now += MINUTE + 1
+    build(one, "T2", until="gripped" if asked else "finished")
+    if asked:
+        one.ledger.add(Entry("stopped", "T2", "E2"))
+
+    def back() -> None:
+        one.answer("T2", "in_stock", "eva", "") if asked else one.redo("T2", "eva", "")
+
+    with pytest.raises(WorkRefused, match="element 3 counts as delivered in the slot of element 2"):
+        back()
+    one.skip("T3", "eva", "")
+    back()
+    one.redo("T3", "eva", "")
+    names = scene_of(one, Scene()).names
+    assert "E2/0" in names and "E3/0" not in names
+
+
+def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, clock):
+    one = desk(tmp_path, clock)
+
+    def words(element: str) -> list[str]:
+        return [each.word for each in one.appearances(clock()) if each.element == element]
+
+    assert (words("E1"), words("E2"), words("E3")) == (["next", "stock"], ["todo", "stock"], ["todo"])
+    build(one, "T1", until="gripped")
+    assert words("E1") == ["todo", "carried"]
+    one.ledger.add(Entry("releasing", "T1", "E1"))
+    one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.goal("T1"))))
+    assert words("E1") == ["placed"]
+    one.ledger.add(Entry("finished", "T1", "E1"))
+    one.measured("E1", product(one.goal("T1"), at(0.05)), "eva", "tape")
+    assert words("E1") == ["off"]
+    one.skip("T2", "eva", "")
+    assert words("E2") == ["skipped"]
+
+
+def test_a_changed_model_leaves_everything_where_it_is_until_a_person_has_answered(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    stands = product(one.goal("T1"), at(0.002))
+    build(one, "T1", stands=stands)
+    scene = scene_of(one, Scene())
+    one.ledger.close()
+    ready = prepared()
+    ledger = Ledger(tmp_path / "ledger", ready.after, "b" * 64, clock, "/cell.yaml", ready.placed_by)
+    again = Desk(ready, ledger, "kr120", "tool0")
+    assert again.in_doubt and again.next(clock()) == "" and "asks first" in again.obstacle("T2", clock())
+    assert "another version of the model" in again.rows(clock())[0].question
+    assert scene_of(again, scene).hash == scene.hash
+    again.answer("T1", "placed", "eva", "")
+    assert not again.in_doubt and scene_of(again, scene).hash == scene.hash
+    assert again.deviation("T1").distance == pytest.approx(0.002)
+
+
+def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, clock):
+    ready = prepared()
+    former = Ledger(tmp_path / "ledger", {"T9": ()}, "b" * 64, clock, "/cell.yaml", {"T9": "E9"})
+    for event in ("offered", "begun", "gripping", "gripped", "releasing", "released", "finished"):
+        former.add(Entry(event, "T9", "E9", pose=pose_tuple(at(1.0))))
+    former.close()
+    ledger = Ledger(tmp_path / "ledger", ready.after, ready.digest, clock, "/cell.yaml", ready.placed_by)
+    one = Desk(ready, ledger, "kr120", "tool0")
+    scene = Scene((SceneObject("E9/0", "sphere", (1.0,)), SceneObject("old/0", "sphere", (1.0,))))
+    assert {"E9/0", "E1/0"} <= set(scene_of(one, scene).names) and "old/0" not in scene_of(one, scene).names
+
+
+# -- as built
+
+
+def test_an_element_that_was_turned_by_its_symmetry_is_not_wrong():
+    goal, turn = at(1.0, 2.0, 0.5), at(0.0, 0.0, 0.0, np.pi)
+    held = at(0.1, 0.0, 0.3)
+    flange = product(product(goal, turn), Pose(-held.rotation.T @ held.position, held.rotation.T))
+    off = Pose(flange.position + np.array([0.001, 0.0, 0.0]), flange.rotation)
+    built = as_built(off, flange, held, goal)
+    assert deviation(built, goal).distance == pytest.approx(0.001)
+    assert deviation(built, goal).angle == pytest.approx(0.0, abs=1e-9)
+
+
+def test_small_errors_of_a_plan_are_deviations():
+    goal = at(1.0, 2.0, 0.5)
+    planned = product(goal, at(0.0005))
+    assert deviation(as_built(planned, planned, at(0.0), goal), goal).distance == pytest.approx(0.0005)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, np.pi / 2, np.pi - 1e-6, np.pi])
+def test_angles_are_exact_from_nothing_to_half_a_turn(angle):
+    assert deviation(at(0.0, turn=angle), at(0.0)).angle == pytest.approx(angle, abs=1e-12)
+
+
+def test_a_pose_comes_back_from_its_numbers():
+    pose = at(1.0, -2.0, 3.0, 0.7)
+    back = pose_of_tuple(pose_tuple(pose))
+    np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-15)
+    np.testing.assert_array_equal(back.position, pose.position)
+
+
+def test_the_forms_of_an_element_are_what_the_record_can_have(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    stock, goal = one.forms("T1")
+    assert [item.name for item in (*stock, *goal)] == ["E1/0", "E1/0"]
+    in_stock, _ = one.wanted_scene()
+    assert stock[0].contents() == in_stock["E1/0"].contents()
+    build(one, "T1", until="gripped")
+    held, _ = one.wanted_scene()
+    assert held["E1/0"].link == "tool0"
+    assert held["E1/0"].contents() in [form[0].contents() for form in one.forms("T1")]
+    one.ledger.add(Entry("releasing", "T1", "E1", plan="p"))
+    one.ledger.add(Entry("released", "T1", "E1", plan="p", pose=pose_tuple(at(1.01, 1.0))))
+    placed, _ = one.wanted_scene()
+    assert placed["E1/0"].contents() in [form[0].contents() for form in one.forms("T1")]

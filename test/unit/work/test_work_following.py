@@ -1,0 +1,274 @@
+"""What the executor's reports mean for a task; and a work node that is killed after any line that they lead to."""
+
+from __future__ import annotations
+
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from construction_twin.work.following import Followed, Grip, Report, Verdict, after_restart, follow, question
+from construction_twin.work.ledger import Entry, Ledger
+from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskState
+
+HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
+STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
+PLAN = Followed("p1", "stud", "work, offer o1", grips=1, releases=3)
+#: As the work node follows it when the topic `plan` has another one by now.
+UNKNOWN_PLAN = Followed("p1", "stud", "", grips=-2, releases=-2)
+OPEN, CLOSED, UNKNOWN = Grip(True, False), Grip(True, True), Grip(False, False)
+
+
+def play(segment: int, at_boundary: bool = False, wants_scene: bool = False) -> Report:
+    return Report("p1", True, "", segment, at_boundary, wants_scene)
+
+
+def end(outcome: str, segment: int = -1) -> Report:
+    return Report("p1", False, outcome, segment, reason="why")
+
+
+#: Everything the executor says of a plan of five segments, and what the tool's grip is then.
+REPORTS = [
+    (play(0), OPEN),
+    (play(1), OPEN),
+    (play(1, True), CLOSED),
+    (play(1, True, True), CLOSED),
+    (play(2), CLOSED),
+    (play(3), CLOSED),
+    (play(3, True), OPEN),
+    (play(3, True, True), OPEN),
+    (play(4), OPEN),
+    (end("finished"), OPEN),
+]
+
+
+class Killed(Exception):
+    pass
+
+
+class Node:
+    """What the work node does with reports: write, then act. Ends itself after a number of lines."""
+
+    def __init__(self, path: Path, lines: float = float("inf")):
+        numbers = count(1_700_000_000_000_000_000)
+        self._left = lines
+        self.ledger = Ledger(path, {"stud": ()}, "a" * 64, lambda: next(numbers))
+        self.memory = self.ledger.book.tasks["stud"]
+
+    def add(self, entry: Entry) -> None:
+        if self._left <= 0:
+            self.ledger.close()
+            raise Killed
+        self._left -= 1
+        self.ledger.add(entry)
+
+    def offer(self) -> None:
+        self.add(Entry("offered", "stud", "E", offer="o1", grip="top", pose=HELD_AS))
+
+    def hear(self, report: Report, grip: Grip, plan: Followed = PLAN) -> None:
+        for entry in follow(self.memory, "E", plan, report, grip, STANDS):
+            self.add(entry)
+
+
+def run(node: Node, reports=REPORTS) -> None:
+    node.offer()
+    node.add(Entry("planned", "stud", "E", offer="o1", plan="p1"))
+    for report, grip in reports:
+        node.hear(report, grip)
+
+
+def test_a_task_that_goes_well(tmp_path):
+    node = Node(tmp_path / "ledger")
+    run(node)
+    assert node.memory.state is TaskState.DONE
+    assert node.memory.placed and node.memory.base_T_element == STANDS
+    assert node.ledger.lines == 9
+
+
+def test_a_report_that_is_heard_again_adds_nothing(tmp_path):
+    once, twice = Node(tmp_path / "once"), Node(tmp_path / "twice")
+    run(once)
+    run(twice, [each for each in REPORTS for _ in range(2)])
+    assert once.ledger.lines == twice.ledger.lines
+
+
+@pytest.mark.parametrize("gone", range(len(REPORTS)))
+def test_a_report_that_was_missed_is_made_up_for(tmp_path, gone):
+    node = Node(tmp_path / "ledger")
+    run(node, REPORTS[:gone] + REPORTS[gone + 1 :])
+    if gone == len(REPORTS) - 1:
+        node.hear(*REPORTS[-1])
+    assert node.memory.state is TaskState.DONE and node.memory.base_T_element == STANDS
+
+
+@pytest.mark.parametrize("lines", range(9))
+@pytest.mark.parametrize("later", range(len(REPORTS)))
+def test_a_kill_after_any_line_while_the_executor_goes_on(tmp_path, lines, later):
+    """It comes back while the executor says something later, and follows on: nothing is asked, nothing forgotten."""
+    first = Node(tmp_path / "ledger", lines)
+    heard = 0
+    try:
+        first.offer()
+        first.add(Entry("planned", "stud", "E", offer="o1", plan="p1"))
+        for heard, (report, grip) in enumerate(REPORTS):
+            first.hear(report, grip)
+        first.ledger.close()
+    except Killed:
+        pass
+    if lines < 1:
+        return  # it never offered: no plan exists
+    again = Node(tmp_path / "ledger")
+    for report, grip in REPORTS[max(heard, later) :]:
+        again.hear(report, grip)
+    assert again.memory.state is TaskState.DONE
+    assert again.memory.placed and again.memory.base_T_element == STANDS
+
+
+@pytest.mark.parametrize("lines", range(1, 9))
+@pytest.mark.parametrize("grip", [OPEN, CLOSED, UNKNOWN])
+def test_a_kill_after_any_line_with_everything_else_gone_too(tmp_path, lines, grip):
+    first = Node(tmp_path / "ledger", lines)
+    try:
+        run(first)
+        first.ledger.close()
+    except Killed:
+        pass
+    again = Node(tmp_path / "ledger")
+    before = again.memory.state
+    for entry in after_restart(again.memory, "E", Verdict("p1", False, None), grip):
+        again.add(entry)
+    state = again.memory.state
+    if before is TaskState.DONE or before is TaskState.RETREATING:
+        assert state is TaskState.DONE
+    elif before in (TaskState.CARRYING, TaskState.RELEASING):
+        assert state is TaskState.ASKS
+    else:
+        # it was not carried away from its stock: that is certain only if the grip is surely open
+        assert state is (TaskState.READY if grip is OPEN else TaskState.ASKS)
+    if state is TaskState.ASKS:
+        assert question(again.memory, "stud 3").startswith("where is stud 3 now?")
+        assert set(again.memory.possible_answers()) >= {"in_stock", "gone"}
+
+
+@pytest.mark.parametrize("heard", range(len(REPORTS) - 1))
+@pytest.mark.parametrize("outcome", ["stopped", "held", "dropped"])
+@pytest.mark.parametrize("segment_known", [True, False])
+@pytest.mark.parametrize("plan", [PLAN, UNKNOWN_PLAN], ids=["plan", "unknown plan"])
+def test_a_stop_after_any_report(tmp_path, heard, outcome, segment_known, plan):
+    node = Node(tmp_path / "ledger")
+    run(node, REPORTS[: heard + 1])
+    before, (report, grip) = node.memory.state, REPORTS[heard]
+    node.hear(end(outcome, report.segment if segment_known else -1), grip, plan)
+    state = node.memory.state
+    if before is TaskState.RETREATING:
+        assert state is TaskState.DONE
+    elif before is TaskState.WORKING:
+        assert state in PLANNABLE
+    else:
+        assert state is TaskState.ASKS
+    assert not (node.memory.placed and state not in SETTLED)
+
+
+@pytest.mark.parametrize("heard", [2, 6], ids=["gripping", "releasing"])
+@pytest.mark.parametrize("grip", [CLOSED, UNKNOWN])
+def test_a_switch_that_nobody_confirmed_is_asked_about_when_the_plan_is_not_known_any_more(tmp_path, heard, grip):
+    node = Node(tmp_path / "ledger")
+    run(node, REPORTS[: heard + 1])
+    lines = node.ledger.lines
+    node.hear(end("stopped", 4), grip, UNKNOWN_PLAN)
+    assert node.memory.state is TaskState.ASKS and not node.memory.placed
+    assert node.ledger.lines == lines + 1
+
+
+def test_a_stop_before_the_grip_asks_nobody_even_if_the_tool_is_not_known(tmp_path):
+    node = Node(tmp_path / "ledger")
+    run(node, REPORTS[:1])
+    node.hear(end("stopped", 0), UNKNOWN)
+    assert node.memory.state is TaskState.READY
+
+
+def test_a_stop_on_the_way_to_the_grip_asks_unless_the_tool_is_surely_open(tmp_path):
+    for number, (grip, state) in enumerate(
+        ((OPEN, TaskState.READY), (CLOSED, TaskState.ASKS), (UNKNOWN, TaskState.ASKS))
+    ):
+        node = Node(tmp_path / str(number))
+        run(node, REPORTS[:2])
+        node.hear(end("stopped", 1), grip)
+        assert node.memory.state is state
+
+
+def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
+    node = Node(tmp_path / "ledger")
+    run(node, REPORTS[:5])
+    node.hear(end("held", 2), CLOSED)
+    node.add(Entry("answered", "stud", "E", answer="in_grip", person="eva"))
+    assert node.memory.state is TaskState.CARRIED
+    node.add(Entry("offered", "stud", "E", offer="o2"))
+    carried = Followed("p2", "stud", "work, offer o2", grips=-1, releases=1)
+    for report in (
+        Report("p2", True, "", 0),
+        Report("p2", True, "", 1, True),
+        Report("p2", True, "", 1, True, True),
+        Report("p2", True, "", 2),
+        Report("p2", False, "finished"),
+    ):
+        for entry in follow(node.memory, "E", carried, report, CLOSED, STANDS):
+            node.add(entry)
+    assert node.memory.state is TaskState.DONE and node.memory.placed
+
+
+def test_other_plans_are_none_of_its_business(tmp_path):
+    node = Node(tmp_path / "ledger")
+    run(node, REPORTS[:3])
+    for report in (Report("other", True, "", 0), Report("", False, ""), Report("other", False, "finished")):
+        assert follow(node.memory, "E", PLAN, report, OPEN) == []
+
+
+@pytest.mark.parametrize(
+    ("verdict", "grip", "state"),
+    [
+        (Verdict("p1", True, None), UNKNOWN, TaskState.PLANNED),
+        (Verdict("p1", False, False), UNKNOWN, TaskState.READY),
+        (Verdict("", False, False), UNKNOWN, TaskState.READY),
+        (Verdict("p1", False, True), UNKNOWN, TaskState.ASKS),
+        (Verdict("p1", False, None), CLOSED, TaskState.ASKS),
+        (Verdict("p1", False, True), OPEN, TaskState.READY),
+    ],
+)
+def test_an_offer_whose_fate_was_not_seen(tmp_path, verdict, grip, state):
+    node = Node(tmp_path / "ledger")
+    node.offer()
+    for entry in after_restart(node.memory, "E", verdict, grip):
+        node.add(entry)
+    assert node.memory.state is state
+    assert node.memory.plan == ("p1" if state is TaskState.PLANNED else "")
+
+
+def left_engaged(segment: int, confirmed: bool) -> Report:
+    return Report("p1", False, "stopped", segment, reason="why", confirmed=confirmed)
+
+
+@pytest.mark.parametrize(
+    ("segment", "before", "confirmed", "events", "state"),
+    [
+        (1, [], True, ["gripped", "stopped"], (TaskState.ASKS, True, False)),
+        (1, [], False, ["stopped"], (TaskState.ASKS, False, False)),
+        (3, ["gripped", "releasing"], True, ["released", "stopped"], (TaskState.DONE, False, True)),
+        (3, ["gripped", "releasing"], False, ["stopped"], (TaskState.ASKS, True, False)),
+    ],
+)
+def test_what_the_tool_did_before_a_stop_is_written_when_the_engagement_says_so(
+    tmp_path, segment, before, confirmed, events, state
+):
+    """Between the confirmation and the scene's change: the engagement knows, no report said it."""
+    node = Node(tmp_path / "ledger")
+    node.add(Entry("offered", "stud", "E1", offer="o1", pose=HELD_AS))
+    for event in ["planned", "begun", "gripping", *before]:
+        node.add(Entry(event, "stud", "E1", plan="p1", offer="o1"))
+    entries = follow(node.memory, "E1", PLAN, left_engaged(segment, confirmed), CLOSED, STANDS, "measured")
+    assert [entry.event for entry in entries] == events
+    for entry in entries:
+        node.add(entry)
+    memory = node.memory
+    assert (memory.state, memory.in_grip, memory.placed) == state
+    node.ledger.close()

@@ -1,0 +1,136 @@
+"""Recipes: which one is chosen, what the model overrides, which masses are refused."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+from work_samples import RECIPES, element, job, recipes, tool
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.work.recipes import OVERRIDES, PROPERTY_SET, read_recipes
+
+
+def choose(**changes):
+    own = changes.pop("own", {})
+    return recipes().choose(job(element("b", properties={PROPERTY_SET: own} if own else {}, **changes)), tool().tool)
+
+
+def test_the_first_recipe_that_fits_is_chosen():
+    assert choose().name == "brick"
+    assert choose(ifc_class="IfcMember").name == "timber"
+    assert choose(ifc_class="IfcPlate", type_name="240x115x71").name == "board"
+
+
+def test_an_element_that_no_recipe_fits_is_refused_with_its_name_and_class():
+    with pytest.raises(TaskPlanningError, match=r"no recipe of .* fits element 'b' \(b\), IfcWall 'odd'"):
+        choose(ifc_class="IfcWall", type_name="odd")
+
+
+def test_the_model_chooses_a_recipe_by_name():
+    assert choose(own={"Recipe": "board"}).name == "board"
+    with pytest.raises(TaskPlanningError, match=r"CTwin_RobotTask.Recipe: found 'wood', expected one of timber, board"):
+        choose(own={"Recipe": "wood"})
+
+
+@pytest.mark.parametrize(
+    ("own", "path", "value"),
+    [
+        ({"Faces": "+x any"}, "grips.faces", ("+x", "any")),
+        ({"Along": "0 0.1"}, "grips.along", (0.0, 0.1)),
+        ({"MinCups": 2}, "grips.min_cups", 2),
+        ({"Beside": "cups"}, "grips.beside", ("cups",)),
+        ({"Approach": 0.2}, "stock.approach", 0.2),
+        ({"Leave": "+y"}, "stock.leave", ("+y",)),
+        ({"ArriveLengths": "0.3"}, "place.lengths", (0.3,)),
+        ({"Speed": 0.05}, "speed", 0.05),
+        ({"CarryEngaged": True}, "carry_engaged", True),
+    ],
+)
+def test_a_property_of_the_model_replaces_one_key(own, path, value):
+    plain, found = choose().recipe, choose(own={**own, "id": 7}).recipe
+    at = found
+    for key in path.split("."):
+        at = getattr(at, key)
+    assert at == value
+    group = path.split(".")[0]
+    assert all(getattr(found, key) == getattr(plain, key) for key in type(plain).model_fields if key != group)
+
+
+@pytest.mark.parametrize(
+    ("own", "sentence"),
+    [
+        ({"MinCups": "three"}, r"element 'b' \(b\), CTwin_RobotTask.MinCups: found 'three', expected IfcInteger"),
+        ({"MinCups": True}, r"CTwin_RobotTask.MinCups: found True, expected IfcInteger"),
+        ({"MinCups": 0}, r"CTwin_RobotTask.MinCups: found 0, expected a whole number at least 1 and at most 100"),
+        ({"Speed": -1.0}, r"CTwin_RobotTask.Speed: found -1.0, expected a number above 0"),
+        ({"Faces": "top"}, r"CTwin_RobotTask.Faces: found 'top', expected up, \+x"),
+        ({"CarryEngaged": "yes"}, r"CTwin_RobotTask.CarryEngaged: found 'yes', expected IfcBoolean"),
+        ({"MinCup": 1}, r"CTwin_RobotTask.MinCup: found 1, expected no such property; did you mean MinCups\?"),
+        ({"Along": "a"}, r"CTwin_RobotTask.Along: found 'a', expected "),
+    ],
+)
+def test_a_wrong_property_is_one_sentence_with_element_and_property(own, sentence):
+    with pytest.raises(TaskPlanningError, match=sentence) as caught:
+        choose(own=own)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_override_replaces_a_key_that_a_recipe_has():
+    document = choose().recipe.model_dump()
+    for override in OVERRIDES.values():
+        inner = document
+        for key in override.key:
+            assert key in inner
+            inner = inner[key]
+
+
+def test_masses_unknown_or_too_large_are_refused():
+    with pytest.raises(TaskPlanningError, match="mass of element 'b' .* is not known"):
+        choose(mass=None)
+    with pytest.raises(TaskPlanningError, match="has 61.0 kg; tool 'vacuum_frame' carries at most 60 kg"):
+        choose(mass=61.0)
+    with pytest.raises(TaskPlanningError, match="a mass of 0 kg"):
+        choose(mass=0.0)
+    assert choose(mass=None, own={"Mass": 4.0}).mass == 4.0
+    assert choose(mass=60.0).mass == 60.0
+
+
+def test_tool_and_element_together_must_stay_within_the_load():
+    small = tool().tool.model_copy(update={"load": 20.0})
+    with pytest.raises(TaskPlanningError, match="together have 21.5 kg; the controller's load data are for 20 kg"):
+        recipes().choose(job(element("b")), small)
+
+
+def test_a_recipes_own_mass_is_used_where_the_model_has_none(tmp_path):
+    document = yaml.safe_load(RECIPES.read_text())
+    document["recipes"]["brick"]["mass"] = 5.0
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
+    found = read_recipes(tmp_path / "r.yaml")
+    assert found.choose(job(element("b", mass=None)), tool().tool).mass == 5.0
+    assert found.choose(job(element("b", mass=3.0)), tool().tool).mass == 3.0
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"sped": 1.0}, "no such key; did you mean speed"),
+        ({"speed": 0.0}, "speed.*above 0"),
+        ({"grips": {"touching": []}}, "touching"),
+        ({"place": {"lengths": []}}, "lengths"),
+    ],
+)
+def test_a_wrong_key_of_the_file_is_named(tmp_path, change, sentence):
+    document = yaml.safe_load(RECIPES.read_text())
+    document["recipes"]["brick"].update(change)
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
+    with pytest.raises(ConfigurationError, match=sentence):
+        read_recipes(tmp_path / "r.yaml")
+
+
+def test_shapes_that_the_tool_does_not_have_are_refused(tmp_path):
+    document = yaml.safe_load(RECIPES.read_text())
+    document["recipes"]["brick"]["grips"]["beside"] = ["fingers"]
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
+    with pytest.raises(ConfigurationError, match="grips/beside.*fingers.*post, frame, cups"):
+        read_recipes(tmp_path / "r.yaml").check_tool(tool().tool)

@@ -1,0 +1,38 @@
+/**
+ * Builds the page: `node build.js FOLDER`. Script and style get names with their hash, which the console lets browsers keep for ever.
+ * Works without a network once `npm ci` has run.
+ */
+import {cp, mkdir, readFile, rename, rm, writeFile} from "node:fs/promises";
+import path from "node:path";
+import {fileURLToPath} from "node:url";
+import {build} from "esbuild";
+import {writePages} from "./docs_pages.js";
+
+const here = path.dirname(fileURLToPath(import.meta.url));
+const target = path.resolve(process.argv[2] ?? path.join(here, "..", ".ws", "console", "page"));
+const fresh = `${target}.new`;
+await rm(fresh, {recursive: true, force: true});
+await mkdir(fresh, {recursive: true});
+
+const result = await build({
+  entryPoints: [path.join(here, "src", "main.js"), path.join(here, "src", "style.css")],
+  bundle: true,
+  minify: true,
+  format: "esm",
+  target: ["es2022", "chrome110", "firefox110", "safari16"],
+  outdir: fresh,
+  entryNames: "[name].[hash]",
+  metafile: true,
+  legalComments: "linked",
+  logLevel: "warning",
+});
+let html = await readFile(path.join(here, "src", "index.html"), "utf8");
+for (const [file, about] of Object.entries(result.metafile.outputs)) {
+  if (about.entryPoint) html = html.replace(`"${path.basename(about.entryPoint)}"`, `"${path.basename(file)}"`);
+}
+await writeFile(path.join(fresh, "index.html"), html);
+const [style] = Object.entries(result.metafile.outputs).filter(([, about]) => about.entryPoint?.endsWith("style.css")).map(([file]) => path.basename(file));
+await writePages(path.join(here, "..", "docs"), path.join(fresh, "docs"), style);
+await cp(path.join(here, "src", "icon.svg"), path.join(fresh, "icon.svg"));
+await rm(target, {recursive: true, force: true});
+await rename(fresh, target);

@@ -1,0 +1,41 @@
+/** The login: the person's MQTT account. Shown when the broker takes nobody without one, or refuses the one that was given. */
+import {add, setText} from "./dom.js";
+
+/**
+ * Make the form; it shows and hides itself.
+ *
+ * @param {Element} parent
+ * @param {object} store
+ * @param {object} connection
+ * @param {Function} texts
+ */
+export function make(parent, store, connection, texts) {
+  const cover = add(parent, "div", {className: "login", hidden: true});
+  const form = add(cover, "form", {"aria-labelledby": "login-title"});
+  add(form, "h1", {id: "login-title", text: texts("login.title")});
+  const field = (name, options) => {
+    const label = add(form, "label", {text: texts(`login.${name}`)});
+    return add(label, "input", {name, required: true, ...options});
+  };
+  const account = field("account", {autocomplete: "username", autocapitalize: "none", spellcheck: "false", maxlength: "64"});
+  const password = field("password", {type: "password", autocomplete: "current-password"});
+  const wrong = add(form, "p", {className: "wrong", role: "alert"});
+  add(form, "button", {type: "submit", text: texts("login.enter")});
+  add(form, "p", {className: "hint", text: texts("login.hint")});
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    setText(wrong, "");
+    connection.login(account.value.trim(), password.value);
+    password.value = "";
+  });
+  const show = () => {
+    const asked = connection.state === "refused" || connection.state === "off";
+    if (asked && cover.hidden) {
+      cover.hidden = false;
+      (account.value ? password : account).focus();
+    }
+    if (connection.state === "connected") cover.hidden = true;
+    setText(wrong, connection.state === "refused" && connection.reason === "refused" ? texts("login.wrong") : "");
+  };
+  store.on("connection", show);
+}

@@ -1,0 +1,54 @@
+/** Begins the page: language, theme, store, connection, panels. */
+import {makeConnection} from "./connection.js";
+import * as login from "./login.js";
+import {makePage} from "./page.js";
+import {panels} from "./panels.js";
+import {makeStore} from "./store.js";
+import {languageOf, makeTexts} from "./texts.js";
+
+const remembered = (key) => {
+  try {
+    return globalThis.localStorage.getItem(key);
+  } catch {
+    // a browser that keeps nothing for pages: the page works without
+    return null;
+  }
+};
+const remember = (key, value) => {
+  try {
+    globalThis.localStorage.setItem(key, value);
+  } catch {
+    // as above
+  }
+};
+
+const root = document.documentElement;
+const asked = new URLSearchParams(location.search);
+const language = languageOf(asked.get("language") ?? remembered("language"), navigator.languages ?? ["en"]);
+const texts = makeTexts(language);
+root.lang = language;
+document.title = texts("page.title");
+
+const theme = asked.get("theme") ?? remembered("theme");
+if (theme === "dark" || theme === "light") root.dataset.theme = theme;
+function onTheme() {
+  const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  root.dataset.theme = dark ? "light" : "dark";
+  remember("theme", root.dataset.theme);
+  dispatchEvent(new Event("theme"));
+}
+function onLanguage() {
+  remember("language", language === "en" ? "de" : "en");
+  location.search = "";
+}
+
+const store = makeStore();
+const socket = new URL("mqtt", location.href);
+socket.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+socket.search = "";
+socket.hash = "";
+const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
+makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
+login.make(document.body, store, connection, texts);
+setInterval(store.tick, 200);
+connection.login();

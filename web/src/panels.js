@@ -1,0 +1,22 @@
+/** Which panels stand in which area, in their order. */
+import * as picture from "./picture/picture.js";
+import * as plan from "./panels/plan.js";
+import * as playback from "./panels/playback.js";
+import * as plots from "./panels/plots.js";
+import * as runs from "./panels/runs.js";
+import * as status from "./panels/status.js";
+import * as stop from "./panels/stop.js";
+import * as tasks from "./panels/tasks.js";
+import * as verdict from "./panels/verdict.js";
+
+/** By area of page.js: modules with `make(parent, store, connection, texts)`. */
+export const panels = {
+  picture: [picture],
+  status: [status],
+  stop: [stop],
+  verdict: [playback, verdict],
+  plan: [plan],
+  tasks: [tasks],
+  plots: [plots],
+  runs: [runs],
+};

@@ -1,0 +1,427 @@
+/**
+ * Plan a motion: joint sliders, saved poses, the tool dragged by its handle in the picture, a straight line.
+ *
+ * Nothing moves by it: what is asked for becomes a plan under review. Whether this account may ask, the broker says: the panel asks
+ * it once per connection and robot, with a harmless question (`ik` for where the tool is), and tells a refusal in place of sliders.
+ */
+import {add, button, clear, setText} from "../dom.js";
+import {Asking, jointsRequest, lineRequest, topic} from "../planning/asking.js";
+import {ends as chainEnds, forward} from "../planning/chain.js";
+import {Goal} from "../planning/goal.js";
+import {IkFollower} from "../planning/ik_follower.js";
+import {ends, fromShown, limits, shown, typed, unit} from "../planning/joints.js";
+import {LONGEST, Poses} from "../planning/poses.js";
+import {showAsking} from "./asking_line.js";
+
+/** Fractions of the limits that can be chosen; 0: what the planner has set. */
+const SPEEDS = [0, 0.1, 0.25, 0.5, 1];
+/** How often it is looked whether an answer is overdue [ms]. */
+const LOOK_EVERY = 500;
+
+/** Shortest time between two questions for the right, where the broker has not answered the first [s]. */
+const ASK_AGAIN_S = 5;
+
+/** What the panel knows of one robot. */
+class Desk {
+  constructor(run) {
+    this.follower = new IkFollower(run);
+    this.asking = new Asking(run);
+    // "unknown", "asked", "granted", "refused"
+    this.right = "unknown";
+    // not asked again before [s]
+    this.askAgain = -Infinity;
+    // null until the model was read; then {joints, pose, poses}
+    this.model = null;
+    this.trouble = "";
+    this.loading = false;
+    this.goal = null;
+    this.dragged = null;
+    this.asked = new Map();
+    this.note = "";
+  }
+}
+
+/**
+ * Make the panel.
+ *
+ * @param {Element} parent
+ * @param {object} store see store.js
+ * @param {object} connection see connection.js
+ * @param {Function} texts see texts.js
+ * @param {object} [means] for tests: `fetchText(path)`, `parse(text)`, `storage`, `now()` [s]
+ */
+export function make(parent, store, connection, texts, means = {}) {
+  const {
+    fetchText = fetchFile,
+    parse = (text) => new DOMParser().parseFromString(text, "text/xml"),
+    storage = globalThis.localStorage,
+    now = () => performance.now() / 1000,
+  } = means;
+  const desks = new Map();
+  let timer = null;
+  let shownJoints = null;
+
+  const told = add(parent, "p", {className: "plan-told", role: "status"});
+  const begin = button(parent, texts("plan.begin"), onBegin, {className: "plan-begin"});
+  const work = add(parent, "div", {className: "plan-work", hidden: true});
+  add(work, "p", {className: "plan-hint", text: texts("plan.hint")});
+  const sliders = add(work, "div", {className: "plan-sliders"});
+  const reach = add(work, "p", {className: "plan-reach", role: "status"});
+  const row = add(work, "div", {className: "plan-row"});
+  button(row, texts("plan.here"), onBegin);
+  button(row, texts("plan.discard"), onDiscard, {className: "quiet"});
+
+  const saved = add(work, "fieldset", {className: "plan-poses"});
+  add(saved, "legend", {text: texts("plan.poses")});
+  const choice = add(saved, "select", {"aria-label": texts("plan.poses")});
+  const go = button(saved, texts("plan.pose.go"), () => usePose(choice.value));
+  const remove = button(saved, texts("plan.pose.remove"), () => removePose(choice.value), {className: "quiet"});
+  const nameText = texts("plan.pose.name");
+  const name = add(saved, "input", {type: "text", maxlength: LONGEST, "aria-label": nameText, placeholder: nameText});
+  button(saved, texts("plan.pose.save"), onSave);
+  const note = add(saved, "p", {className: "plan-note", role: "status"});
+
+  const asks = add(work, "div", {className: "plan-row"});
+  const speedLabel = add(asks, "label", {text: `${texts("plan.speed")} `});
+  const speed = add(speedLabel, "select");
+  for (const fraction of SPEEDS) {
+    const text = fraction === 0 ? texts("plan.speed.default") : texts("plan.speed.percent", {percent: Math.round(100 * fraction)});
+    add(speed, "option", {value: String(fraction), text});
+  }
+  const ask = button(asks, texts("plan.ask"), () => onAsk("joints"), {className: "plan-ask"});
+  const line = button(asks, texts("plan.line"), () => onAsk("line"));
+  const answer = add(work, "p", {className: "plan-answer", role: "status"});
+
+  function desk(robot) {
+    if (!desks.has(robot)) desks.set(robot, new Desk(crypto.randomUUID().slice(0, 13)));
+    return desks.get(robot);
+  }
+
+  function selected() {
+    return store.selected === "" ? null : desk(store.selected);
+  }
+
+  // -- what the robot is, and whether this account may plan
+
+  /** Read the robot's model, once there is a connection and its joints are known. */
+  async function prepare(robot) {
+    const view = store.robot(robot)?.view;
+    const mine = desk(robot);
+    if (!view || connection.state !== "connected" || mine.loading) return;
+    if (mine.model !== null && sameNames(mine.model.joints, view.joints.names)) {
+      askRight(robot);
+      return;
+    }
+    if (mine.trouble !== "") return;
+    mine.loading = true;
+    mine.model = null;
+    try {
+      const model = parse(await fetchText(`private/${encodeURIComponent(robot)}/robot.urdf`));
+      const joints = limits(model, view.joints.names);
+      const {base, tip} = chainEnds(model, joints.at(-1).name);
+      mine.model = {joints, pose: forward(model, base, tip), poses: new Poses(storage, robot, joints)};
+      mine.goal = new Goal(joints);
+      if (mine.model.poses.dropped > 0) mine.note = texts("plan.pose.dropped", {count: mine.model.poses.dropped});
+    } catch (error) {
+      // no such file, a model that is none, a network that ended: each is told, and tried again with the next connection
+      mine.trouble = error.message;
+    } finally {
+      mine.loading = false;
+    }
+    if (mine.model !== null) askRight(robot);
+    show();
+  }
+
+  /** Ask the broker whether this account may plan: where the tool is now is a question that harms nobody. */
+  function askRight(robot) {
+    const mine = desk(robot);
+    const present = presentJoints(robot);
+    if (mine.right !== "unknown" || present === null || now() < mine.askAgain) return;
+    mine.right = "asked";
+    mine.askAgain = now() + ASK_AGAIN_S;
+    const {position, quaternion} = mine.model.pose(present);
+    const question = {id: `${crypto.randomUUID().slice(0, 13)}-right`, position, orientation: quaternion};
+    connection.publish(topic("ik", connection.account), robot, question).then(
+      () => setRight(mine, "granted"),
+      (error) => setRight(mine, error.reason === "refused" ? "refused" : "unknown"),
+    );
+  }
+
+  function setRight(mine, right) {
+    mine.right = right;
+    show();
+  }
+
+  function presentJoints(robot) {
+    const view = store.robot(robot)?.view;
+    const pose = view?.twin ?? view?.arm ?? null;
+    return pose === null ? null : Object.fromEntries(view.joints.names.map((joint, number) => [joint, pose.positions[number]]));
+  }
+
+  // -- the goal
+
+  function onBegin() {
+    const present = presentJoints(store.selected);
+    if (present === null) return;
+    setGoal(present);
+  }
+
+  function onDiscard() {
+    const mine = selected();
+    mine.follower.drop();
+    mine.dragged = null;
+    mine.goal.clear();
+    store.set("goal", store.selected, null);
+    store.set("handle", store.selected, null);
+    show();
+  }
+
+  /** Take joint values from a person; the handle goes where they bring the tool. */
+  function setGoal(values) {
+    const mine = selected();
+    mine.follower.drop();
+    mine.dragged = null;
+    if (!mine.goal.setJoints(values)) {
+      setText(reach, texts("plan.outside"));
+      return;
+    }
+    store.set("handle", store.selected, mine.model.pose(mine.goal.values));
+    showGoal(store.selected);
+    show();
+  }
+
+  function showGoal(robot) {
+    const {goal, model} = desk(robot);
+    const names = model.joints.map((joint) => joint.name);
+    store.set("goal", robot, {names, positions: names.map((joint) => goal.values[joint]), reach: goal.reach});
+  }
+
+  function onDrag(robot, {position, quaternion}) {
+    const mine = desk(robot);
+    if (mine.goal === null || mine.goal.values === null || mine.right === "refused") return;
+    mine.dragged = {position: [...position], quaternion: [...quaternion]};
+    mine.follower.drag({position: mine.dragged.position, orientation: mine.dragged.quaternion});
+    follow(robot);
+    show();
+  }
+
+  /** Send the question that is due, and come back for the next. */
+  function follow(robot) {
+    const mine = desk(robot);
+    const question = mine.follower.take(now(), mine.goal.values);
+    if (question !== null) {
+      mine.asked.set(question.id, {position: question.position, quaternion: question.orientation});
+      while (mine.asked.size > 8) mine.asked.delete(mine.asked.keys().next().value);
+      connection.publish(topic("ik", connection.account), robot, question, {qos: 0}).catch((error) => onUnsent(mine, error));
+    }
+    const wait = mine.follower.wait(now());
+    if (wait !== null && timer === null) {
+      timer = setTimeout(() => {
+        timer = null;
+        follow(robot);
+      }, Math.max(1, 1000 * wait));
+    }
+  }
+
+  function onUnsent(mine, error) {
+    mine.follower.drop();
+    if (error.reason === "refused") mine.right = "refused";
+    else mine.goal.setAnswer(mine.dragged, {reach: "unknown", joints: null, sentence: texts("plan.reach.unsent")});
+    show();
+  }
+
+  function onIkAnswer(robot, message) {
+    const mine = desk(robot);
+    const solved = mine.goal === null || mine.goal.values === null ? null : mine.follower.answer(message);
+    if (solved === null) return;
+    const pose = mine.asked.get(solved.id) ?? null;
+    mine.goal.setAnswer(pose, {reach: solved.reach, joints: solved.joints ?? null, sentence: solved.sentence ?? ""});
+    showGoal(robot);
+    follow(robot);
+    show();
+  }
+
+  // -- saved poses
+
+  function onSave() {
+    const mine = selected();
+    const why = mine.model.poses.save(name.value, mine.goal.values);
+    mine.note = why === "" ? texts("plan.pose.saved", {name: name.value.trim()}) : texts(`plan.pose.not.${why}`);
+    if (why === "") name.value = "";
+    show();
+  }
+
+  function usePose(pose) {
+    const found = selected().model.poses.find(pose);
+    if (found !== null) setGoal(found.joints);
+  }
+
+  function removePose(pose) {
+    const mine = selected();
+    const why = mine.model.poses.remove(pose);
+    mine.note = why === "" ? texts("plan.pose.removed", {name: pose}) : texts(`plan.pose.not.${why}`);
+    show();
+  }
+
+  // -- asking
+
+  function onAsk(kind) {
+    const robot = store.selected;
+    const mine = desk(robot);
+    if (mine.asking.isBusy || !mine.goal.isAskable) return;
+    const fraction = Number(speed.value);
+    const request =
+      kind === "joints" ? jointsRequest(mine.goal.values, fraction) : lineRequest(linePose(mine), fraction);
+    const message = mine.asking.ask(request, now());
+    connection.publish(topic("plan_request", connection.account), robot, message).then(
+      (code) => mine.asking.onTaken(message.id, code),
+      (error) => {
+        mine.asking.onFailed(message.id, error);
+        if (mine.asking.state === "forbidden") mine.right = "refused";
+      },
+    ).finally(show);
+    show();
+  }
+
+  function linePose(mine) {
+    const pose = mine.goal.pose ?? mine.model.pose(mine.goal.values);
+    return {position: pose.position, orientation: pose.quaternion};
+  }
+
+  // -- what is shown
+
+  function show() {
+    const robot = store.selected;
+    const mine = selected();
+    const connected = connection.state === "connected";
+    const isPlanner = mine !== null && mine.model !== null && mine.right !== "refused";
+    const hasGoal = isPlanner && mine.goal.values !== null;
+    work.hidden = !hasGoal;
+    begin.hidden = !isPlanner || hasGoal;
+    begin.disabled = !connected || mine === null || presentJoints(robot) === null || mine.right !== "granted";
+    setText(told, sentence(robot, mine, connected));
+    told.hidden = told.textContent === "";
+    if (!hasGoal) return;
+    showSliders(mine);
+    showReach(mine);
+    showPoses(mine);
+    const old = store.robot(robot)?.old ?? true;
+    ask.disabled = !connected || old || mine.asking.isBusy || !mine.goal.isAskable || !mine.follower.settled;
+    line.disabled = ask.disabled;
+    showAsking(answer, mine.asking, connection.account, texts);
+  }
+
+  function sentence(robot, mine, connected) {
+    if (mine === null || !connected) return texts("plan.not_connected");
+    if (mine.right === "refused") return texts("plan.forbidden", {account: connection.account || "-"});
+    if (mine.trouble !== "") return texts("plan.no_model", {why: mine.trouble});
+    if (mine.model === null) return texts("plan.loading");
+    if (presentJoints(robot) === null) return texts("plan.no_pose");
+    return mine.right === "granted" ? "" : texts("plan.asking_right");
+  }
+
+  function showSliders(mine) {
+    if (shownJoints !== mine.model.joints) {
+      shownJoints = mine.model.joints;
+      clear(sliders);
+      for (const joint of shownJoints) makeSlider(joint);
+    }
+    shownJoints.forEach((joint, number) => {
+      const value = shown(joint, mine.goal.values[joint.name]);
+      const [slider, field] = sliders.children[number].querySelectorAll("input");
+      const document = sliders.ownerDocument;
+      if (document.activeElement !== slider || Math.abs(Number(slider.value) - value) > 0.051) slider.value = String(value);
+      if (document.activeElement !== field) {
+        field.value = value.toFixed(1);
+        field.removeAttribute("aria-invalid");
+      }
+    });
+  }
+
+  function makeSlider(joint) {
+    const line_ = add(sliders, "div", {className: "plan-joint"});
+    const {min, max, step} = ends(joint);
+    const label = texts("plan.joint", {joint: joint.name, min, max, unit: unit(joint)});
+    add(line_, "span", {className: "plan-joint-name", text: joint.name});
+    const slider = add(line_, "input", {type: "range", min, max, step, "aria-label": label});
+    const field = add(line_, "input", {type: "text", inputmode: "text", size: 7, "aria-label": label});
+    add(line_, "span", {text: unit(joint)});
+    slider.addEventListener("input", () => {
+      const value = Math.min(joint.upper, Math.max(joint.lower, fromShown(joint, Number(slider.value))));
+      setGoal({...selected().goal.values, [joint.name]: value});
+    });
+    field.addEventListener("change", () => {
+      const value = typed(joint, field.value);
+      if (value === null) {
+        field.setAttribute("aria-invalid", "true");
+        setText(reach, texts("plan.typed_outside", {joint: joint.name, min, max, unit: unit(joint)}));
+        return;
+      }
+      field.removeAttribute("aria-invalid");
+      setGoal({...selected().goal.values, [joint.name]: value});
+    });
+  }
+
+  function showReach(mine) {
+    const {goal, follower} = mine;
+    reach.className = `plan-reach reach-${goal.pose === null ? "unknown" : goal.reach}`;
+    if (follower.isLost(now())) setText(reach, texts("plan.reach.lost"));
+    else if (mine.dragged === null) setText(reach, texts("plan.reach.joints"));
+    else if (!follower.settled && goal.pose === null) setText(reach, texts("plan.reach.waiting"));
+    else setText(reach, `${texts(`plan.reach.${goal.reach}`)} ${goal.sentence}`.trim());
+  }
+
+  function showPoses(mine) {
+    const {list} = mine.model.poses;
+    const present = [...choice.children].map((option) => option.value);
+    if (present.length !== list.length || list.some((pose, number) => pose.name !== present[number])) {
+      clear(choice);
+      for (const pose of list) add(choice, "option", {value: pose.name, text: pose.name});
+    }
+    choice.hidden = list.length === 0;
+    go.hidden = choice.hidden;
+    remove.hidden = choice.hidden;
+    setText(note, mine.note);
+  }
+
+  // -- what the others tell
+
+  store.on("view", (robot) => {
+    const mine = desk(robot);
+    if (mine.model === null || mine.right === "unknown") prepare(robot);
+  });
+  store.on("selected", show);
+  store.on("old", show);
+  store.on("drag", onDrag);
+  store.on("ik_ack", onIkAnswer);
+  store.on("plan_request_ack", (robot, message) => {
+    if (desk(robot).asking.onAnswer(message)) show();
+  });
+  store.on("connection", (_, state) => {
+    for (const mine of desks.values()) {
+      mine.follower.drop();
+      mine.right = "unknown";
+      mine.askAgain = -Infinity;
+      mine.trouble = "";
+      if (state !== "connected") mine.asking.onLost();
+    }
+    show();
+  });
+  setInterval(() => {
+    const mine = selected();
+    if (mine === null) return;
+    mine.asking.onTime(now());
+    if (mine.asking.isBusy || mine.follower.isLost(now())) show();
+  }, LOOK_EVERY).unref?.();
+  show();
+}
+
+function sameNames(joints, names) {
+  return joints.length === names.length && joints.every((joint, number) => joint.name === names[number]);
+}
+
+async function fetchFile(path) {
+  const answer = await fetch(path);
+  if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
+  return answer.text();
+}

@@ -1,0 +1,88 @@
+/**
+ * The status line: what the arm does, what is waited for, by whom, and what to do. The robot's own sentences (`screen`), worst first,
+ * each with its page of the docs; and the page's own, where it hears nothing.
+ */
+import {add, clear, setText} from "../dom.js";
+import {browser} from "./clock.js";
+
+/** `screen` comes every second; older sentences [ms] are no longer the present. */
+export const SCREEN_OLD_AFTER = 3000;
+/** A page of the docs, below docs/: nothing that leads elsewhere. */
+const PAGE = /^(?:[\w-]+\/)*[\w-]+\.md(?:#[\w-]+)?$/;
+
+/** Topics whose line, where a person is waited for, tells of a fault. */
+const FAULTS = ["link", "sync"];
+
+/** Return the address of a page of the docs as the build writes it (web/docs_pages.js), or "" for what is none. */
+export function addressOf(page) {
+  return typeof page === "string" && PAGE.test(page) ? `docs/${page.replace(/\.md(?=#|$)/, ".html")}` : "";
+}
+
+/** Return the page's own line, if it has one: it comes before all others. Words of `texts`, and values. */
+export function ownLine({connected, robot, now}) {
+  if (!connected) return {key: "status.not_connected", level: 2};
+  if (robot === null) return {key: "status.nothing", level: 1};
+  if (robot.view === null) return {key: "status.no_view", level: 1};
+  if (robot.view.online === false) return {key: "status.offline", level: 2};
+  if (robot.old) return {key: "status.old", level: 2, values: {seconds: Math.floor((now - robot.heard.view) / 1000)}};
+  if (robot.screen === null) return {key: "status.no_screen", level: 1};
+  const age = now - robot.heard.screen;
+  if (age > SCREEN_OLD_AFTER) return {key: "status.screen_old", level: 1, values: {seconds: Math.floor(age / 1000)}};
+  return null;
+}
+
+/** Make the panel. */
+export function make(parent, store, connection, texts, {now, every} = browser) {
+  const own = add(parent, "p", {className: "status-own", hidden: true});
+  const worst = add(parent, "div", {className: "status-worst", role: "status"});
+  const more = add(parent, "details", {className: "status-more"});
+  add(more, "summary", {text: texts("status.more")});
+  const list = add(more, "ul", {className: "status-list"});
+  let shown = "";
+
+  const put = (into, line) => {
+    const known = texts.has(`status.topic.${line.topic}`);
+    const words = add(into, "div");
+    add(words, "p", {className: "status-topic", text: known ? texts(`status.topic.${line.topic}`) : line.topic});
+    add(words, "p", {className: "status-sentence", text: line.sentence});
+    if (line.waits_for) {
+      const who = texts.has(`status.who.${line.who}`) ? texts(`status.who.${line.who}`) : line.who;
+      add(words, "p", {text: texts(who ? "status.waits_by" : "status.waits", {what: line.waits_for, who})});
+    }
+    if (line.todo) add(words, "p", {className: "status-todo", text: texts("status.todo", {what: line.todo})});
+    const address = addressOf(line.page);
+    if (address) {
+      add(into, "a", {text: texts("status.page"), href: address, target: "_blank", rel: "noopener",
+        "aria-label": texts("status.page_of", {topic: known ? texts(`status.topic.${line.topic}`) : line.topic})});
+    }
+  };
+
+  // a person is waited for: in a fault of link or comparison, or as a matter of course, as for a verdict
+  const level = (line) => (line.level === 2 && FAULTS.includes(line.topic) ? "level-2 is-fault" : `level-${Number(line.level) || 0}`);
+  const show = () => {
+    const robot = store.robot(store.selected);
+    const line = ownLine({connected: connection.state === "connected", robot, now: now()});
+    own.hidden = line === null;
+    if (line !== null) {
+      own.className = `status-own ${line.level === 2 ? "is-fault" : "level-2"}`;
+      setText(own, texts(line.key, line.values));
+    }
+    parent.classList.toggle("is-past", line !== null);
+    const lines = robot?.screen ?? [];
+    // again and again the same: a screen reader speaks, and a focus is lost, only where something has changed
+    const wanted = JSON.stringify([store.selected, lines]);
+    if (wanted === shown) return;
+    shown = wanted;
+    clear(worst);
+    clear(list);
+    worst.hidden = lines.length === 0;
+    more.hidden = lines.length < 2;
+    if (lines.length === 0) return;
+    worst.className = `status-worst ${level(lines[0])}`;
+    put(worst, lines[0]);
+    for (const each of lines.slice(1)) put(add(list, "li", {className: level(each)}), each);
+  };
+  for (const kind of ["screen", "old", "connection", "selected", "robots"]) store.on(kind, show);
+  every(250, show);
+  show();
+}

@@ -1,0 +1,94 @@
+/**
+ * Stop, pause and resume of every robot, always there. A press goes out at once or not at all, and what became of it is told: a stop
+ * that did not go out is said in red. Who may stop is the broker's to decide.
+ */
+import {add, clear, setText} from "../dom.js";
+import {answered, heardBroker, idle, outcome, pressed, waited} from "../stop_state.js";
+import {browser} from "./clock.js";
+
+const VERBS = ["stop", "pause", "resume"];
+const BAD = ["refused", "silent", "not_sent", "no_right", "unknown"];
+
+/** Make the panel. */
+export function make(parent, store, connection, texts, {now, every, time = browser.time} = browser) {
+  const rows = new Map();
+  const box = add(parent, "div", {className: "stop-robots"});
+  add(parent, "p", {className: "stop-not-emergency", text: texts("stop.not_emergency")});
+
+  const send = (name, verb) => {
+    const row = rows.get(name);
+    const id = globalThis.crypto.randomUUID();
+    row.press = pressed(verb, id, now());
+    row.at = time();
+    const publish = name === "" ? Promise.reject(new Error("no robot is known")) : connection.publish(connection.own(verb), name, {id});
+    publish.then(
+      () => heardBroker(row.press, id, "taken"),
+      (error) => heardBroker(row.press, id, error.reason ?? "not_connected"),
+    ).then((press) => {
+      row.press = press;
+      show(row);
+    });
+    show(row);
+  };
+
+  // the line stays until the next press, so it says of when it is
+  const show = ({press, result, at = ""}) => {
+    const found = outcome(press);
+    const bad = BAD.includes(found);
+    result.className = `stop-result ${bad ? "is-bad" : found === "done" ? "is-done" : ""}`;
+    const said = press.answers.filter(({ok}) => ok || found === "refused");
+    const reasons = said.map(({by, reason}) => {
+      const who = texts.has(`stop.by.${by}`) ? texts(`stop.by.${by}`) : by;
+      return reason ? texts("stop.said", {who, reason}) : who;
+    }).join("; ");
+    const verb = found === "none" ? "" : texts(`stop.${press.verb}`);
+    setText(result, found === "none" ? "" : texts("stop.at", {time: at, what: texts(`stop.result.${found}`, {verb, reasons})}));
+  };
+
+  const makeRow = (name) => {
+    const element = add(box, "div", {className: "stop-robot", role: "group", "aria-label": name ? texts("stop.of", {robot: name}) : texts("stop.all")});
+    if (name && store.robots.length > 1) add(element, "span", {className: "stop-name", text: name});
+    const row = rows.get(name) ?? {press: idle()};
+    for (const verb of VERBS) {
+      const label = name ? texts("stop.label", {verb: texts(`stop.${verb}`), robot: name}) : texts(`stop.${verb}`);
+      const each = add(element, "button", {type: "button", className: `stop-${verb}`, "aria-label": label, text: texts(`stop.${verb}`)});
+      if (verb === "stop") {
+        // a finger stops when it touches, not when it is lifted; a click without a pointer is the keyboard's
+        each.addEventListener("pointerdown", (event) => {
+          if (event.button === 0 || event.button === undefined) send(name, verb);
+        });
+        each.addEventListener("click", (event) => {
+          if (!event.detail) send(name, verb);
+        });
+      } else {
+        each.addEventListener("click", () => send(name, verb));
+      }
+    }
+    row.result = add(element, "p", {className: "stop-result", role: "alert"});
+    rows.set(name, row);
+    show(row);
+  };
+
+  const build = () => {
+    clear(box);
+    for (const name of store.robots.length ? store.robots : [""]) makeRow(name);
+  };
+  const onAnswer = (robot, answer) => {
+    const row = rows.get(robot);
+    if (row === undefined) return;
+    row.press = answered(row.press, answer, connection.own("stop").split("/")[1] ?? "");
+    show(row);
+  };
+  store.on("robots", build);
+  store.on("stop_ack", onAnswer);
+  store.on("pause_ack", onAnswer);
+  every(100, () => {
+    for (const row of rows.values()) {
+      const press = waited(row.press, now());
+      if (press === row.press) continue;
+      row.press = press;
+      show(row);
+    }
+  });
+  build();
+}

@@ -1,0 +1,182 @@
+/**
+ * The tasks of a building model: what is done, what comes next, what is waited for; a plan of a task can be asked for.
+ *
+ * A tap on an element in the picture selects its task, and a task that is selected here is told to the picture (`picked`). What
+ * only a person beside the element knows (is it in the grip?) is shown as a question here and answered at the ROS PC.
+ */
+import {add, button, clear, setText} from "../dom.js";
+import {Asking, taskRequest, topic, wayBackRequest} from "../planning/asking.js";
+import {counts, group, isAskable, nextTask, taskOfElement, waitsFor} from "../work/task_list.js";
+import {showAsking} from "./asking_line.js";
+
+const LOOK_EVERY = 500;
+
+/**
+ * Make the panel; it and its area are hidden for a robot without a building model.
+ *
+ * @param {Element} parent
+ * @param {object} store see store.js
+ * @param {object} connection see connection.js
+ * @param {Function} texts see texts.js
+ * @param {object} [means] for tests: `now()` [s]
+ */
+export function make(parent, store, connection, texts, {now = () => performance.now() / 1000} = {}) {
+  const askings = new Map();
+  const picks = new Map();
+  let drawn = null;
+
+  const fold = parent.closest("details");
+  const root = add(parent, "div", {className: "tasks", hidden: true});
+  const progress = add(root, "p", {className: "tasks-progress"});
+  const bar = add(root, "progress", {max: 1, value: 0, "aria-label": texts("tasks.title")});
+  const reason = add(root, "p", {className: "tasks-reason", role: "status"});
+  const next = add(root, "div", {className: "tasks-next"});
+  const nextText = add(next, "p");
+  const askNext = button(next, texts("tasks.ask_next"), () => onAsk(taskRequest("")), {className: "plan-ask"});
+  const back = button(next, texts("tasks.way_back"), () => onAsk(wayBackRequest()), {className: "plan-ask"});
+  const answer = add(root, "p", {className: "plan-answer", role: "status"});
+  const list = add(root, "ul", {className: "tasks-list"});
+  const detail = add(root, "div", {className: "tasks-detail", role: "status", hidden: true});
+  const notes = add(root, "ul", {className: "tasks-notes"});
+
+  function asking(robot) {
+    if (!askings.has(robot)) askings.set(robot, new Asking(crypto.randomUUID().slice(0, 13)));
+    return askings.get(robot);
+  }
+
+  function work() {
+    return store.robot(store.selected)?.tasks ?? null;
+  }
+
+  function onAsk(request) {
+    const robot = store.selected;
+    const mine = asking(robot);
+    if (mine.isBusy) return;
+    const message = mine.ask(request, now());
+    connection.publish(topic("plan_request", connection.account), robot, message).then(
+      (code) => mine.onTaken(message.id, code),
+      (error) => mine.onFailed(message.id, error),
+    ).finally(show);
+    show();
+  }
+
+  function pick(task) {
+    picks.set(store.selected, task?.id ?? null);
+    store.set("picked", store.selected, task === null ? null : {element: task.element});
+    show();
+  }
+
+  function onTap(robot, {element}) {
+    const tasks = store.robot(robot)?.tasks;
+    if (!tasks || robot !== store.selected || !element) return;
+    const task = taskOfElement(tasks, element);
+    if (task === null) return;
+    pick(task);
+    list.querySelector('[aria-pressed="true"]')?.scrollIntoView?.({block: "nearest"});
+  }
+
+  function show() {
+    const now_ = work();
+    root.hidden = now_ === null;
+    if (fold !== null) {
+      // where there are tasks they are what the page is opened for
+      if (fold.hidden && now_ !== null) fold.open = true;
+      fold.hidden = now_ === null;
+    }
+    if (now_ === null) {
+      drawn = null;
+      return;
+    }
+    const {done, all} = counts(now_);
+    setText(progress, texts("tasks.progress", {done, all, model: now_.model}));
+    bar.setAttribute("value", String(all === 0 ? 0 : done / all));
+    setText(reason, now_.reason);
+    reason.hidden = now_.reason === "";
+    showNext(now_);
+    showAsking(answer, asking(store.selected), connection.account, texts);
+    showList(now_);
+    showDetail(now_);
+  }
+
+  function showNext(tasks) {
+    const coming = nextTask(tasks);
+    if (tasks.engaged) setText(nextText, texts("tasks.engaged"));
+    else if (tasks.schedule === "proposed") setText(nextText, texts("tasks.proposed"));
+    else setText(nextText, coming === null ? texts("tasks.no_next") : texts("tasks.next", {task: coming.name}));
+    askNext.hidden = tasks.engaged || coming === null || tasks.schedule === "proposed";
+    back.hidden = !tasks.engaged;
+    askNext.disabled = !canAsk();
+    back.disabled = !canAsk();
+  }
+
+  function canAsk() {
+    return connection.state === "connected" && !asking(store.selected).isBusy;
+  }
+
+  function showList(tasks) {
+    const picked = picks.get(store.selected) ?? null;
+    if (drawn !== tasks) {
+      drawn = tasks;
+      clear(list);
+      for (const task of tasks.tasks) {
+        const item = add(list, "li");
+        const kind = group(task.state);
+        const toggle = () => pick(picks.get(store.selected) === task.id ? null : task);
+        const choose = button(item, "", toggle, {className: `task task-${kind}`});
+        add(choose, "span", {className: "task-name", text: task.name});
+        add(choose, "span", {className: "task-state", text: stateText(task)});
+      }
+      clear(notes);
+      for (const text of tasks.notes ?? []) add(notes, "li", {text});
+    }
+    tasks.tasks.forEach((task, number) => {
+      list.children[number].firstElementChild.setAttribute("aria-pressed", String(task.id === picked));
+    });
+  }
+
+  function stateText(task) {
+    const key = `tasks.state.${group(task.state)}`;
+    return group(task.state) === "unknown" ? task.state : texts(key);
+  }
+
+  function showDetail(tasks) {
+    const task = tasks.tasks.find((one) => one.id === picks.get(store.selected)) ?? null;
+    detail.hidden = task === null;
+    clear(detail);
+    if (task === null) return;
+    add(detail, "h3", {text: task.name});
+    const element = task.element_name || task.element;
+    const lines = [texts("tasks.element", {element}), texts("tasks.state", {state: stateText(task)})];
+    if (task.reason) lines.push(task.reason);
+    const before = waitsFor(tasks, task);
+    if (before.length > 0) lines.push(texts("tasks.after", {tasks: before.join(", ")}));
+    if (task.robot) lines.push(texts("tasks.robot", {robot: task.robot}));
+    if (typeof task.deviation_mm === "number") {
+      lines.push(texts("tasks.deviation", {mm: task.deviation_mm.toFixed(1), deg: (task.deviation_deg ?? 0).toFixed(2)}));
+    }
+    if (task.question) lines.push(texts("tasks.question", {question: task.question, answers: (task.answers ?? []).join(", ")}));
+    for (const text of lines) add(detail, "p", {text});
+    if (isAskable(tasks, task)) {
+      button(detail, texts("tasks.ask"), () => onAsk(taskRequest(task.id)), {className: "plan-ask", disabled: !canAsk()});
+    }
+  }
+
+  store.on("tasks", (robot) => robot === store.selected && show());
+  store.on("selected", show);
+  store.on("tap", onTap);
+  store.on("plan_request_ack", (robot, message) => {
+    if (asking(robot).onAnswer(message)) show();
+  });
+  store.on("connection", (_, state) => {
+    if (state !== "connected") for (const mine of askings.values()) mine.onLost();
+    show();
+  });
+  setInterval(() => {
+    for (const mine of askings.values()) {
+      if (!mine.isBusy) continue;
+      mine.onTime(now());
+      show();
+    }
+  }, LOOK_EVERY).unref?.();
+  show();
+}

@@ -1,0 +1,289 @@
+/**
+ * The verdict on the plan under review. What may be done when is verdict_state.js; this shows it and takes the person's presses.
+ *
+ * A verdict goes to `review/<account>`; whether this account may give one is the broker's to decide, and whether it counts the
+ * executor's. Both answers are shown.
+ */
+import {add, clear, setText} from "../dom.js";
+import * as verdict from "../verdict_state.js";
+import {browser} from "./clock.js";
+import {segmentsOf} from "./playback.js";
+
+const TICK_EVERY = 50;
+/** Reasons of a rejection to pick from: `verdict.why.<word>`. */
+export const REASONS = ["too_close", "wrong_place", "scene", "person", "too_fast", "not_now"];
+/** Longest reason that mqtt_review reads, with the one that was picked. */
+const LONGEST_REASON = 300;
+const LONGEST_NAME = 64;
+const GOOD = ["accepted"];
+
+/** Return what there is to know of a plan before it is approved: rows of key and text. */
+export function checksOf(plan, texts) {
+  const rows = [
+    ["duration", texts("verdict.seconds", {seconds: plan.duration.toFixed(1)})],
+    ["planner", plan.planner],
+    ["source", plan.source],
+    ...(plan.task ? [["task", plan.task]] : []),
+    ["scene", plan.scene.slice(0, 12)],
+    ["hash", plan.hash.slice(0, 12)],
+  ];
+  const {clearance, use} = plan;
+  if (clearance !== null && clearance !== undefined) {
+    const values = {
+      distance: clearance.distance === null ? "" : (1000 * clearance.distance).toFixed(0), between: (clearance.between ?? []).join(" - "),
+      time: Number(clearance.time).toFixed(1),
+    };
+    rows.splice(1, 0, ["clearance", texts(clearance.distance === null ? "verdict.clear" : "verdict.closest", values)]);
+  } else {
+    rows.splice(1, 0, ["clearance", texts("verdict.not_measured")]);
+  }
+  for (const kind of ["jerk", "acceleration", "velocity"]) {
+    const values = use?.[kind] ?? [];
+    if (values.length === 0) continue;
+    const most = Math.max(...values);
+    const joint = plan.joints[values.indexOf(most)];
+    rows.splice(2, 0, [kind, texts("verdict.use", {percent: (100 * most).toFixed(0), joint})]);
+  }
+  return rows;
+}
+
+/** Return the sentences about a work plan's segments. */
+export function segmentSentences(plan, texts) {
+  const signals = (given) => (Array.isArray(given) ? given.map(({name, value}) => [name, value]) : Object.entries(given ?? {}))
+    .map(([name, value]) => texts(value ? "playback.on" : "playback.off", {output: name})).join(", ");
+  const parts = plan.covered?.segments ?? plan.segments ?? [];
+  const ends = segmentsOf(plan);
+  return parts.map((segment, k) => [
+    texts("verdict.segment", {number: k + 1, name: segment.name, begin: ends[k].begin.toFixed(1), end: ends[k].end.toFixed(1)}),
+    segment.engaged ? texts("verdict.engaged") : "",
+    signals(segment.requires) ? texts("verdict.requires", {signals: signals(segment.requires)}) : "",
+    ...(segment.switches ?? []).map(({output, value, confirm}) => texts(signals(confirm) ? "verdict.switches_confirmed" : "verdict.switches", {
+      output: texts(value ? "playback.on" : "playback.off", {output}), signals: signals(confirm),
+    })),
+  ].filter(Boolean).join(" "));
+}
+
+/** Make the panel. */
+export function make(parent, store, connection, texts, {now, every} = browser) {
+  const machines = new Map();
+  const none = add(parent, "p", {className: "verdict-none"});
+  const other = add(parent, "p", {className: "verdict-other", hidden: true});
+  const area = add(parent, "div", {className: "verdict", hidden: true});
+  const title = add(area, "p", {className: "verdict-title"});
+  const short = add(area, "p", {className: "verdict-short"});
+  const unfit = add(area, "p", {className: "verdict-unfit", role: "alert", hidden: true});
+  const checks = add(area, "details", {className: "verdict-checks"});
+  add(checks, "summary", {text: texts("verdict.checks")});
+  const table = add(checks, "dl");
+  const segments = add(checks, "ol", {className: "verdict-segments"});
+  const steps = add(area, "ul", {className: "verdict-steps", "aria-label": texts("verdict.steps")});
+  const stepLooked = add(steps, "li");
+  const stepShown = add(steps, "li");
+  const nameLabel = add(area, "label", {className: "verdict-name", hidden: true});
+  add(nameLabel, "span", {text: texts("verdict.name")});
+  const name = add(nameLabel, "input", {type: "text", maxlength: LONGEST_NAME, autocomplete: "off"});
+  const approve = add(area, "button", {type: "button", className: "verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
+  add(approve, "span", {className: "verdict-fill", "aria-hidden": "true"});
+  const approveText = add(approve, "span", {className: "verdict-approve-text", text: texts("verdict.approve")});
+  const hint = add(area, "p", {id: "verdict-hint", className: "verdict-hint"});
+  const rejection = add(area, "fieldset", {className: "verdict-rejection"});
+  add(rejection, "legend", {text: texts("verdict.reject_title")});
+  const words = add(rejection, "input", {type: "text", maxlength: LONGEST_REASON, placeholder: texts("verdict.words"),
+    "aria-label": texts("verdict.words"), autocomplete: "off"});
+  const pick = add(rejection, "select", {"aria-label": texts("verdict.reason")});
+  add(pick, "option", {value: "", text: texts("verdict.pick")});
+  for (const reason of REASONS) add(pick, "option", {value: reason, text: texts(`verdict.why.${reason}`)});
+  const reject = add(rejection, "button", {type: "button", className: "verdict-reject", text: texts("verdict.reject"), disabled: true});
+  const notice = add(parent, "p", {className: "verdict-notice", role: "alert", hidden: true});
+  let open = "";
+
+  const machineOf = (robot) => machines.get(robot) ?? verdict.begin();
+  const reviewer = () => connection.account || name.value.trim();
+  const reason = () => [pick.value && texts(`verdict.why.${pick.value}`), words.value.trim()].filter(Boolean).join(": ");
+
+  const take = (robot, event) => {
+    if (robot === "") return;
+    const given = {at: now(), reviewer: reviewer(), account: connection.account, ...event};
+    const before = machineOf(robot);
+    let machine = before;
+    // the store takes away what was heard before it tells that the connection is lost
+    if (connection.state !== "connected" && machine.state !== "offline") machine = verdict.step(machine, {...given, type: "disconnected"}).machine;
+    const {machine: after, publish} = verdict.step(machine, given);
+    machines.set(robot, after);
+    if (publish !== null) {
+      connection.publish(connection.own("review"), robot, publish).then(
+        () => take(robot, {type: "taken"}),
+        (error) => take(robot, {type: "failed", reason: error.reason ?? "unanswered"}),
+      );
+    }
+    // 25 views a second say the same
+    const changed = Object.keys(after).some((key) => after[key] !== before[key]);
+    if (robot === store.selected ? changed : after.state !== before.state) show();
+  };
+
+  const showPlan = (plan) => {
+    const {clearance} = plan;
+    const known = clearance !== null && clearance !== undefined && clearance.distance !== null;
+    const values = {seconds: plan.duration.toFixed(1), distance: known ? (1000 * clearance.distance).toFixed(0) : ""};
+    setText(short, texts(known ? "verdict.short" : "verdict.short_unmeasured", values));
+    clear(table);
+    for (const [key, text] of checksOf(plan, texts)) {
+      add(table, "dt", {text: texts(`verdict.check.${key}`)});
+      add(table, "dd", {text});
+    }
+    clear(segments);
+    for (const sentence of segmentSentences(plan, texts)) add(segments, "li", {text: sentence});
+    checks.removeAttribute("open");
+    pick.options[0].selected = true;
+    words.value = "";
+  };
+
+  /** A task is named as in the list of tasks, where it is known; its id and the whole of who asks are among the checks. */
+  const showTitle = (plan, tasks) => {
+    const name = tasks?.tasks.find(({id}) => id === plan.task)?.name || plan.task;
+    setText(title, plan.task ? texts("verdict.title_task", {task: name}) : texts("verdict.title", {source: plan.source}));
+  };
+
+  const step = (element, done, text) => {
+    element.classList.toggle("is-done", done);
+    setText(element, texts(done ? "verdict.done" : "verdict.open", {what: text}));
+  };
+
+  const show = () => {
+    const robot = store.selected;
+    const machine = machineOf(robot);
+    const found = store.robot(robot)?.plan ?? null;
+    const waiting = store.robots.filter((each) => each !== robot && store.robot(each).plan !== null);
+    other.hidden = waiting.length === 0;
+    setText(other, waiting.length ? texts("verdict.other_robot", {robot: waiting.join(", ")}) : "");
+    area.hidden = found === null || machine.state === "offline" || machine.state === "none";
+    none.hidden = !area.hidden;
+    setText(none, texts(connection.state === "connected" ? "verdict.none" : "verdict.offline"));
+    if (found !== null && !area.hidden) {
+      const key = `${robot}\n${found.id}\n${found.hash}\n${found.refused}`;
+      if (key !== open) showPlan(found);
+      open = key;
+      showTitle(found, store.robot(robot).tasks);
+      unfit.hidden = found.refused === "";
+      setText(unfit, found.refused ? texts("verdict.unfit", {why: texts.has(`verdict.refused.${found.refused}`)
+        ? texts(`verdict.refused.${found.refused}`) : found.refused}) : "");
+      checks.hidden = steps.hidden = approve.hidden = found.refused !== "";
+    } else {
+      open = "";
+    }
+    const named = reviewer() !== "";
+    const why = verdict.blocked(machine) || (named ? "" : "name");
+    const pressing = machine.state === "pressing";
+    nameLabel.hidden = connection.account !== "";
+    approve.disabled = why !== "";
+    approve.classList.toggle("is-pressing", pressing);
+    const held = pressing ? Math.min(1, (now() - machine.pressedAt) / verdict.HELD_FOR) : 0;
+    approve.style.setProperty("--held", held.toFixed(3));
+    setText(approveText, texts(pressing ? "verdict.keep" : "verdict.approve"));
+    setText(hint, why === "" ? texts("verdict.hint") : texts(`verdict.blocked.${why}`));
+    step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
+    step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("verdict.step_shown"));
+    const free = machine.state === "open" || machine.state === "unfit";
+    reject.disabled = !free || !named || reason() === "";
+    pick.disabled = words.disabled = !free;
+    showNotice(machine);
+  };
+
+  const showNotice = ({notice: said, state, sent}) => {
+    const sending = state === "sending" || state === "waiting";
+    notice.hidden = said === null && !sending;
+    if (notice.hidden) {
+      setText(notice, "");
+      return;
+    }
+    const what = (word) => texts(`verdict.word.${word === "rejected" ? "rejected" : "approved"}`);
+    if (sending && said?.kind !== "other") {
+      notice.className = "verdict-notice";
+      setText(notice, texts(`verdict.${state}`, {verdict: what(sent.verdict)}));
+      return;
+    }
+    notice.className = `verdict-notice ${GOOD.includes(said.kind) ? "is-good" : said.kind === "cancelled" ? "" : "is-bad"}`;
+    const key = ["cancelled", "failed"].includes(said.kind) ? `verdict.${said.kind}.${said.why ?? said.reason}` : `verdict.${said.kind}`;
+    setText(notice, texts(texts.has(key) ? key : "verdict.failed.broker", {
+      verdict: what(said.verdict), account: said.account || texts("verdict.somebody"), reason: said.reason ?? "",
+    }));
+  };
+
+  // -- the person
+
+  const press = () => take(store.selected, {type: "press"});
+  const release = () => {
+    if (machineOf(store.selected).state === "pressing") take(store.selected, {type: "release"});
+  };
+  approve.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0 && event.button !== undefined) return;
+    press();
+  });
+  for (const kind of ["pointerup", "pointercancel", "pointerleave", "blur"]) approve.addEventListener(kind, release);
+  // a long press opens a menu on a tablet, which would take the finger away from the button
+  approve.addEventListener("contextmenu", (event) => event.preventDefault());
+  approve.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") release();
+    if (event.key !== "Enter" && event.key !== " ") return;
+    event.preventDefault();
+    if (!event.repeat) press();
+  });
+  approve.addEventListener("keyup", (event) => {
+    if (event.key === "Enter" || event.key === " ") release();
+  });
+  parent.ownerDocument.addEventListener("visibilitychange", release);
+  reject.addEventListener("click", () => take(store.selected, {type: "reject", reason: reason()}));
+  for (const field of [pick, words, name]) {
+    field.addEventListener("input", show);
+    field.addEventListener("change", show);
+  }
+  checks.addEventListener("toggle", () => {
+    const plan = store.robot(store.selected)?.plan ?? null;
+    if (checks.hasAttribute("open") && plan !== null && plan.refused === "") take(store.selected, {type: "looked", what: "checks", hash: plan.hash});
+  });
+
+  // -- what is heard
+
+  const planOf = (plan) => (plan === null ? null : {id: plan.id, hash: plan.hash, refused: plan.refused ?? "missing"});
+  const connect = (robot) => {
+    take(robot, {type: "connected"});
+    const known = store.robot(robot);
+    if (known.plan !== null) take(robot, {type: "plan", plan: planOf(known.plan)});
+    if (known.view !== null && !known.old) take(robot, {type: "view", plan: known.view.plan});
+  };
+  store.on("robots", () => {
+    for (const robot of store.robots) if (!machines.has(robot) && connection.state === "connected") connect(robot);
+    show();
+  });
+  store.on("connection", (_, state) => {
+    for (const robot of store.robots) {
+      if (state === "connected") connect(robot);
+      else take(robot, {type: "disconnected"});
+    }
+    show();
+  });
+  let selected = store.selected;
+  store.on("selected", () => {
+    if (machineOf(selected).state === "pressing") take(selected, {type: "release"});
+    selected = store.selected;
+    show();
+  });
+  store.on("plan", (robot, plan) => take(robot, {type: "plan", plan: planOf(plan)}));
+  store.on("view", (robot, view) => {
+    if (view !== null) take(robot, view.online ? {type: "view", plan: view.plan} : {type: "old"});
+  });
+  store.on("old", (robot, old) => {
+    if (old) take(robot, {type: "old"});
+  });
+  store.on("tasks", (robot) => {
+    if (robot === store.selected) show();
+  });
+  store.on("looked", (robot, {what, hash}) => take(robot, {type: "looked", what, hash}));
+  store.on("review_ack", (robot, ack) => take(robot, {type: "ack", ack}));
+  every(TICK_EVERY, () => {
+    for (const [robot, {state}] of machines) {
+      if (state === "pressing" || state === "waiting") take(robot, {type: "tick"});
+    }
+  });
+  show();
+}

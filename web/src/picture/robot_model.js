@@ -1,0 +1,158 @@
+/**
+ * The robot's shapes: URDF and meshes as the console serves them, loaded once per robot, then copied for twin, arm, goal and plan.
+ *
+ * Copies share their geometries; each has materials of its own.
+ */
+import {Group, Mesh, MeshLambertMaterial} from "three";
+import {ColladaLoader} from "three/addons/loaders/ColladaLoader.js";
+import {STLLoader} from "three/addons/loaders/STLLoader.js";
+import {mergeVertices} from "three/addons/utils/BufferGeometryUtils.js";
+import URDFLoader from "urdf-loader";
+
+/** Why a model cannot be drawn; `message` is for a person who knows computers. */
+export class ModelError extends Error {}
+
+/** Get a file of this server; only its own are asked for, whatever a URDF says. */
+export async function fetchOwn(url, read) {
+  const address = new URL(url, location.href);
+  if (address.origin !== location.origin) throw new ModelError(`${url} is on another server`);
+  let answer;
+  try {
+    answer = await fetch(address, {credentials: "same-origin"});
+  } catch (error) {
+    throw new ModelError(`${address.pathname}: ${error.message}`);
+  }
+  if (!answer.ok) throw new ModelError(`${address.pathname}: ${answer.status}`);
+  return read(answer);
+}
+
+/** Whoever reads a large file waits for who does so already, and lets the page react in between: a stop is tapped at any time. */
+let reading = Promise.resolve();
+function oneAfterTheOther() {
+  reading = reading.then(() => new Promise((resolve) => {
+    setTimeout(resolve);
+  }));
+  return reading;
+}
+
+/** Return the meshes of a DAE or STL file as a three object. */
+export async function loadMesh(url, material) {
+  const suffix = url.slice(url.lastIndexOf(".")).toLowerCase();
+  if (suffix === ".dae") {
+    const text = await fetchOwn(url, (answer) => answer.text());
+    await oneAfterTheOther();
+    const {scene} = quietly(() => new ColladaLoader().parse(text, ""));
+    const group = new Group();
+    scene.quaternion.identity();
+    scene.traverse(shareCorners);
+    group.add(scene);
+    return group;
+  }
+  if (suffix === ".stl") {
+    const bytes = await fetchOwn(url, (answer) => answer.arrayBuffer());
+    await oneAfterTheOther();
+    const mesh = new Mesh(new STLLoader().parse(bytes), material);
+    shareCorners(mesh);
+    return mesh;
+  }
+  throw new ModelError(`${url}: expected a DAE or STL file`);
+}
+
+/** The readers give each triangle three corners of its own: a third to a sixth of them is drawn as well, several times as fast. */
+function shareCorners(object) {
+  if (!object.isMesh) return;
+  // nothing here is drawn with a texture, and two corners differ by what is not drawn otherwise
+  for (const name of ["uv", "uv1", "uv2", "uv3"]) object.geometry.deleteAttribute(name);
+  const merged = mergeVertices(object.geometry);
+  object.geometry.dispose();
+  object.geometry = merged;
+}
+
+/** The Collada reader tells of every file, and warns of Z up, which all of ROS's have: it is rotated back above. */
+function quietly(read) {
+  const {warn, debug} = console;
+  Object.assign(console, {warn() {}, debug() {}});
+  try {
+    return read();
+  } finally {
+    Object.assign(console, {warn, debug});
+  }
+}
+
+/**
+ * Load a robot.
+ *
+ * @param {string} url of its URDF, whose meshes are addresses on this server
+ * @param {(done: number, all: number) => void} onProgress
+ * @returns {Promise<URDFRobot>} with all its meshes
+ */
+export async function loadRobot(url, onProgress) {
+  const text = await fetchOwn(url, (answer) => answer.text());
+  const wanted = [];
+  const loader = new URDFLoader();
+  loader.parseCollision = false;
+  loader.loadMeshCb = (path, manager, material, done) => wanted.push({path, material, done});
+  loader.packages = (name) => {
+    throw new ModelError(`a mesh of the package ${name}: expected an address on this server`);
+  };
+  const robot = loader.parse(text);
+  let done = 0;
+  onProgress(0, wanted.length);
+  // the same file may be drawn several times
+  const files = new Map();
+  await Promise.all(wanted.map(async (each) => {
+    if (!files.has(each.path)) files.set(each.path, loadMesh(each.path, each.material));
+    const mesh = (await files.get(each.path)).clone();
+    mesh.traverse((child) => {
+      // what the URDF says counts, as in rviz
+      if (child.isMesh && each.material.name) child.material = each.material;
+    });
+    each.done(mesh);
+    done += 1;
+    onProgress(done, wanted.length);
+  }));
+  robot.traverse((child) => {
+    if (child.isMesh) child.material = plain(child.material);
+    // the Collada reader adds lights that a program for drawing wrote into its file
+    if (child.isLight || child.isCamera) child.visible = false;
+  });
+  return robot;
+}
+
+function plain(material) {
+  const first = Array.isArray(material) ? material[0] : material;
+  return new MeshLambertMaterial({color: first.color, opacity: first.opacity, transparent: first.transparent});
+}
+
+/** Return a copy of a robot in which all is drawn with one material. */
+export function ghostOf(robot, material) {
+  const ghost = robot.clone();
+  ghost.traverse((child) => {
+    if (child.isMesh) child.material = material;
+  });
+  return ghost;
+}
+
+/** Set joint values [rad, m] by name; return the names that the robot does not have. */
+export function setJoints(robot, names, positions) {
+  const missing = [];
+  for (let k = 0; k < names.length; k += 1) {
+    const joint = robot.joints[names[k]];
+    if (joint === undefined) missing.push(names[k]);
+    else joint.setJointValue(positions[k]);
+  }
+  return missing;
+}
+
+/** Return the link whose pose is the tool's: tool0, else the last of the chain of links. */
+export function toolOf(robot) {
+  if (robot.links.tool0) return robot.links.tool0;
+  let last = robot;
+  let deepest = -1;
+  for (const link of Object.values(robot.links)) {
+    let depth = 0;
+    for (let each = link; each.parent !== null; each = each.parent) depth += 1;
+    if (depth > deepest) [last, deepest] = [link, depth];
+  }
+  return last;
+}

@@ -1,0 +1,59 @@
+/**
+ * What became of a press on stop, pause or resume: pure, one record per press and robot.
+ *
+ * A press goes out at once or not at all. `outcome` says it in one word:
+ *   none        nothing was pressed
+ *   sending     given to the broker
+ *   waiting     the broker has taken it; nobody has answered yet, for less than a second
+ *   done        who carries it out has said so
+ *   refused     everybody who answered says no, and the second is over
+ *   silent      nobody has answered for a second
+ *   not_sent    it did NOT go out: no connection
+ *   no_right    it did NOT go out: the broker refuses it to this account
+ *   unknown     the connection broke before the broker answered, or the broker refused it for another reason
+ */
+
+/** Longest wait for an answer [ms]. */
+export const ANSWER_WITHIN = 1000;
+/** Who carries it out, by what was pressed. For a stop one of them is enough, and the gateway works without the robot's PC. */
+export const BY = {stop: ["gateway", "executor"], pause: ["executor"], resume: ["executor"]};
+
+/** Return the record before anything was pressed. */
+export function idle() {
+  return {verb: "", id: "", at: 0, broker: "", answers: [], late: false};
+}
+
+/** Return the record of a press: `verb` stop, pause or resume, `id` of the message, `at` [ms]. */
+export function pressed(verb, id, at) {
+  return {verb, id, at, broker: "sending", answers: [], late: false};
+}
+
+/** Return the record after the broker's word on the message with this id: "taken", or the reason of NotPublished. */
+export function heardBroker(press, id, word) {
+  return id === press.id ? {...press, broker: word} : press;
+}
+
+/** Return the record after an answer {id, account, ok, reason, by}; one to another press changes nothing. */
+export function answered(press, answer, account) {
+  if (press.verb === "" || answer.id !== press.id || answer.account !== account) return press;
+  const others = press.answers.filter(({by}) => by !== answer.by);
+  return {...press, answers: [...others, {by: String(answer.by), ok: answer.ok === true, reason: String(answer.reason ?? "")}]};
+}
+
+/** Return the record at a time: after a second without an answer it is late. */
+export function waited(press, at) {
+  return !press.late && press.verb !== "" && at - press.at >= ANSWER_WITHIN ? {...press, late: true} : press;
+}
+
+/** Return what became of a press, as one of the words above. */
+export function outcome({verb, broker, answers, late}) {
+  if (verb === "") return "none";
+  if (answers.some(({ok}) => ok)) return "done";
+  if (broker === "not_connected") return "not_sent";
+  if (broker === "refused") return "no_right";
+  if (broker !== "sending" && broker !== "taken") return "unknown";
+  const all = BY[verb].every((by) => answers.some((answer) => answer.by === by));
+  if (answers.length > 0 && (late || all)) return "refused";
+  if (late) return "silent";
+  return broker === "sending" ? "sending" : "waiting";
+}

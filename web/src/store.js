@@ -1,0 +1,276 @@
+/**
+ * What the page knows: the newest message of each kind per robot, checked, and what the panels tell each other.
+ *
+ * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
+ * value is of no robot.
+ *
+ * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
+ * null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
+ * `refused`, a sentence, and nothing of it may be shown or approved.
+ *
+ * Kinds of the page itself:
+ *   connection   the connection's state has changed; value: connection.state
+ *   robots       a robot was heard for the first time; value: all names
+ *   selected     the robot that the panels are about; value: its name
+ *   old          value true: no view for a second, what is shown is not the present; false: it is again
+ *   transition   {at, part, from, state, reason}: a state of sync, link or execution has changed; `at` [ms] as performance.now()
+ *   refused      {kind, sentence}: a message was not as expected and is not shown
+ *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
+ *   drawn        true when the picture has the robot's model, so that a plan can be seen in it; null before (picture)
+ *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
+ *   goal         {names, positions, reach} or null: the pose that is asked for, shown as a goal ghost; `reach` free, contact, out or
+ *                unknown (plan panel)
+ *   handle       {position, quaternion} or null: the handle by which the tool is dragged; null: none is shown (plan panel)
+ *   picked       {element} or null: the element of the building model that is worked on, highlighted (tasks panel)
+ *   drag         {position, quaternion, done}: the person drags the handle; x y z [m] of tool0 in base_link, x y z w (picture)
+ *   tap          {element, object}: an element of the building model or an object of the scene was tapped, else "" (picture)
+ *
+ * Times are milliseconds of one monotonic clock of this browser; a stamp of another computer is never compared with it.
+ */
+import {checkPlan} from "./plan_hash.js";
+
+/** A view is old after so long [ms]. */
+export const OLD_AFTER = 1000;
+/** Most transitions that are kept per robot, and for how long [ms]. */
+const MOST_TRANSITIONS = 1000;
+const TRANSITIONS_FOR = 600000;
+/** Most robots: names come from topics, and a page that keeps all of them could be filled by anybody who may publish. */
+const MOST_ROBOTS = 32;
+/** The kind that a topic below `<prefix>/<robot>/` has. */
+const KINDS = {
+  "view": "view", "screen": "screen", "scene": "scene", "plan": "plan", "work/tasks": "tasks", "review/ack": "review_ack",
+  "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack",
+};
+/** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
+export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
+/** Kinds whose newest value is kept. An answer is told once. */
+const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn"];
+const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
+
+const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
+const isText = (value) => typeof value === "string";
+const isNumbers = (value) => Array.isArray(value) && value.every((item) => Number.isFinite(item));
+
+function expect(is, sentence) {
+  if (!is) throw new TypeError(sentence);
+}
+
+function checkView(view) {
+  expect(view.version === 1 || view.version === 2, `view version ${view.version}; expected 1 or 2. Reload the page`);
+  expect(isText(view.run) && Number.isInteger(view.seq) && typeof view.online === "boolean", "view without run, seq or online");
+  expect(isObject(view.joints) && Array.isArray(view.joints.names) && view.joints.names.every(isText), "view without joints");
+  for (const part of ["twin", "arm"]) {
+    const pose = view[part];
+    expect(pose === null || isNumbers(pose?.positions) && pose.positions.length === view.joints.names.length,
+      `view whose ${part} has not one position per joint`);
+  }
+  for (const part of ["sync", "link", "execution"]) {
+    expect(view[part] === null || isObject(view[part]) && isText(view[part].state), `view whose ${part} has no state`);
+  }
+}
+
+function checkScreen(screen) {
+  const lines = Array.isArray(screen) ? screen : screen.lines;
+  expect(Array.isArray(lines) && lines.every((line) => isObject(line) && isText(line.topic) && isText(line.sentence)),
+    "screen that is no list of lines with topic and sentence");
+  return lines;
+}
+
+function checkScene(scene) {
+  expect(Array.isArray(scene.objects) && scene.objects.every((each) => isObject(each) && isText(each.name) && isText(each.shape)),
+    "scene without objects");
+}
+
+/**
+ * Make the store.
+ *
+ * @param {object} [options]
+ * @param {() => number} [options.now] milliseconds of a monotonic clock
+ * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
+ */
+export function makeStore({now = () => performance.now(), check = checkPlan} = {}) {
+  const robots = new Map();
+  const listeners = new Map();
+  const plans = new Map();
+  let selected = "";
+  let refused = 0;
+
+  function tell(kind, robot, value) {
+    for (const listener of [...listeners.get(kind) ?? []]) listener(robot, value);
+  }
+
+  function refuse(robot, kind, sentence) {
+    refused += 1;
+    tell("refused", robot, {kind, sentence});
+  }
+
+  function record(name) {
+    let robot = robots.get(name);
+    if (robot === undefined) {
+      robot = {name, transitions: [], heard: {}, old: true};
+      for (const kind of KEPT) robot[kind] = null;
+      robots.set(name, robot);
+      tell("robots", "", [...robots.keys()].sort());
+      if (selected === "") store.select(name);
+    }
+    return robot;
+  }
+
+  function put(robot, kind, value) {
+    robot[kind] = value;
+    robot.heard[kind] = now();
+    tell(kind, robot.name, value);
+  }
+
+  function note(robot, view) {
+    for (const part of ["sync", "link", "execution"]) {
+      const state = view?.[part]?.state ?? "";
+      const from = robot.view?.[part]?.state ?? "";
+      if (state === from) continue;
+      const transition = {at: now(), part, from, state, reason: view?.[part]?.reason ?? ""};
+      robot.transitions.push(transition);
+      while (robot.transitions.length > MOST_TRANSITIONS || robot.transitions[0].at < transition.at - TRANSITIONS_FOR) {
+        robot.transitions.shift();
+      }
+      tell("transition", robot.name, transition);
+    }
+  }
+
+  function setOld(robot, old) {
+    if (robot.old === old) return;
+    robot.old = old;
+    tell("old", robot.name, old);
+  }
+
+  function takeView(robot, view) {
+    checkView(view);
+    const last = robot.view;
+    // a lower number of the same run is an older one
+    if (last !== null && view.online && last.run === view.run && view.seq <= last.seq) return;
+    note(robot, view);
+    put(robot, "view", view);
+    setOld(robot, !view.online);
+  }
+
+  function takePlan(robot, plan) {
+    const turn = (plans.get(robot.name) ?? 0) + 1;
+    plans.set(robot.name, turn);
+    if (plan === null) {
+      put(robot, "plan", null);
+      return Promise.resolve();
+    }
+    expect(isText(plan.id) && plan.id !== "" && isText(plan.hash) && Array.isArray(plan.joints), "plan without id, hash or joints");
+    // what is under review now is not the plan before any more
+    if (robot.plan !== null && (robot.plan.id !== plan.id || robot.plan.hash !== plan.hash)) put(robot, "plan", null);
+    return check(plan).then((checked) => {
+      // another may have come meanwhile
+      if (plans.get(robot.name) === turn) put(robot, "plan", checked);
+    });
+  }
+
+  const store = {
+    /** Names of the robots that were heard, sorted. */
+    get robots() {
+      return [...robots.keys()].sort();
+    },
+
+    /** The robot that the panels are about; "" before the first was heard. */
+    get selected() {
+      return selected;
+    },
+
+    /** How many messages were not as expected. */
+    get refused() {
+      return refused;
+    },
+
+    /**
+     * What is known of a robot: view, screen, scene, plan, tasks, playback, goal, handle, picked, drawn (null: not known), transitions, `old`
+     * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
+     */
+    robot(name) {
+      return robots.get(name) ?? null;
+    },
+
+    /** Call `listener(robot, value)` at each new value of a kind; returns a function that ends it. */
+    on(kind, listener) {
+      if (!listeners.has(kind)) listeners.set(kind, new Set());
+      listeners.get(kind).add(listener);
+      return () => listeners.get(kind).delete(listener);
+    },
+
+    /** Make a robot the one that the panels are about. */
+    select(name) {
+      if (name === selected || !robots.has(name)) return;
+      selected = name;
+      tell("selected", name, name);
+    },
+
+    /** Set what a panel tells the others: playback, goal, handle, picked, drawn (kept); drag, tap (told once). */
+    set(kind, name, value) {
+      const robot = robots.get(name);
+      if (robot === undefined) return;
+      if (KEPT.includes(kind)) put(robot, kind, value);
+      else tell(kind, name, value);
+    },
+
+    /** Take that the connection has changed. Without one nothing is known: what was heard is no longer the present. */
+    connection(state) {
+      if (state !== "connected") {
+        for (const robot of robots.values()) {
+          note(robot, null);
+          setOld(robot, true);
+          plans.set(robot.name, (plans.get(robot.name) ?? 0) + 1);
+          for (const kind of FROM_BROKER) if (robot[kind] !== null) put(robot, kind, null);
+        }
+      }
+      tell("connection", "", state);
+    },
+
+    /** Look whether views have become old; called a few times a second. */
+    tick() {
+      const at = now();
+      for (const robot of robots.values()) {
+        if (robot.view !== null && at - robot.heard.view > OLD_AFTER) setOld(robot, true);
+      }
+    },
+
+    /**
+     * Take a message.
+     *
+     * @param {string} name of the robot
+     * @param {string} topic below it
+     * @param {string} text payload
+     * @param {boolean} retained the broker had stored it
+     * @returns {Promise<void>} resolved when it was taken or refused; a plan's hash takes a moment
+     */
+    async take(name, topic, text, retained = false) {
+      const kind = KINDS[topic] ?? (topic.startsWith("ik/ack/") ? "ik_ack" : undefined);
+      if (kind === undefined || !robots.has(name) && robots.size >= MOST_ROBOTS) return;
+      // stored by whom and when is not known: only what is meant to be stored counts
+      if (retained && !["plan", "scene", "tasks"].includes(kind)) return;
+      const robot = record(name);
+      try {
+        const value = text === "" ? null : JSON.parse(text);
+        if (value === null && !["plan", "scene", "tasks"].includes(kind)) throw new TypeError(`an empty ${kind}`);
+        expect(value === null || typeof value === "object", `${kind} that is no JSON object`);
+        if (kind === "view") takeView(robot, value);
+        else if (kind === "plan") await takePlan(robot, value);
+        else if (kind === "screen") put(robot, kind, checkScreen(value));
+        else if (KEPT.includes(kind)) {
+          if (kind === "scene" && value !== null) checkScene(value);
+          put(robot, kind, value);
+        } else {
+          expect(isObject(value), `${kind} that is no JSON object`);
+          tell(kind, name, value);
+        }
+      } catch (error) {
+        if (!(error instanceof SyntaxError || error instanceof TypeError)) throw error;
+        // the plan before is not under review any more either
+        if (kind === "plan") takePlan(robot, null);
+        refuse(name, kind, error.message);
+      }
+    },
+  };
+  return store;
+}

@@ -1,0 +1,205 @@
+/**
+ * When a person may give a verdict on a plan, and what became of it: one table of state, event, guard, action and next state.
+ *
+ * Pure: time is in the events (`at`, milliseconds of a monotonic clock); what shall be sent is returned. One machine per robot.
+ *
+ * Events, all with `at`:
+ *   connected, disconnected
+ *   plan {plan: {id, hash, refused} or null}   from the store; `refused`: why it cannot be shown, else ""
+ *   view {plan: id}                            a view came; id of the plan under review, "" for none; undefined: it does not say
+ *   old                                        no view for a second
+ *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
+ *                                              end), "checks" (its checks were opened)
+ *   press, release                             of the approve button
+ *   reject {reason, reviewer}
+ *   tick {reviewer}                            again and again; `reviewer` is the person's name
+ *   taken, failed {reason}                     what the broker says to the message
+ *   ack {ack, account}                         an answer on review/ack, and this page's account
+ */
+
+/** A plan must have been shown for so long before it can be approved [ms]. */
+export const SHOWN_FOR = 1000;
+/** The approve button must be held for so long [ms]. */
+export const HELD_FOR = 1000;
+/** Longest wait for the executor's answer [ms]. */
+export const ANSWER_WITHIN = 5000;
+/** Two reports of a plan shown must not be further apart to count [ms]. */
+const LONGEST_GAP = 500;
+/**
+ * A page that stands still sees no release: the tick after a longer gap sends nothing, and the one after it only if no release came
+ * meanwhile [ms]. A press in which it stood still for longer than this is over [ms].
+ */
+const SHORT_GAP = 400;
+const STOOD_STILL = 2000;
+
+const NOT_LOOKED = {shownFor: 0, shownAt: null, played: false, checks: false};
+
+/** Return the machine of a robot of which nothing is known. */
+export function begin() {
+  return {
+    state: "offline", plan: null, gone: false, viewPlan: undefined, live: false, ...NOT_LOOKED, pressedAt: null, tickedAt: null, sent: null,
+    notice: null,
+  };
+}
+
+/** Return whether the plan was looked at: shown long enough, and played to its end or its checks opened. */
+export function lookedAt({shownFor, played, checks}) {
+  return shownFor >= SHOWN_FOR && (played || checks);
+}
+
+/**
+ * Return why approving is not possible now, as a short word; "" when it is.
+ *
+ * Words: offline, none, unfit, decided, sending, old (no view of the arm), view (the view names another plan, or none), look, shown
+ */
+export function blocked(machine) {
+  if (["offline", "none", "unfit", "decided"].includes(machine.state)) return machine.state;
+  if (machine.state === "sending" || machine.state === "waiting") return "sending";
+  if (!machine.live) return "old";
+  if (machine.viewPlan !== undefined && machine.viewPlan !== machine.plan.id) return "view";
+  if (!machine.played && !machine.checks) return "look";
+  return machine.shownFor >= SHOWN_FOR ? "" : "shown";
+}
+
+// -- guards
+
+const isUsable = (machine, {plan}) => plan !== null && plan.refused === "";
+const isUnfit = (machine, {plan}) => plan !== null && plan.refused !== "";
+const isSame = (machine, {plan}) => plan !== null && machine.plan !== null && plan.id === machine.plan.id
+  && plan.hash === machine.plan.hash && plan.refused === machine.plan.refused;
+const isGone = (machine, {plan}) => plan === null;
+const mayApprove = (machine) => blocked(machine) === "";
+const isHeld = (machine, {at}) => mayApprove(machine) && at - machine.pressedAt >= HELD_FOR && at - machine.tickedAt <= SHORT_GAP;
+const stood = (machine, {at}) => at - machine.tickedAt > STOOD_STILL;
+const isLate = (machine, {at}) => at - machine.sent.at >= ANSWER_WITHIN;
+const hasReason = (machine, {reason, reviewer}) => reason.trim() !== "" && reviewer !== "";
+const isOwn = ({sent}, {ack, account}) => sent !== null && (ack.account ?? "") === account && ack.plan_id === sent.plan.id
+  && ack.plan_hash === sent.plan.hash && ack.verdict === sent.verdict && (account !== "" || ack.reviewer === sent.reviewer);
+const isOwnTaken = (machine, event) => isOwn(machine, event) && event.ack.ok === true;
+const isOwnRefused = (machine, event) => isOwn(machine, event) && event.ack.ok !== true;
+const isOthers = ({plan}, {ack}) => plan !== null && ack.ok === true && ack.plan_id === plan.id && ack.plan_hash === plan.hash;
+/** An answer without a plan is to a message of this account that could not be read; while we wait for one it is ours. */
+const isUnread = (machine, {ack, account}) => ack.ok !== true && ack.plan_id === "" && (ack.account ?? "") === account;
+
+// -- actions: they return what changes of the machine
+
+const forget = () => ({...NOT_LOOKED, pressedAt: null});
+/** What a person must still read when a plan comes: after a lost connection, or after a press that another plan ended. */
+const isLasting = (notice) => ["unknown", "unanswered"].includes(notice?.kind) || ["offline", "plan"].includes(notice?.why);
+const takePlan = (machine, {plan}) => ({...forget(), plan, gone: false, notice: isLasting(machine.notice) ? machine.notice : null});
+const takeFurther = (machine, event) => ({...takePlan(machine, event), sent: null, notice: {kind: "unknown", verdict: machine.sent.verdict}});
+const dropPlan = ({notice}) => ({...forget(), plan: null, notice: notice?.kind === "cancelled" ? null : notice});
+const losePlan = () => ({gone: true});
+const keepPlan = () => ({gone: false});
+const leave = () => ({...forget(), plan: null, gone: false, live: false, viewPlan: undefined, sent: null});
+const leaveUnknown = (machine) => ({...leave(), notice: {kind: "unknown", verdict: machine.sent.verdict}});
+const leavePressing = () => ({...leave(), notice: {kind: "cancelled", why: "offline"}});
+const see = (machine, {plan}) => {
+  const other = machine.plan !== null && plan !== undefined && plan !== machine.plan.id;
+  return {...(other ? forget() : {}), live: true, viewPlan: plan};
+};
+const grow = (machine, {at, what, hash}) => {
+  if (machine.plan === null || hash !== machine.plan.hash) return {shownAt: null};
+  if (what === "played" || what === "checks") return {[what]: true};
+  const gap = machine.shownAt === null ? Infinity : at - machine.shownAt;
+  return {shownAt: at, shownFor: machine.shownFor + (gap <= LONGEST_GAP ? gap : 0)};
+};
+const blind = () => ({live: false});
+const press = (machine, {at}) => ({pressedAt: at, tickedAt: at, notice: null});
+const note = (machine, {at}) => ({tickedAt: at});
+const cancel = (why) => () => ({pressedAt: null, notice: {kind: "cancelled", why}});
+const cancelWith = (action, why) => (machine, event) => ({...action(machine, event), pressedAt: null, notice: {kind: "cancelled", why}});
+const send = (verdict) => (machine, {at, reviewer, reason = ""}) => ({
+  pressedAt: null, notice: null, sent: {plan: machine.plan, verdict, reviewer, at},
+  publish: {plan_id: machine.plan.id, plan_hash: machine.plan.hash, verdict, reviewer, reason: reason.trim()},
+});
+const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason, verdict: machine.sent.verdict}});
+const wait = (machine, {at}) => ({sent: {...machine.sent, at}});
+const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict}});
+const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason}});
+const lose = (machine, {ack}) => ({
+  ...forget(), sent: null,
+  notice: machine.notice?.kind === "other" ? {...machine.notice, reason: ack.reason} : {kind: "refused", verdict: machine.sent.verdict, reason: ack.reason},
+});
+const yieldTo = (machine, {ack}) => ({
+  ...forget(), notice: {kind: "other", verdict: ack.verdict, account: ack.account || ack.reviewer || "", reason: ""},
+});
+
+/** Where a plan leads back to after a verdict that was not accepted. */
+const back = ({plan, gone, notice}) => {
+  if (notice?.kind === "other") return "decided";
+  if (gone) return "none";
+  return plan.refused ? "unfit" : "open";
+};
+
+const OPEN = ["none", "unfit", "open", "pressing", "sending", "waiting", "decided"];
+const SENT = ["sending", "waiting"];
+
+/**
+ * The table. Of several rows for a state and an event the first whose guard holds applies; an event that no row names changes
+ * nothing. States:
+ *   offline   not connected: nothing is known, nothing can be sent
+ *   none      no plan is under review
+ *   unfit     a plan came that is not what its hash says: it is not shown, and can only be rejected
+ *   open      a plan is under review; `blocked` says whether it can be approved
+ *   pressing  the approve button is held
+ *   sending   the verdict was given to the broker, which has not answered
+ *   waiting   the broker has taken it, and the executor has not answered
+ *   decided   a verdict on this plan was accepted: ours or another's
+ */
+export const TABLE = [
+  {states: ["offline"], event: "connected", next: "none"},
+  {states: SENT, event: "disconnected", action: leaveUnknown, next: "offline"},
+  {states: ["pressing"], event: "disconnected", action: leavePressing, next: "offline"},
+  {states: OPEN, event: "disconnected", action: leave, next: "offline"},
+
+  {states: ["unfit", "open", "pressing", ...SENT, "decided"], event: "plan", guard: isSame, action: keepPlan},
+  {states: ["pressing"], event: "plan", guard: isGone, action: cancelWith(dropPlan, "plan"), next: "none"},
+  {states: SENT, event: "plan", guard: isGone, action: losePlan},
+  {states: OPEN, event: "plan", guard: isGone, action: dropPlan, next: "none"},
+  {states: ["pressing"], event: "plan", guard: isUsable, action: cancelWith(takePlan, "plan"), next: "open"},
+  {states: SENT, event: "plan", guard: isUsable, action: takeFurther, next: "open"},
+  {states: SENT, event: "plan", guard: isUnfit, action: takeFurther, next: "unfit"},
+  {states: OPEN, event: "plan", guard: isUsable, action: takePlan, next: "open"},
+  {states: OPEN, event: "plan", guard: isUnfit, action: takePlan, next: "unfit"},
+
+  {states: ["pressing"], event: "view", guard: (machine, {plan}) => plan !== undefined && plan !== machine.plan.id,
+    action: cancelWith(see, "view"), next: "open"},
+  {states: OPEN, event: "view", action: see},
+  {states: ["pressing"], event: "old", action: cancelWith(blind, "old"), next: "open"},
+  {states: OPEN, event: "old", action: blind},
+  {states: ["open", "pressing"], event: "looked", action: grow},
+
+  {states: ["open"], event: "press", guard: mayApprove, action: press, next: "pressing"},
+  {states: ["pressing"], event: "tick", guard: isHeld, action: send("approved"), next: "sending"},
+  {states: ["pressing"], event: "tick", guard: stood, action: cancel("stood"), next: "open"},
+  {states: ["pressing"], event: "tick", action: note},
+  {states: ["pressing"], event: "release", action: cancel("early"), next: "open"},
+  {states: ["open"], event: "reject", guard: hasReason, action: send("rejected"), next: "sending"},
+  {states: ["unfit"], event: "reject", guard: hasReason, action: send("rejected"), next: "sending"},
+
+  {states: ["sending"], event: "taken", action: wait, next: "waiting"},
+  {states: ["sending"], event: "failed", action: fail, next: back},
+  {states: ["waiting"], event: "tick", guard: isLate, action: giveUp, next: back},
+
+  {states: SENT, event: "ack", guard: isOwnTaken, action: win, next: "decided"},
+  {states: SENT, event: "ack", guard: isOwnRefused, action: lose, next: back},
+  {states: SENT, event: "ack", guard: isOthers, action: yieldTo},
+  {states: SENT, event: "ack", guard: isUnread, action: lose, next: back},
+  {states: ["unfit", "open", "pressing"], event: "ack", guard: isOthers, action: yieldTo, next: "decided"},
+];
+
+/**
+ * Take an event.
+ *
+ * @returns {{machine: object, publish: object|null}} the machine afterwards; what shall be published on `review` now, if anything
+ */
+export function step(machine, event) {
+  const row = TABLE.find(({states, event: name, guard}) => name === event.type && states.includes(machine.state)
+    && (guard === undefined || guard(machine, event)));
+  if (row === undefined) return {machine, publish: null};
+  const {publish = null, ...changes} = row.action?.(machine, event) ?? {};
+  const changed = {...machine, ...changes};
+  const state = typeof row.next === "function" ? row.next(changed) : row.next ?? machine.state;
+  return {machine: {...changed, state, ...(state === "none" ? {plan: null, gone: false} : {})}, publish};
+}

@@ -1,0 +1,54 @@
+// The tasks of a building model, as a person reads them. Pure.
+
+// The states of docs/reference/states.md, with what they mean for somebody who looks at a list.
+const GROUPS = {
+  waiting: "waits",
+  ready: "ready",
+  carried: "ready",
+  planned: "asked",
+  working: "moves",
+  gripping: "moves",
+  carrying: "moves",
+  releasing: "moves",
+  retreating: "moves",
+  done: "done",
+  skipped: "skipped",
+  asks: "person",
+  held: "person",
+};
+const ASKABLE = new Set(["ready", "carried"]);
+
+// One of "waits", "ready", "asked", "moves", "done", "skipped", "person"; "unknown" for a state of another version.
+export function group(state) {
+  return Object.hasOwn(GROUPS, state) ? GROUPS[state] : "unknown";
+}
+
+// Whether a plan of the task can be asked for now.
+export function isAskable(work, task) {
+  return !work.engaged && ASKABLE.has(task.state);
+}
+
+// {done, all}: skipped tasks count as done with.
+export function counts(work) {
+  const over = work.tasks.filter((task) => group(task.state) === "done" || group(task.state) === "skipped").length;
+  return {done: over, all: work.tasks.length};
+}
+
+export function nextTask(work) {
+  return work.tasks.find((task) => task.id === work.next) ?? null;
+}
+
+// The task of an element that was tapped: the one that is not over yet, else the last one; null when it has none.
+export function taskOfElement(work, element) {
+  const tasks = work.tasks.filter((task) => task.element === element);
+  return tasks.find((task) => group(task.state) !== "done" && group(task.state) !== "skipped") ?? tasks.at(-1) ?? null;
+}
+
+// Names of the tasks that must be over before this one, and are not.
+export function waitsFor(work, task) {
+  const byId = new Map(work.tasks.map((one) => [one.id, one]));
+  return task.after
+    .map((id) => byId.get(id))
+    .filter((one) => one && group(one.state) !== "done" && group(one.state) !== "skipped")
+    .map((one) => one.name);
+}

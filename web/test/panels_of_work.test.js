@@ -1,0 +1,435 @@
+/** The panels plan, tasks, plots and runs, in a document without a browser. */
+import assert from "node:assert/strict";
+import {readFileSync} from "node:fs";
+import {test} from "node:test";
+import {DOMParser} from "linkedom";
+import * as plan from "../src/panels/plan.js";
+import * as plots from "../src/panels/plots.js";
+import * as runs from "../src/panels/runs.js";
+import * as tasks from "../src/panels/tasks.js";
+import {readListing} from "../src/runs/listing.js";
+import {counts, group, isAskable, nextTask, taskOfElement, waitsFor} from "../src/work/task_list.js";
+import {fakePage, view} from "./support/fake.js";
+
+const URDF = readFileSync(new URL("support/track.urdf", import.meta.url), "utf8");
+const NAMES = ["track", "joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6"];
+const POSITIONS = [0.2, 0, -1.5, 1.5, 0, 1.2, 0];
+const settle = () => new Promise((resolve) => setImmediate(resolve));
+
+function trackView(changes = {}) {
+  const pose = {stamp: 1, age: 0, positions: POSITIONS};
+  return view({joints: {names: NAMES, types: ["prismatic", ...Array(6).fill("revolute")]}, twin: pose, arm: pose, ...changes});
+}
+
+/** A plan panel of a robot whose model is there; `page.time` is its clock [s]. */
+async function planPanel({account = "kr120-planner-ada", refuse = null, fetchText = async () => URDF} = {}) {
+  const page = fakePage({account});
+  page.time = 100;
+  const kept = new Map();
+  if (refuse !== null) page.connection.refuse(refuse);
+  plan.make(page.parent, page.store, page.connection, page.texts, {
+    fetchText,
+    parse: (text) => new DOMParser().parseFromString(text, "text/xml"),
+    storage: {getItem: (key) => kept.get(key) ?? null, setItem: (key, value) => void kept.set(key, value)},
+    now: () => page.time,
+  });
+  await page.hear("kr120", "view", trackView());
+  await settle();
+  await page.hear("kr120", "view", trackView());
+  await settle();
+  page.find = (selector) => page.parent.querySelector(selector);
+  page.text = (selector) => page.find(selector).textContent;
+  page.buttonOf = (key) => [...page.parent.querySelectorAll("button")].find((one) => one.textContent === page.texts(key));
+  page.press = (key) => page.click(page.buttonOf(key));
+  page.goal = () => page.store.robot("kr120").goal;
+  page.handle = () => page.store.robot("kr120").handle;
+  return page;
+}
+
+// -- plan
+
+test("an account that may plan is asked once, and sets a goal where the robot is", async () => {
+  const page = await planPanel();
+  assert.deepEqual(page.connection.sent.map(({topic, qos}) => [topic, qos]), [["ik/kr120-planner-ada", 1]]);
+  assert.equal(page.find(".plan-work").hidden, true);
+  page.press("plan.begin");
+  assert.equal(page.find(".plan-work").hidden, false);
+  assert.deepEqual(page.goal().names, NAMES);
+  assert.deepEqual(page.goal().positions, POSITIONS);
+  assert.equal(page.handle().position.length, 3);
+  assert.equal(page.parent.querySelectorAll(".plan-joint").length, 7);
+});
+
+test("an account that may not plan reads so, and gets no sliders", async () => {
+  const page = await planPanel({account: "kr120-viewer", refuse: "refused"});
+  assert.equal(page.find(".plan-work").hidden, true);
+  assert.equal(page.find(".plan-begin").hidden, true);
+  assert.match(page.text(".plan-told"), /kr120-viewer may look, and may not ask for plans/);
+  assert.equal(page.connection.sent.length, 1);
+});
+
+test("after another login the right is asked anew", async () => {
+  const page = await planPanel({refuse: "refused"});
+  page.connection.change("lost", "closed");
+  assert.match(page.text(".plan-told"), /Not connected/);
+  page.connection.refuse(null);
+  page.connection.change("connected");
+  await page.hear("kr120", "view", trackView());
+  await settle();
+  assert.equal(page.connection.sent.length, 2);
+  assert.equal(page.find(".plan-begin").hidden, false);
+  assert.equal(page.find(".plan-begin").disabled, false);
+});
+
+test("a broker that does not answer is asked again, and not at every view", async () => {
+  const page = await planPanel({refuse: "broker"});
+  for (let number = 0; number < 5; number += 1) {
+    await page.hear("kr120", "view", trackView());
+    await settle();
+  }
+  assert.equal(page.connection.sent.length, 1);
+  assert.equal(page.find(".plan-begin").disabled, true);
+  page.connection.refuse(null);
+  page.time += 6;
+  await page.hear("kr120", "view", trackView());
+  await settle();
+  assert.equal(page.connection.sent.length, 2);
+  assert.equal(page.find(".plan-begin").disabled, false);
+});
+
+test("a model that cannot be read is told with the reason", async () => {
+  const page = await planPanel({
+    fetchText: async () => {
+      throw new Error("404");
+    },
+  });
+  assert.match(page.text(".plan-told"), /could not be loaded \(404\)/);
+  assert.equal(page.find(".plan-begin").hidden, true);
+  assert.equal((await planPanel({fetchText: async () => "<robot/>"})).text(".plan-told").includes("no joint track"), true);
+});
+
+test("a slider sets the joint in degrees, and the handle follows the tool", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  const before = page.handle().position;
+  const slider = page.parent.querySelectorAll(".plan-joint input[type=range]")[1];
+  page.enter(slider, "30");
+  assert.ok(Math.abs(page.goal().positions[1] - Math.PI / 6) < 1e-9);
+  assert.notDeepEqual(page.handle().position, before);
+  assert.equal(page.goal().positions[2], POSITIONS[2]);
+});
+
+test("a number that is typed outside of the range is not taken, and said", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  const field = page.parent.querySelectorAll(".plan-joint input[type=text]")[1];
+  page.enter(field, "200");
+  assert.equal(page.goal().positions[1], POSITIONS[1]);
+  assert.match(page.text(".plan-reach"), /joint_a1 goes from -185 to 185/);
+  page.enter(field, "-45,5");
+  assert.ok(Math.abs(page.goal().positions[1] + 45.5 * (Math.PI / 180)) < 1e-9);
+});
+
+test("dragging the tool asks where it is now, and the goal follows the answers to this page only", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  const drag = (x, done = false) => page.store.set("drag", "kr120", {position: [x, 0, 1], quaternion: [0, 0, 0, 1], done});
+  drag(1.0);
+  drag(1.1);
+  drag(1.2, true);
+  const asked = page.connection.sent.filter(({qos}) => qos === 0);
+  assert.deepEqual(asked.map(({payload}) => payload.position[0]), [1.0]);
+  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  const joints = Object.fromEntries(NAMES.map((name, number) => [name, POSITIONS[number] + 0.01]));
+  const account = "ik/ack/kr120-planner-ada";
+  await page.hear("kr120", account, {id: "other-1", reach: "free", joints, sentence: "", between: []});
+  assert.deepEqual(page.goal().positions, POSITIONS);
+  page.time += 0.1;
+  await page.hear("kr120", account, {id: asked[0].payload.id, reach: "free", joints, sentence: "", between: []});
+  const later = page.connection.sent.filter(({qos}) => qos === 0);
+  assert.deepEqual(later.map(({payload}) => payload.position[0]), [1.0, 1.2]);
+  assert.equal(page.goal().reach, "free");
+  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  const touched = {reach: "contact", joints, sentence: "link_3 and floor.", between: ["link_3", "floor"]};
+  await page.hear("kr120", account, {id: later[1].payload.id, ...touched});
+  assert.equal(page.goal().reach, "contact");
+  assert.match(page.text(".plan-reach"), /would touch something there\. link_3 and floor\./);
+  assert.equal(page.buttonOf("plan.ask").disabled, false);
+  // where the finger left it, also where the arm does not get
+  assert.ok(page.handle() !== null);
+});
+
+test("a drag without a goal, or without the right, asks nothing", async () => {
+  const page = await planPanel();
+  page.store.set("drag", "kr120", {position: [1, 0, 1], quaternion: [0, 0, 0, 1], done: true});
+  assert.equal(page.connection.sent.length, 1);
+});
+
+test("the plan that is asked for is the one that is shown, and the planner's answer is told", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  const options = [...page.parent.querySelectorAll("option")];
+  assert.deepEqual(options.map((option) => option.value), ["0", "0.1", "0.25", "0.5", "1"]);
+  page.press("plan.ask");
+  await settle();
+  const {topic, payload, qos} = page.connection.sent.at(-1);
+  assert.deepEqual([topic, qos, payload.kind], ["plan_request/kr120-planner-ada", 1, "joints"]);
+  assert.deepEqual(NAMES.map((name) => payload.joints[name]), page.goal().positions);
+  assert.match(page.text(".plan-answer"), /Sent\. The planner is looking/);
+  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  const ack = {account: "kr120-planner-ada", kind: "joints", plan_id: "", plan_hash: "", duration: 0};
+  await page.hear("kr120", "plan_request/ack", {...ack, id: "another", ok: true, reason: ""});
+  assert.match(page.text(".plan-answer"), /looking/);
+  await page.hear("kr120", "plan_request/ack", {...ack, id: payload.id, ok: false, reason: "the floor is in the way"});
+  assert.equal(page.text(".plan-answer"), "No plan: the floor is in the way");
+  assert.equal(page.buttonOf("plan.ask").disabled, false);
+  page.press("plan.line");
+  await settle();
+  const line = page.connection.sent.at(-1).payload;
+  assert.equal(line.kind, "line");
+  assert.deepEqual(line.position, page.handle().position);
+  await page.hear("kr120", "plan_request/ack", {...ack, id: line.id, ok: true, reason: "", duration: 3.25});
+  assert.match(page.text(".plan-answer"), /There is a plan \(3\.3 s\)/);
+});
+
+test("a request whose answer was lost with the connection is told as such, and none is sent twice", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  page.press("plan.ask");
+  await settle();
+  const sent = page.connection.sent.length;
+  page.connection.change("lost", "closed");
+  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  page.connection.change("connected");
+  await page.hear("kr120", "view", trackView());
+  await settle();
+  assert.match(page.text(".plan-answer"), /may have arrived/);
+  assert.deepEqual(page.connection.sent.slice(sent).map(({topic}) => topic), ["ik/kr120-planner-ada"]);
+});
+
+test("saved poses come back, and a name is needed", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  page.press("plan.pose.save");
+  assert.match(page.text(".plan-note"), /Give the pose a name first/);
+  const name = page.find(".plan-poses input");
+  name.value = "<b>home</b>";
+  page.press("plan.pose.save");
+  assert.equal(page.find(".plan-poses option").textContent, "<b>home</b>");
+  page.enter(page.parent.querySelectorAll(".plan-joint input[type=range]")[2], "-60");
+  assert.notDeepEqual(page.goal().positions, POSITIONS);
+  page.find(".plan-poses option").setAttribute("selected", "");
+  page.press("plan.pose.go");
+  assert.deepEqual(page.goal().positions, POSITIONS);
+});
+
+test("a discarded goal is gone from the picture, too", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  page.press("plan.discard");
+  assert.deepEqual([page.goal(), page.handle()], [null, null]);
+  assert.equal(page.find(".plan-begin").hidden, false);
+});
+
+// -- tasks
+
+const task = (id, state, more = {}) => ({
+  id, name: `Place ${id}`, element: `e_${id}`, element_name: `stud ${id}`, state, reason: "", after: [], robot: "", plan_id: "",
+  deviation_mm: null, deviation_deg: null, question: "", answers: [], ...more,
+});
+const work = (changes = {}) => ({
+  stamp: 1, model: "panel.ifc", model_hash: "h", schedule: "model", engaged: false, next: "2", reason: "", notes: [],
+  tasks: [
+    task("1", "done", {deviation_mm: 0.42, deviation_deg: 0.05}), task("2", "ready"),
+    task("3", "waiting", {after: ["1", "2"], reason: "waits for Place 2"}),
+    task("4", "asks", {question: "Where is stud 4?", answers: ["in_stock", "placed"]}),
+  ],
+  ...changes,
+});
+
+async function tasksPanel(value = work(), account = "kr120-planner-ada") {
+  const page = fakePage({account});
+  page.time = 0;
+  tasks.make(page.parent, page.store, page.connection, page.texts, {now: () => page.time});
+  await page.hear("kr120", "view", view());
+  if (value !== null) await page.hear("kr120", "work/tasks", value, true);
+  page.find = (selector) => page.parent.querySelector(selector);
+  page.items = () => [...page.parent.querySelectorAll(".tasks-list button")];
+  return page;
+}
+
+test("every state that the table of tasks has is in a group", () => {
+  const states = readFileSync(new URL("../../src/construction_twin/work/task_states.py", import.meta.url), "utf8");
+  const table = states.slice(states.indexOf("class TaskState"), states.indexOf("class TaskEvent"));
+  const words = [...table.matchAll(/= "(\w+)"/g)].map(([, word]) => word);
+  assert.ok(words.length > 10);
+  for (const word of words) assert.notEqual(group(word), "unknown", word);
+  assert.equal(group("constructor"), "unknown");
+});
+
+test("done and skipped tasks are done with; a task waits for the others", () => {
+  const all = work();
+  assert.deepEqual(counts(all), {done: 1, all: 4});
+  assert.equal(nextTask(all).id, "2");
+  assert.equal(nextTask(work({next: ""})), null);
+  assert.deepEqual(waitsFor(all, all.tasks[2]), ["Place 2"]);
+  assert.equal(isAskable(all, all.tasks[1]), true);
+  assert.equal(isAskable(all, all.tasks[2]), false);
+  assert.equal(isAskable(work({engaged: true}), all.tasks[1]), false);
+});
+
+test("an element that is placed in two tasks leads to the one that is not over", () => {
+  const both = work({tasks: [task("1", "done", {element: "x"}), task("2", "ready", {element: "x"})]});
+  assert.equal(taskOfElement(both, "x").id, "2");
+  assert.equal(taskOfElement(work({tasks: [task("1", "done", {element: "x"})]}), "x").id, "1");
+  assert.equal(taskOfElement(both, "y"), null);
+});
+
+test("a robot without a building model has no list of tasks", async () => {
+  const page = await tasksPanel(null);
+  assert.equal(page.find(".tasks").hidden, true);
+  await page.hear("kr120", "work/tasks", work(), true);
+  assert.equal(page.find(".tasks").hidden, false);
+  await page.hear("kr120", "work/tasks", null);
+  assert.equal(page.find(".tasks").hidden, true);
+});
+
+test("the list says state and progress, and the next task can be asked for", async () => {
+  const page = await tasksPanel();
+  assert.match(page.find(".tasks-progress").textContent, /1 of 4 done/);
+  assert.deepEqual(page.items().map((item) => item.lastElementChild.textContent), ["done", "ready", "waits", "needs a person"]);
+  page.click(page.find(".tasks-next .plan-ask"));
+  await settle();
+  const {topic, payload} = page.connection.sent[0];
+  assert.equal(topic, "plan_request/kr120-planner-ada");
+  assert.deepEqual(payload, {id: payload.id, kind: "work_task"});
+  assert.equal(page.find(".tasks-next .plan-ask").disabled, true);
+  await page.hear("kr120", "plan_request/ack", {id: payload.id, ok: true, reason: "", duration: 14.2});
+  assert.match(page.find(".plan-answer").textContent, /14\.2 s/);
+});
+
+test("a tap on an element selects its task, and the picture is told", async () => {
+  const page = await tasksPanel();
+  page.store.set("tap", "kr120", {element: "e_2", object: ""});
+  assert.equal(page.items()[1].getAttribute("aria-pressed"), "true");
+  assert.match(page.find(".tasks-detail").textContent, /stud 2/);
+  page.click(page.find(".tasks-detail .plan-ask"));
+  await settle();
+  assert.equal(page.connection.sent[0].payload.task, "2");
+  page.store.set("tap", "kr120", {element: "", object: "floor"});
+  assert.equal(page.items()[1].getAttribute("aria-pressed"), "true");
+  page.click(page.items()[2]);
+  assert.match(page.find(".tasks-detail").textContent, /First these must be done: Place 2/);
+  assert.equal(page.find(".tasks-detail .plan-ask"), null);
+  page.click(page.items()[2]);
+  assert.equal(page.find(".tasks-detail").hidden, true);
+});
+
+test("deviations and questions are shown", async () => {
+  const page = await tasksPanel();
+  page.click(page.items()[0]);
+  assert.match(page.find(".tasks-detail").textContent, /0\.4 mm and 0\.05° off the model/);
+  page.click(page.items()[3]);
+  assert.match(page.find(".tasks-detail").textContent, /Where is stud 4\? \(in_stock, placed\)/);
+});
+
+test("an engaged arm is offered the way back only", async () => {
+  const page = await tasksPanel(work({engaged: true}));
+  const [next, back] = page.parent.querySelectorAll(".tasks-next .plan-ask");
+  assert.deepEqual([next.hidden, back.hidden], [true, false]);
+  page.click(back);
+  await settle();
+  assert.equal(page.connection.sent[0].payload.kind, "way_back");
+});
+
+test("a refused right is told with the account", async () => {
+  const page = await tasksPanel(work(), "kr120-viewer");
+  page.connection.refuse("refused");
+  page.click(page.find(".tasks-next .plan-ask"));
+  await settle();
+  assert.match(page.find(".plan-answer").textContent, /kr120-viewer/);
+});
+
+// -- plots
+
+test("plots keep samples while they are folded, and export them", async () => {
+  const page = fakePage();
+  const saved = [];
+  page.time = 50;
+  plots.make(page.parent, page.store, page.connection, page.texts, {
+    now: () => page.time, isSeen: () => false, save: (name, text) => saved.push([name, text]),
+  });
+  for (let number = 0; number < 30; number += 1) {
+    page.time += 0.041;
+    await page.hear("kr120", "view", view({sync: {...view().sync, error: [0.01 * number, 0]}}));
+  }
+  page.store.select("kr120");
+  page.click([...page.parent.querySelectorAll("button")].at(-1));
+  const [name, text] = saved[0];
+  assert.match(name, /^kr120_.*\.csv$/);
+  const rows = text.trim().split("\r\n");
+  assert.equal(rows.length, 31);
+  assert.match(rows[0], /^seconds,stamp_s,error_joint_a1_deg,error_joint_a2_deg,round_trip_ms,late_replies/);
+  assert.ok(Math.abs(Number(rows[30].split(",")[2]) - 0.29 * (180 / Math.PI)) < 1e-4);
+});
+
+// -- runs
+
+const listing = {runs: [
+  {name: "one", stamp: 1000, report: "one/report.html"},
+  {name: "a <b> ?", stamp: 3000, report: "a <b> ?/report.html"},
+]};
+const answer = (status, body) => ({ok: status === 200, status, json: async () => body});
+
+test("a listing is read newest first, and no address leads elsewhere", () => {
+  const found = readListing({
+    runs: [...listing.runs, {name: "x", stamp: 1, report: "../../etc/passwd"}, {name: "x", stamp: 1, report: "//evil.example/x"},
+      {name: "x", stamp: 1, report: "a//b"}, {name: "x", stamp: "1", report: "x/report.html"},
+      {name: 1, stamp: 1, report: "x/y"}, null,
+      {name: "x", stamp: 1e300, report: "x/report.html"}],
+  });
+  assert.deepEqual(found.map((run) => run.name), ["a <b> ?", "one"]);
+  assert.equal(found[0].href, "private/runs/a%20%3Cb%3E%20%3F/report.html");
+  const script = {name: "j", stamp: 1, report: "javascript:alert(1)"};
+  assert.equal(readListing({runs: [script]})[0].href, "private/runs/javascript%3Aalert(1)");
+  for (const wrong of [null, 3, [], {}, {runs: {}}]) assert.throws(() => readListing(wrong), /no list of runs/);
+});
+
+test("the runs are listed with links to new tabs", async () => {
+  const page = fakePage();
+  runs.make(page.parent, page.store, page.connection, page.texts, {fetch: async () => answer(200, listing)});
+  await settle();
+  const links = [...page.parent.querySelectorAll("a")];
+  assert.deepEqual(links.map((link) => link.textContent), ["a <b> ?", "one"]);
+  assert.deepEqual([links[1].getAttribute("target"), links[1].getAttribute("rel")], ["_blank", "noopener"]);
+  page.connection.change("lost");
+  assert.equal(page.parent.querySelectorAll("a").length, 0);
+});
+
+test("why no run is listed is told: not logged in, none served, none yet, no list", async () => {
+  const told = async (result) => {
+    const page = fakePage();
+    runs.make(page.parent, page.store, page.connection, page.texts, {fetch: result});
+    await settle();
+    return page.parent.querySelector(".runs-told").textContent;
+  };
+  assert.match(await told(async () => answer(403)), /Log in again/);
+  assert.match(await told(async () => answer(404)), /without a folder/);
+  assert.match(await told(async () => answer(500)), /500/);
+  assert.match(await told(async () => answer(200, {runs: []})), /No run with a report/);
+  assert.match(await told(async () => answer(200, "x")), /no list of runs/);
+  assert.match(await told(async () => Promise.reject(new TypeError("no network"))), /no network/);
+});
+
+test("an answer that was overtaken by another question is not shown", async () => {
+  const page = fakePage();
+  const waiting = [];
+  runs.make(page.parent, page.store, page.connection, page.texts, {fetch: () => new Promise((resolve) => waiting.push(resolve))});
+  page.connection.change("lost");
+  page.connection.change("connected");
+  waiting[1](answer(200, {runs: []}));
+  await settle();
+  waiting[0](answer(200, listing));
+  await settle();
+  assert.equal(page.parent.querySelectorAll("a").length, 0);
+});

@@ -1,0 +1,37 @@
+import assert from "node:assert/strict";
+import {readdirSync, readFileSync} from "node:fs";
+import path from "node:path";
+import {test} from "node:test";
+import {fileURLToPath} from "node:url";
+
+const root = path.join(path.dirname(fileURLToPath(import.meta.url)), "..", "src");
+const files = readdirSync(root, {recursive: true}).filter((name) => name.endsWith(".js"));
+const read = (name) => readFileSync(path.join(root, name), "utf8");
+
+test("nothing that came from elsewhere can become markup or a program", () => {
+  const wrong = /innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function|createContextualFragment|srcdoc/;
+  assert.ok(files.length > 5);
+  for (const name of files) assert.doesNotMatch(read(name), wrong, name);
+  // a robot's model is read as XML: data, of which no element gets into the page
+  const asXml = /new DOMParser\(\)\.parseFromString\(text, "text\/xml"\)/g;
+  for (const name of files) assert.doesNotMatch(read(name).replace(asXml, ""), /DOMParser/, name);
+});
+
+test("the page names no other server", () => {
+  const own = /https?:\/\/(www\.w3\.org)/g;
+  for (const name of [...files, "index.html", "style.css", "icon.svg"]) {
+    assert.doesNotMatch(read(name).replace(own, ""), /(https?|wss?):\/\/\w/, name);
+  }
+});
+
+test("no script or style stands in the page itself", () => {
+  assert.doesNotMatch(read("index.html"), /<style|style=|<script(?![^>]*src=)|\son\w+=/);
+  for (const name of files) assert.doesNotMatch(read(name), /setAttribute\("style"|setAttribute\("on|style: "/, name);
+});
+
+test("all words are in the texts: every key that the source names is there", async () => {
+  const {default: en} = await import("../src/texts/en.js");
+  for (const name of files.filter((each) => !each.startsWith("texts"))) {
+    for (const [, key] of read(name).matchAll(/\btexts\(\s*"([^"]+)"/g)) assert.ok(key in en, `${name}: ${key}`);
+  }
+});

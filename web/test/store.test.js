@@ -1,0 +1,142 @@
+import assert from "node:assert/strict";
+import {test} from "node:test";
+import {makeStore} from "../src/store.js";
+import {fakePage, view} from "./support/fake.js";
+
+const plan = (changes = {}) => ({id: "p1", hash: "h1", joints: ["joint_a1"], ...changes});
+
+test("a robot that is heard is there and the first one is selected", async () => {
+  const {store, hear} = fakePage();
+  const names = [];
+  store.on("robots", (_, value) => names.push(value));
+  await hear("b", "view", view());
+  await hear("a", "view", view());
+  assert.deepEqual(names, [["b"], ["a", "b"]]);
+  assert.equal(store.selected, "b");
+  assert.equal(store.robot("a").view.run, "run");
+  assert.equal(store.robot("c"), null);
+});
+
+test("a view with a lower number of the same run is an old one", async () => {
+  const {store, hear} = fakePage();
+  const first = view();
+  const second = view();
+  await hear("r", "view", second);
+  await hear("r", "view", first);
+  assert.equal(store.robot("r").view.seq, second.seq);
+  await hear("r", "view", {...first, run: "another"});
+  assert.equal(store.robot("r").view.run, "another");
+});
+
+test("what is not as expected is refused, counted and told, and the last value stays", async () => {
+  const {store, hear} = fakePage();
+  const told = [];
+  store.on("refused", (robot, value) => told.push([robot, value.kind]));
+  const good = view();
+  await hear("r", "view", good);
+  await hear("r", "view", view({version: 3}));
+  await hear("r", "view", view({twin: {positions: [1]}}));
+  await store.take("r", "view", "{");
+  await store.take("r", "screen", "3");
+  await store.take("r", "scene", "{}");
+  await store.take("r", "stop/ack", "[]");
+  assert.deepEqual(told.map(([, kind]) => kind), ["view", "view", "view", "screen", "scene", "stop_ack"]);
+  assert.equal(store.refused, 6);
+  assert.equal(store.robot("r").view.seq, good.seq);
+});
+
+test("a view is old after a second without another, and at once when the sender is offline", async () => {
+  const {store, hear, later} = fakePage();
+  const told = [];
+  store.on("old", (_, value) => told.push(value));
+  await hear("r", "view", view());
+  later(900);
+  later(200);
+  await hear("r", "view", view());
+  await hear("r", "view", view({online: false, seq: 0, twin: null, arm: null, sync: null, link: null, execution: null}));
+  assert.deepEqual(told, [false, true, false, true]);
+});
+
+test("a lost connection makes everything unknown until it is heard anew", async () => {
+  const {store, hear, connection} = fakePage();
+  await hear("r", "view", view());
+  await hear("r", "plan", plan());
+  await hear("r", "screen", [{topic: "sync", state: "IN_SYNC", sentence: "ok"}]);
+  connection.change("lost", "closed");
+  for (const kind of ["view", "plan", "screen"]) assert.equal(store.robot("r")[kind], null);
+  assert.equal(store.robot("r").old, true);
+  connection.change("connected");
+  assert.equal(store.robot("r").plan, null);
+  await hear("r", "plan", plan(), true);
+  assert.equal(store.robot("r").plan.id, "p1");
+});
+
+test("a plan counts only once its hash was checked, and the one before is gone at once", async () => {
+  const answers = [];
+  const store = makeStore({now: () => 0, check: (each) => new Promise((resolve) => answers.push(() => resolve({...each, refused: ""})))});
+  const take = (value) => store.take("r", "plan", JSON.stringify(value));
+  const first = take(plan());
+  assert.equal(store.robot("r").plan, null);
+  answers[0]();
+  await first;
+  assert.equal(store.robot("r").plan.id, "p1");
+  const second = take(plan({id: "p2"}));
+  assert.equal(store.robot("r").plan, null);
+  const third = take(plan({id: "p3"}));
+  answers[2]();
+  answers[1]();
+  await Promise.all([second, third]);
+  assert.equal(store.robot("r").plan.id, "p3");
+});
+
+test("a plan that is taken away, or is none, leaves nothing under review", async () => {
+  const {store, hear} = fakePage();
+  await hear("r", "plan", plan());
+  await hear("r", "plan", null);
+  assert.equal(store.robot("r").plan, null);
+  await hear("r", "plan", plan());
+  await hear("r", "plan", {id: "p2"});
+  assert.equal(store.robot("r").plan, null);
+});
+
+test("a stored answer or view is of unknown age and does not count", async () => {
+  const {store, hear} = fakePage();
+  const acks = [];
+  store.on("stop_ack", (_, value) => acks.push(value));
+  await hear("r", "stop/ack", {id: "1"}, true);
+  await hear("r", "view", view(), true);
+  assert.deepEqual(acks, []);
+  assert.equal(store.robot("r"), null);
+  await hear("r", "stop/ack", {id: "1"});
+  assert.deepEqual(acks, [{id: "1"}]);
+});
+
+test("changes of state are kept for ten minutes", async () => {
+  const {store, hear, later} = fakePage();
+  await hear("r", "view", view());
+  const held = {...view().sync, state: "HOLDING", reason: "arm too far"};
+  await hear("r", "view", view({sync: held}));
+  assert.deepEqual(store.robot("r").transitions.map(({part, from, state}) => [part, from, state]), [
+    ["sync", "", "IN_SYNC"], ["link", "", "READY"], ["execution", "", "IDLE"], ["sync", "IN_SYNC", "HOLDING"],
+  ]);
+  later(600001);
+  await hear("r", "view", view());
+  assert.deepEqual(store.robot("r").transitions.map(({state}) => state), ["IN_SYNC"]);
+});
+
+test("names in topics cannot fill the page", async () => {
+  const {store, hear} = fakePage();
+  for (let k = 0; k < 100; k += 1) await hear(`robot${k}`, "view", view());
+  assert.equal(store.robots.length, 32);
+});
+
+test("what a panel sets reaches the others and stays for those that look later", async () => {
+  const {store, hear} = fakePage();
+  await hear("r", "view", view());
+  const told = [];
+  store.on("playback", (robot, value) => told.push([robot, value.time]));
+  store.set("playback", "r", {names: ["joint_a1"], positions: [0], time: 1.5});
+  store.set("playback", "nobody", {time: 2});
+  assert.deepEqual(told, [["r", 1.5]]);
+  assert.equal(store.robot("r").playback.time, 1.5);
+});

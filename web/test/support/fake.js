@@ -1,0 +1,90 @@
+/**
+ * What panels' tests need: a document, a store that hears what a test says, a connection that notes what was published.
+ *
+ *   const {parent, store, connection, texts, hear, later} = fakePage();
+ *   make(parent, store, connection, texts);
+ *   await hear("kr120", "view", view({sync: {...}}));
+ *   connection.sent[0] -> {topic, robot, payload, qos}
+ */
+import {parseHTML} from "linkedom";
+import {NotPublished} from "../../src/connection.js";
+import {makeStore} from "../../src/store.js";
+import {makeTexts} from "../../src/texts.js";
+
+/** Return a document's parent element, store, connection and texts, and functions to drive them. */
+export function fakePage({account = "", language = "en", check = async (plan) => ({...plan, refused: ""})} = {}) {
+  const {document, window} = parseHTML("<!doctype html><html><body><main></main></body></html>");
+  const clock = {now: 0};
+  const store = makeStore({now: () => clock.now, check});
+  const connection = fakeConnection(store, account);
+  return {
+    document, window, store, connection, clock,
+    parent: document.querySelector("main"),
+    texts: makeTexts(language),
+    /** Hear a message: `value` becomes JSON; null is an empty payload. Resolves once it is taken. */
+    hear: (robot, topic, value, retained = false) => store.take(robot, topic, value === null ? "" : JSON.stringify(value), retained),
+    /** Let time pass [ms] for the store. */
+    later(ms) {
+      clock.now += ms;
+      store.tick();
+    },
+    /** Click as a browser does. */
+    click: (element) => element.dispatchEvent(new window.Event("click", {bubbles: true, cancelable: true})),
+    /** Change a field as a person does. */
+    enter(element, value) {
+      element.value = value;
+      element.dispatchEvent(new window.Event("input", {bubbles: true}));
+      element.dispatchEvent(new window.Event("change", {bubbles: true}));
+    },
+  };
+}
+
+/**
+ * A connection that is connected until `change(state, reason)`; `sent` holds what was published. With `refuse(reason)` the next
+ * publishes are rejected with it, after they were noted; without a connection nothing is noted.
+ */
+export function fakeConnection(store, account = "") {
+  let refused = null;
+  const connection = {
+    state: "connected", reason: "", account, sent: [],
+    own: (topic) => (account === "" && topic === "review" ? topic : `${topic}/${account || "console"}`),
+    change(state, reason = "") {
+      connection.state = state;
+      connection.reason = reason;
+      store.connection(state);
+    },
+    refuse(reason) {
+      refused = reason;
+    },
+    async publish(topic, robot, payload, {qos = 1} = {}) {
+      if (connection.state !== "connected") throw new NotPublished("not_connected");
+      connection.sent.push({topic, robot, payload, qos});
+      if (refused !== null) throw new NotPublished(refused);
+      return 0;
+    },
+    login() {},
+    logout() {},
+  };
+  return connection;
+}
+
+let seq = 0;
+
+/** Return a view as mqtt_planner sends it, of two joints, with what is given in place of its own. */
+export function view(changes = {}) {
+  seq += 1;
+  return {
+    version: 2, robot: "kr120", online: true, run: "run", seq, stamp: seq / 25, units: {angle: "rad", length: "m", time: "s"},
+    joints: {names: ["joint_a1", "joint_a2"], types: ["revolute", "revolute"]},
+    twin: {stamp: seq / 25, age: 0.01, positions: [0.1, -1.5]},
+    arm: {stamp: seq / 25, age: 0.02, positions: [0.1, -1.5]},
+    sync: {state: "IN_SYNC", reason: "", age: 0.01, policy: "hold", agreed: true, error: [0, 0], threshold: [0.01, 0.01],
+      servo_lag: 0.02, violations: 0},
+    link: {state: "READY", reason: "", age: 0.5, gateway_state: "RSI", gateway_kind: "gateway", responsible: "", round_trip_ms: 8.1,
+      late: 0},
+    execution: {state: "IDLE", reason: "", age: 1, plan_id: "", outcome: "", duration: 0, progress: 0, rate: null, speed_limit: 1,
+      segment: ""},
+    closest: null, plan: "",
+    ...changes,
+  };
+}
