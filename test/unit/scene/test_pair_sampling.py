@@ -6,6 +6,7 @@ import io
 import itertools
 import os
 import pty
+import select
 import sys
 from functools import cache
 from pathlib import Path
@@ -147,6 +148,15 @@ def test_without_a_terminal_a_line_per_quarter():
     ]
 
 
+def read_terminal(reader: int, until: str) -> str:
+    """Return what a terminal shows up to a text: the kernel hands on what was written in parts, each when it likes."""
+    shown = b""
+    while until not in shown.decode(errors="ignore"):
+        assert select.select([reader], [], [], 10.0)[0], f"the terminal shows no {until!r}: {shown!r}"
+        shown += os.read(reader, 65536)
+    return shown.decode(errors="ignore")
+
+
 def test_on_a_terminal_a_bar(monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     reader, writer = pty.openpty()
@@ -154,7 +164,6 @@ def test_on_a_terminal_a_bar(monkeypatch):
         monkeypatch.setattr(sys, "stderr", terminal)
         with progress(1000) as report:
             report(500, 7)
-        os.set_blocking(reader, False)
-        shown = os.read(reader, 65536).decode()
+        shown = read_terminal(reader, until="50%")
     os.close(reader)
-    assert "7 pairs not decided" in shown and "50%" in shown and "━" in shown
+    assert "7 pairs not decided" in shown and "━" in shown
