@@ -370,6 +370,29 @@ test("the worst line comes first and large, with whom it waits for and what to d
   assert.equal(it.find(".status-own").hidden, true);
 });
 
+test("in another language the robot's sentences are in the page's words, with the reason as the robot says it", async () => {
+  const it = await page([status], {language: "de"});
+  await it.hear("kr120", "view", view());
+  const line = {...LINE, topic: "link", state: "NEEDS_RESET", words: "link.NEEDS_RESET", values: {}, level: 2,
+    sentence: "The arm was stopped, and holds: it braked", reason: "it braked", waits_for: "a reset", who: "operator", todo: "remove the cause"};
+  await it.hear("kr120", "screen", [line]);
+  assert.equal(it.text(".status-worst .status-sentence"), "Der Arm wurde angehalten und steht: it braked");
+  assert.match(it.text(".status-worst"), /Wartet auf: ein Zurücksetzen \(reset\) \(jemand an der Zelle\)Zu tun: die Ursache beseitigen/);
+  // what a start misses has its own words beside those of the start
+  await it.hear("kr120", "screen", [{...line, topic: "startup", state: "waiting", words: "startup.gateway_there", values: {broker: "10.0.0.5:8883"},
+    reason: ""}]);
+  assert.match(it.text(".status-worst"), /Noch ist nicht alles da\..*das Gateway.*--broker 10\.0\.0\.5:8883/);
+});
+
+test("words that this page does not know are the robot's own", async () => {
+  for (const words of [undefined, null, 7, "link.UNHEARD", "../link.ARMED", "__proto__.x", {toString: () => "link.ARMED"}]) {
+    const it = await page([status], {language: "de"});
+    await it.hear("kr120", "view", view());
+    await it.hear("kr120", "screen", [{...LINE, topic: "link", state: "UNHEARD", words, values: null, waits_for: "rain", todo: "wait"}]);
+    assert.match(it.text(".status-worst"), /The arm holds its pose\.Wartet auf: rainZu tun: wait/, String(words));
+  }
+});
+
 test("a page of the docs leads nowhere else", () => {
   for (const page of ["javascript:alert(1)", "https://example.org/x.md", "../secret.md", "/etc/x.md", "x.html", "a.md?b", "", null, 3, "//x/y.md"]) {
     assert.equal(status.addressOf(page), "", String(page));

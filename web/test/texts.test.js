@@ -5,7 +5,9 @@ import de from "../src/texts/de.js";
 import en from "../src/texts/en.js";
 
 test("both languages have the same keys in the same order, and the same places for values", () => {
-  assert.deepEqual(Object.keys(de), Object.keys(en));
+  // what the robot says comes in English; test_status_line.py compares those words
+  const own = Object.keys(de).filter((key) => !key.startsWith("line."));
+  assert.deepEqual(own, Object.keys(en));
   const places = (text) => (text.match(/\{\w+\}/g) ?? []).sort();
   for (const key of Object.keys(en)) {
     assert.deepEqual(places(de[key]), places(en[key]), key);

@@ -45,6 +45,11 @@ class Deployment:
         host, _, port = self.rsi.rpartition(":")
         return f"{host}, PORT of the Ethernet XML" if port == "0" else f"port {self.rsi}"
 
+    @property
+    def values(self) -> dict[str, str]:
+        """What a sentence may name: broker, address of RSI, robot."""
+        return {"broker": self.broker, "rsi": self.rsi_address, "robot": self.namespace.strip("/")}
+
 
 @dataclass(frozen=True)
 class Word:
@@ -89,31 +94,82 @@ class Seen:
 
 
 @dataclass(frozen=True)
+class Words:
+    """What is waited for, and what to do; places in braces are filled from `Deployment.values`."""
+
+    what: str
+    action: str
+
+
+#: Of each kind of thing that can be missing. A console's other languages translate it by its key.
+KINDS: dict[str, Words] = {
+    "nodes": Words("the nodes", "nothing to do yet"),
+    "bridge": Words("the bridge", "mqtt_bridge does not run; its reason stands in its log"),
+    "broker": Words("the MQTT broker {broker}", "start it, or give broker_host and broker_port"),
+    "gateway_here": Words("the gateway", "read its lines here; is UDP {rsi} taken?"),
+    "gateway_there": Words("the gateway", "start rsi_gateway on the cell PC with --broker {broker}"),
+    "configuration": Words("the gateway's configuration", "export it again, copy it, restart the gateway"),
+    "plc": Words("the PLC", "start it; it says `ready` on its `status` topic, retained"),
+    "plc_other": Words("the PLC", "stop what answers there, or start with the other gateway_kind"),
+    "plc_pose": Words("the PLC's pose", "let it send joint strings on its `state` topic, without user properties"),
+    "measuring": Words("the controller (RSI)", "nothing to do, it goes on by itself within seconds"),
+    "cycle": Words("the controller (RSI)", "correct RSI_ON in the program, and start it again"),
+    "cycle_mock": Words("the controller (RSI)", "give gateway and mock_rsi one rsi_cycle"),
+    "running": Words("the controller (RSI)", "start the RSI program again once RSI has timed out"),
+    "running_mock": Words("the controller (RSI)", "it starts again by itself"),
+    "controller": Words(
+        "the controller (RSI)", "start the RSI program, or cure what is refused; the controller sends to {rsi}"
+    ),
+    "controller_mock": Words("the controller (RSI)", "look why mock_rsi does not send, or what it sends"),
+    "pose": Words("the first pose of the arm", "look at `/diagnostics` of mqtt_bridge: what does it refuse?"),
+    "twin": Words("the twin", "look why /{robot}/virtual_robot publishes nothing"),
+    "scene": Words("the scene", "look why /{robot}/scene publishes nothing; is its file right?"),
+    "responsible": Words(
+        "a person who arms the bare PLC by name",
+        "see to PLC and arm, then rosrun construction_twin twin --robot {robot} arm --responsible NAME",
+    ),
+    "reset": Words(
+        "a reset", "remove the cause, then on the robot's PC: rosrun construction_twin twin --robot {robot} reset"
+    ),
+    "same_pose": Words("twin and arm to take the same pose", "nothing to do, it goes on by itself once the arm rests"),
+    "gate": Words("the gate to open", "it opens when twin and arm agree"),
+    "gate_reset": Words("the gate to open", "call reset"),
+    "executor": Words("the executor", "it follows the gate"),
+}
+
+
+@dataclass(frozen=True)
 class Missing:
     """What is waited for.
 
     Attributes
     ----------
-    what : str
+    kind : str
+        One of `KINDS`.
     reason : str
         What the system says about it; may be empty.
-    action : str
-        What to do.
+    deployment : Deployment
+        Where.
     """
 
-    what: str
+    kind: str
     reason: str
-    action: str
+    deployment: Deployment
 
     @property
-    def topic(self) -> tuple[str, str]:
-        """What is missing, whatever the system says about it meanwhile."""
-        return self.what, self.action
+    def what(self) -> str:
+        """What it is."""
+        return KINDS[self.kind].what.format(**self.deployment.values)
 
     @property
-    def news(self) -> tuple[str, str, str]:
+    def action(self) -> str:
+        """What to do."""
+        return KINDS[self.kind].action.format(**self.deployment.values)
+
+    @property
+    def news(self) -> tuple[str, str]:
         """What would be worth another line when it changes."""
-        return self.what, without_counts(self.reason), self.action
+        return self.kind, without_counts(self.reason)
 
     def __str__(self) -> str:
         return f"waiting for {self.what}{f' ({self.reason})' if self.reason else ''}: {self.action}"
@@ -134,7 +190,7 @@ class StartUp:
 
     def __init__(self, deployment: Deployment):
         self._deployment = deployment
-        self.missing: Missing | None = Missing("the nodes", "", "nothing to do yet")
+        self.missing: Missing | None = Missing("nodes", "", deployment)
         # since when this is missing, and since when for this reason
         self._since = self._reason_since = 0.0
         self._said: Missing | None = None
@@ -156,7 +212,7 @@ class StartUp:
 
     def _progress(self, seen: Seen, now: float) -> list[str]:
         missing, before = first_missing(seen, self._deployment), self.missing
-        if missing is None or before is None or missing.topic != before.topic or not self._since:
+        if missing is None or before is None or missing.kind != before.kind or not self._since:
             self._since = self._reason_since = now
         elif missing.news != before.news:
             self._reason_since = now
@@ -167,7 +223,7 @@ class StartUp:
         if said is not None and missing.news == said.news:
             return []
         # reasons that alternate must not keep back that something is missing, nor make a line each
-        told = said is not None and missing.topic == said.topic
+        told = said is not None and missing.kind == said.kind
         if now - (self._reason_since if told else self._since) < PATIENCE:
             return []
         text = f"not ready any more, {missing}" if self._ready else str(missing)
@@ -203,93 +259,67 @@ class _Beside:
 
 def first_missing(seen: Seen, deployment: Deployment) -> Missing | None:
     """Return the first thing that is not there yet, None when everything is."""
-    if deployment.arm == "none":
-        return _twin(seen, deployment) or _gate(seen)
-    return _link(seen, deployment) or _twin(seen, deployment) or _armed(seen, deployment) or _gate(seen)
+    steps = (_twin, _gate) if deployment.arm == "none" else (_link, _twin, _armed, _gate)
+    for step in steps:
+        found = step(seen, deployment)
+        if found is not None:
+            return Missing(*found, deployment)
+    return None
 
 
-#: What is missing at a bare PLC, by the link's state, and what to do.
-_PLC = {
-    "GATEWAY_OFFLINE": ("the PLC", "start it; it says `ready` on its `status` topic, retained"),
-    "MISMATCH": ("the PLC", "stop what answers there, or start with the other gateway_kind"),
-    "NO_CONTROLLER": ("the PLC's pose", "let it send joint strings on its `state` topic, without user properties"),
+#: What is missing at a bare PLC, by the link's state.
+_PLC = {"GATEWAY_OFFLINE": "plc", "MISMATCH": "plc_other", "NO_CONTROLLER": "plc_pose"}
+#: What is missing at the controller, by the gateway's state, with a real arm and with the mock.
+_CONTROLLER = {
+    "measuring": ("measuring", "measuring"),
+    "other_cycle": ("cycle", "cycle_mock"),
+    "joined_running": ("running", "running_mock"),
 }
 
+#: Kind of what is missing, and the system's own reason.
+_Found = tuple[str, str] | None
 
-def _link(seen: Seen, deployment: Deployment) -> Missing | None:
+
+def _link(seen: Seen, deployment: Deployment) -> _Found:
     """Broker, gateway, configuration, controller, first feedback."""
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
     if not state:
-        return Missing("the bridge", "no report", "mqtt_bridge does not run; its reason stands in its log")
+        return "bridge", "no report"
     if state == "DISCONNECTED":
-        return Missing(f"the MQTT broker {deployment.broker}", reason, "start it, or give broker_host and broker_port")
+        return "broker", reason
     if deployment.gateway_kind == "plc" and state in _PLC:
-        what, action = _PLC[state]
-        return Missing(what, reason, action)
+        return _PLC[state], reason
     if state == "GATEWAY_OFFLINE":
-        here = f"read its lines here; is UDP {deployment.rsi_address} taken?"
-        there = f"start rsi_gateway on the cell PC with --broker {deployment.broker}"
-        return Missing("the gateway", reason, here if deployment.gateway else there)
+        return "gateway_here" if deployment.gateway else "gateway_there", reason
     if state == "MISMATCH":
-        return Missing("the gateway's configuration", reason, "export it again, copy it, restart the gateway")
+        return "configuration", reason
     if state == "NO_CONTROLLER":
-        return Missing("the controller (RSI)", reason, _action_for_controller(word.gateway, deployment))
-    if not seen.feedback:
-        return Missing(
-            "the first pose of the arm", reason, "look at `/diagnostics` of mqtt_bridge: what does it refuse?"
-        )
-    return None
+        real, mock = _CONTROLLER.get(word.gateway, ("controller", "controller_mock"))
+        return real if deployment.arm == "real" else mock, reason
+    return None if seen.feedback else ("pose", reason)
 
 
-def _action_for_controller(gateway: str, deployment: Deployment) -> str:
-    real = deployment.arm == "real"
-    if gateway == "measuring":
-        return "nothing to do, it goes on by itself within seconds"
-    if gateway == "other_cycle":
-        return (
-            "correct RSI_ON in the program, and start it again" if real else "give gateway and mock_rsi one rsi_cycle"
-        )
-    if gateway == "joined_running":
-        return "start the RSI program again once RSI has timed out" if real else "it starts again by itself"
-    program = f"start the RSI program, or cure what is refused; the controller sends to {deployment.rsi_address}"
-    return program if real else "look why mock_rsi does not send, or what it sends"
-
-
-def _twin(seen: Seen, deployment: Deployment) -> Missing | None:
+def _twin(seen: Seen, deployment: Deployment) -> _Found:
     if not seen.twin:
-        return Missing("the twin", "", f"look why {deployment.namespace}/virtual_robot publishes nothing")
-    if not seen.scene:
-        return Missing("the scene", "", f"look why {deployment.namespace}/scene publishes nothing; is its file right?")
-    return None
+        return "twin", ""
+    return None if seen.scene else ("scene", "")
 
 
-def _armed(seen: Seen, deployment: Deployment) -> Missing | None:
+def _armed(seen: Seen, deployment: Deployment) -> _Found:
     word = seen.link or Word("", "")
-    state, reason = word.state, word.reason
-    if state == "NEEDS_RESET" and deployment.gateway_kind == "plc":
-        robot = deployment.namespace.strip("/")
-        call = f"see to PLC and arm, then rosrun construction_twin twin --robot {robot} arm --responsible NAME"
-        return Missing("a person who arms the bare PLC by name", "", call)
-    if state == "NEEDS_RESET":
-        robot = deployment.namespace.strip("/")
-        call = f"remove the cause, then on the robot's PC: rosrun construction_twin twin --robot {robot} reset"
-        return Missing("a reset", reason, call)
-    if state == "RESYNC":
-        return Missing(
-            "twin and arm to take the same pose", reason, "nothing to do, it goes on by itself once the arm rests"
-        )
-    return None
+    if word.state == "NEEDS_RESET":
+        return ("responsible", "") if deployment.gateway_kind == "plc" else ("reset", word.reason)
+    return ("same_pose", word.reason) if word.state == "RESYNC" else None
 
 
-def _gate(seen: Seen) -> Missing | None:
+def _gate(seen: Seen, deployment: Deployment) -> _Found:
     if seen.link is not None and seen.link.state == "MIRROR":
         return None  # the arm leads; the gate is closed on purpose
     word = seen.sync or Word("", "no report of pca_monitor")
-    state, reason = word.state, word.reason
-    if state != "IN_SYNC":
-        action = "call reset" if state in ("STOPPED", "FAULT") else "it opens when twin and arm agree"
-        return Missing("the gate to open", f"{state or 'silent'}: {reason}", action)
+    if word.state != "IN_SYNC":
+        kind = "gate_reset" if word.state in ("STOPPED", "FAULT") else "gate"
+        return kind, f"{word.state or 'silent'}: {word.reason}"
     if seen.execution is None or seen.execution.state == "WAITING":
-        return Missing("the executor", seen.execution.reason if seen.execution else "no report", "it follows the gate")
+        return "executor", seen.execution.reason if seen.execution else "no report"
     return None

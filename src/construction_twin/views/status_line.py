@@ -7,7 +7,7 @@ Pure; texts only. A page of the docs stands with each, below docs/.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 
 from construction_twin.views.startup import Missing, Word
@@ -93,6 +93,11 @@ TABLE: dict[tuple[str, str], Words] = {
     ("link", "NEEDS_RESET"): Words(
         Level.PERSON, "The arm was stopped, and holds.", "a reset", OPERATOR,
         "remove the cause, then call reset at the desk", f"{_TROUBLE}#needs_reset-call-reset",
+    ),
+    # of a bare PLC
+    ("link", "NEEDS_NAME"): Words(
+        Level.PERSON, "The PLC is not armed; nothing is sent to the arm.", "a person who arms it by name", OPERATOR,
+        "see to PLC and arm, then arm it by name at the desk", "broker.md#a-plc-that-knows-only-the-string",
     ),
     ("link", "MIRROR"): Words(
         Level.WELL, "The arm leads and the twin follows; nothing is sent to the arm.", "", "", "", f"{_STATES}#mirror-mode"
@@ -202,22 +207,25 @@ TABLE: dict[tuple[str, str], Words] = {
         Level.PERSON, "Not everything is there yet.", "", TECHNICIAN, "", f"{_TROUBLE}#waiting-for-not-ready-any-more"
     ),
 }  # fmt: skip
-#: A bare PLC is armed by a person's name.
-_BARE_RESET = Words(
-    Level.PERSON, "The PLC is not armed; nothing is sent to the arm.", "a person who arms it by name", OPERATOR,
-    "see to PLC and arm, then arm it by name at the desk", "broker.md#a-plc-that-knows-only-the-string",
-)  # fmt: skip
-#: Who can do something about what a start waits for, where it is not a technician.
-_STARTING = {
-    "the nodes": SYSTEM,
-    "the controller (RSI)": OPERATOR,
-    "the PLC": OPERATOR,
-    "the PLC's pose": OPERATOR,
-    "a reset": OPERATOR,
-    "a person who arms the bare PLC by name": OPERATOR,
-    "twin and arm to take the same pose": SYSTEM,
-    "the gate to open": SYSTEM,
-    "the executor": SYSTEM,
+#: Who can do something about what a start waits for; where nothing stands here, a technician.
+STARTING = {
+    "nodes": SYSTEM,
+    "measuring": SYSTEM,
+    "running_mock": SYSTEM,
+    "cycle": OPERATOR,
+    "running": OPERATOR,
+    "controller": OPERATOR,
+    "cycle_mock": OPERATOR,
+    "controller_mock": OPERATOR,
+    "plc": OPERATOR,
+    "plc_other": OPERATOR,
+    "plc_pose": OPERATOR,
+    "reset": OPERATOR,
+    "responsible": OPERATOR,
+    "same_pose": SYSTEM,
+    "gate": SYSTEM,
+    "gate_reset": OPERATOR,
+    "executor": SYSTEM,
 }
 #: Order of lines of one level.
 TOPICS = ("startup", "link", "sync", "execution", "work")
@@ -286,12 +294,33 @@ class Heard:
 
 @dataclass(frozen=True)
 class Line:
-    """One line, as it is sent on `screen`; `level` is a `Level`'s number, the rest as in `Words`, `sentence` with the reason."""
+    """One line, as it is sent on `screen`.
+
+    Attributes
+    ----------
+    topic, state : str
+    words : str
+        Key of what is said: ``<topic>.<state>`` of `TABLE`, ``startup.<kind>`` of what a start waits for. A page in another
+        language has its own words for it.
+    values : dict of str
+        What these words name.
+    level : int
+        Number of a `Level`.
+    sentence : str
+        With the reason.
+    reason : str
+        The node's own, where the sentence has it; else empty.
+    waits_for, who, todo, page : str
+        As in `Words`.
+    """
 
     topic: str
     state: str
+    words: str
+    values: dict[str, str]
     level: int
     sentence: str
+    reason: str
     waits_for: str
     who: str
     todo: str
@@ -308,7 +337,7 @@ def status_lines(heard: Heard) -> list[Line]:
     if heard.started:
         lines.append(_start(heard.missing))
     if heard.arm:
-        lines.append(_line("link", heard.link, _BARE_RESET if heard.bare and _is(heard.link, "NEEDS_RESET") else None))
+        lines.append(_line("link", heard.link, "NEEDS_NAME" if heard.bare and _is(heard.link, "NEEDS_RESET") else ""))
     lines.append(_line("sync", heard.sync))
     lines.append(_execution(heard))
     if heard.work is not None:
@@ -343,36 +372,39 @@ def _is(word: Word | None, state: str) -> bool:
 
 def _start(missing: Missing | None) -> Line:
     if missing is None:
-        return _said("startup", "ready", TABLE["startup", "ready"], "")
-    words = TABLE["startup", "waiting"]
-    who = _STARTING.get(missing.what, words.who)
-    level = Level.WAITS if who == SYSTEM else words.level
-    return _said(
-        "startup",
-        "waiting",
-        Words(level, words.sentence, missing.what, who, missing.action, words.page),
-        missing.reason,
+        return _line("startup", Word("ready", ""))
+    who = STARTING.get(missing.kind, TECHNICIAN)
+    line = _line("startup", Word("waiting", missing.reason))
+    return replace(
+        line,
+        words=f"startup.{missing.kind}",
+        values=missing.deployment.values,
+        level=int(Level.WAITS if who == SYSTEM else line.level),
+        waits_for=missing.what,
+        who=who,
+        todo=missing.action,
     )
 
 
 def _execution(heard: Heard) -> Line:
-    word = heard.execution
-    if _is(word, "IDLE") and word is not None:
-        state = "REVIEW" if heard.plan else "ENGAGED" if heard.engaged else "IDLE"
-        return _said("execution", word.state, TABLE["execution", state], word.reason)
-    return _line("execution", word)
+    said = ""
+    if _is(heard.execution, "IDLE"):
+        said = "REVIEW" if heard.plan else "ENGAGED" if heard.engaged else ""
+    return _line("execution", heard.execution, said)
 
 
-def _line(topic: str, word: Word | None, words: Words | None = None) -> Line:
+def _line(topic: str, word: Word | None, said: str = "") -> Line:
+    """Return the line of a report; `said`: in the words of this state, where they are others than the report's."""
     word = word or Word("", "")
-    return _said(topic, word.state, words or TABLE[topic, word.state], word.reason)
-
-
-def _said(topic: str, state: str, words: Words, reason: str) -> Line:
+    state = said or word.state
+    words = TABLE[topic, state]
     # of a link and a gate that are well the reason is a session's number, or how they came to be
-    told = reason if words.level is not Level.WELL or topic in ("execution", "work") else ""
+    told = word.reason if words.level is not Level.WELL or topic in ("execution", "work") else ""
     sentence = f"{words.sentence[:-1]}: {told}" if told else words.sentence
-    return Line(topic, state, int(words.level), sentence, words.waits_for, words.who, words.todo, words.page)
+    return Line(
+        topic, word.state, f"{topic}.{state or 'silent'}", {}, int(words.level), sentence, told,
+        words.waits_for, words.who, words.todo, words.page,
+    )  # fmt: skip
 
 
 def states_of(topic: str) -> Collection[str]:

@@ -1,6 +1,6 @@
 /**
- * The status line: what the arm does, what is waited for, by whom, and what to do. The robot's own sentences (`screen`), worst first,
- * each with its page of the docs; and the page's own, where it hears nothing.
+ * The status line: what the arm does, what is waited for, by whom, and what to do. The robot's sentences (`screen`), worst first, in
+ * the page's language, each with its page of the docs; and the page's own, where it hears nothing.
  */
 import {add, clear, setText} from "../dom.js";
 import {browser} from "./clock.js";
@@ -31,6 +31,29 @@ export function ownLine({connected, robot, now}) {
   return null;
 }
 
+/** A key of words, as `screen` has it. */
+const WORDS = /^\w+\.\w+$/;
+
+/**
+ * Return what a line says in the page's language: `sentence`, `waits`, `todo`. Where this language has no words for it, the
+ * robot's own, which are English; the reason in a sentence always comes from the robot's programs as it is.
+ */
+export function wordsOf(line, texts) {
+  const known = typeof line.words === "string" && WORDS.test(line.words);
+  const values = typeof line.values === "object" && line.values !== null ? line.values : {};
+  const own = (part) => {
+    const keys = known ? [`line.${line.words}.${part}`, `line.${line.topic}.${line.state}.${part}`] : [];
+    const key = keys.find((each) => texts.has(each));
+    return key === undefined ? null : texts(key, values);
+  };
+  const sentence = own("sentence");
+  return {
+    sentence: sentence === null ? line.sentence : line.reason ? `${sentence.slice(0, -1)}: ${line.reason}` : sentence,
+    waits: line.waits_for && (own("waits") ?? line.waits_for),
+    todo: line.todo && (own("todo") ?? line.todo),
+  };
+}
+
 /** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
   const own = add(parent, "p", {className: "status-own", hidden: true});
@@ -43,13 +66,14 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const put = (into, line) => {
     const known = texts.has(`status.topic.${line.topic}`);
     const words = add(into, "div");
+    const said = wordsOf(line, texts);
     add(words, "p", {className: "status-topic", text: known ? texts(`status.topic.${line.topic}`) : line.topic});
-    add(words, "p", {className: "status-sentence", text: line.sentence});
-    if (line.waits_for) {
+    add(words, "p", {className: "status-sentence", text: said.sentence});
+    if (said.waits) {
       const who = texts.has(`status.who.${line.who}`) ? texts(`status.who.${line.who}`) : line.who;
-      add(words, "p", {text: texts(who ? "status.waits_by" : "status.waits", {what: line.waits_for, who})});
+      add(words, "p", {text: texts(who ? "status.waits_by" : "status.waits", {what: said.waits, who})});
     }
-    if (line.todo) add(words, "p", {className: "status-todo", text: texts("status.todo", {what: line.todo})});
+    if (said.todo) add(words, "p", {className: "status-todo", text: texts("status.todo", {what: said.todo})});
     const address = addressOf(line.page);
     if (address) {
       add(into, "a", {text: texts("status.page"), href: address, target: "_blank", rel: "noopener",
