@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
+from http.cookies import SimpleCookie
 from pathlib import Path
 
 import pytest
@@ -172,6 +173,39 @@ def test_a_wrong_password_is_the_broker_s_answer_and_opens_nothing(broker, tmp_p
                 assert (answer.status, body) == (200, b"{}")
             answer, _ = await asyncio.to_thread(get, "/private/../page/index.html", Cookie=ticket)
             assert answer.status in (403, 404)
+
+    asyncio.run(scene())
+
+
+def test_a_browser_s_second_page_does_not_take_the_first_one_s_files_away(broker, tmp_path):
+    """Each page begins with a connection that logs nobody in, and a browser keeps one cookie per name for all of its pages."""
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "robot.json").write_text("{}")
+    jar: SimpleCookie = SimpleCookie()
+
+    def cookies(path: str) -> dict[str, str]:
+        """Return the header that a browser with this jar sends (RFC 6265, section 5.1.4)."""
+        fitting = [
+            each for each in jar.values() if path == each["path"] or path.startswith(each["path"].rstrip("/") + "/")
+        ]
+        return {"Cookie": "; ".join(f"{each.key}={each.value}" for each in fitting)} if fitting else {}
+
+    @contextlib.asynccontextmanager
+    async def page_of_it() -> AsyncIterator:
+        async with browser(additional_headers=cookies("/mqtt")) as client:
+            jar.load(client.response.headers["Set-Cookie"])
+            yield client
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, private=private)), page_of_it() as first:
+            await first.send(login())
+            assert await first.recv() == CONNACK_OK
+            async with page_of_it():
+                answer, _ = await asyncio.to_thread(get, "/private/robot.json", **cookies("/private/robot.json"))
+                assert answer.status == 200
+            answer, _ = await asyncio.to_thread(get, "/private/robot.json", **cookies("/private/robot.json"))
+            assert answer.status == 200
 
     asyncio.run(scene())
 
