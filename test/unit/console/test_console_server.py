@@ -283,6 +283,26 @@ def test_a_broker_that_goes_away_is_told_at_once(tmp_path):
     asyncio.run(scene())
 
 
+def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_answer(tmp_path):
+    """A client need not wait for CONNACK before it subscribes (MQTT 5.0, section 3.1.4): a stored plan may come with it."""
+    long = packet(3, text("twin/kr120/plan") + b"x" * 100_000)
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readexactly(len(login()))
+        writer.write(CONNACK_OK + long)
+
+    async def scene() -> None:
+        server = await asyncio.start_server(answer, "127.0.0.1", 28483)
+        async with server, running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483))), browser() as client:
+            await client.send(login())
+            came = b""
+            while len(came) < len(CONNACK_OK + long):
+                came += await asyncio.wait_for(client.recv(), 10)
+            assert came == CONNACK_OK + long
+
+    asyncio.run(scene())
+
+
 def test_no_more_connections_than_allowed(broker, tmp_path):
     async def scene() -> None:
         async with running(settings(tmp_path, connections_per_peer=2)), browser() as one, browser():
