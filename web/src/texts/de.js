@@ -194,6 +194,7 @@ export default {
   "stop.all": "Stopp, Pause, Weiter",
   "stop.of": "Stopp, Pause, Weiter: {robot}",
   "stop.label": "{verb} {robot}",
+  "stop.offline": "NICHT VERBUNDEN: Was hier gedrückt wird, geht nicht hinaus.",
   "stop.not_emergency": "Das ist kein Not-Halt. Es braucht Netz, Programme und Broker; der Not-Halt ist am Handgerät und an der Zelle.",
   "stop.by.gateway": "Steuerungsseite",
   "stop.by.executor": "Bewegung",

@@ -194,6 +194,7 @@ export default {
   "stop.all": "Stop, pause, resume",
   "stop.of": "Stop, pause, resume: {robot}",
   "stop.label": "{verb} {robot}",
+  "stop.offline": "NOT CONNECTED: nothing that is pressed here goes out.",
   "stop.not_emergency": "This is not an emergency stop. It needs network, programs and broker; the emergency stop is on the pendant and at the cell.",
   "stop.by.gateway": "Controller side",
   "stop.by.executor": "Motion",
