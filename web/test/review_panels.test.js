@@ -186,6 +186,15 @@ test("the broker's refusal is told as a missing right", async () => {
   assert.match(it.text(".verdict-notice"), /refused by the broker.*right to review/);
 });
 
+test("a verdict that reached nobody is told at once not to count", async () => {
+  const it = await ready();
+  it.connection.answer(16);
+  it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
+  await it.pass(1200);
+  assert.match(it.text(".verdict-notice"), /Approval does NOT count: nobody takes verdicts/);
+  assert.ok(it.find(".verdict-notice").classList.contains("is-bad"));
+});
+
 test("the tablet that was later is told who was first", async () => {
   const it = await ready();
   it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});

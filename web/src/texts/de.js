@@ -173,6 +173,7 @@ export default {
   "verdict.failed.refused": "{verdict} vom Broker abgelehnt: Dieses Konto hat nicht das Recht zu prüfen.",
   "verdict.failed.broker": "{verdict} wurde vom Broker nicht angenommen.",
   "verdict.failed.unanswered": "{verdict}: Der Broker hat nicht geantwortet. Sie kann noch zählen: Beobachten Sie den Arm.",
+  "verdict.failed.nobody": "{verdict} zählt NICHT: Niemand nimmt gerade Urteile entgegen. Jemand muss nach mqtt_review sehen.",
   "verdict.failed.format": "{verdict} ließ sich nicht senden.",
   "playback.title": "Wiedergabe des Plans",
   "playback.play": "Abspielen",

@@ -173,6 +173,7 @@ export default {
   "verdict.failed.refused": "{verdict} refused by the broker: this account does not have the right to review.",
   "verdict.failed.broker": "{verdict} was not taken by the broker.",
   "verdict.failed.unanswered": "{verdict}: the broker has not answered. It may still count: watch the arm.",
+  "verdict.failed.nobody": "{verdict} does NOT count: nobody takes verdicts at the moment. Somebody must look at mqtt_review.",
   "verdict.failed.format": "{verdict} could not be sent.",
   "playback.title": "Playback of the plan",
   "playback.play": "Play",
