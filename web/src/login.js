@@ -28,6 +28,13 @@ export function make(parent, store, connection, texts) {
     connection.login(account.value.trim(), password.value);
     password.value = "";
   });
+  // the form covers the line that tells of the connection
+  const sentence = () => {
+    const {state, reason} = connection;
+    if (state === "refused") return reason === "refused" ? texts("login.wrong") : "";
+    const why = `connection.why.${reason}`;
+    return state === "off" ? "" : texts(`connection.${state}`, {why: texts.has(why) ? texts(why) : ""});
+  };
   const show = () => {
     const asked = connection.state === "refused" || connection.state === "off";
     if (asked && cover.hidden) {
@@ -35,7 +42,7 @@ export function make(parent, store, connection, texts) {
       (account.value ? password : account).focus();
     }
     if (connection.state === "connected") cover.hidden = true;
-    setText(wrong, connection.state === "refused" && connection.reason === "refused" ? texts("login.wrong") : "");
+    setText(wrong, cover.hidden ? "" : sentence());
   };
   store.on("connection", show);
 }

@@ -4,7 +4,7 @@ import * as login from "./login.js";
 import {makePage} from "./page.js";
 import {panels} from "./panels.js";
 import {makeStore} from "./store.js";
-import {languageOf, makeTexts} from "./texts.js";
+import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
 
 const remembered = (key) => {
   try {
@@ -39,7 +39,7 @@ function onTheme() {
 }
 function onLanguage() {
   remember("language", language === "en" ? "de" : "en");
-  location.search = "";
+  location.search = withoutLanguage(location.search);
 }
 
 const store = makeStore();

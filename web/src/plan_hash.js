@@ -42,7 +42,8 @@ function isTrajectory(trajectory, joints) {
 
 /**
  * Return the plan with `refused`: "" when all that the hash covers is here and fits, else a short word why not. Of a work plan
- * `covered` is what stands in `content`: task and segments with all their switches; show these.
+ * `covered` is what stands in `content`: task and segments with all their switches; show these. `task`, `duration` and
+ * `goal` become those that it covers: what the message says beside them may be anything.
  *
  * Words: `content` (the text is not what the hash says), `trajectory` (the waypoints are not), `missing` (waypoints were not sent,
  * so what would be shown is not what is approved), `insecure` (this browser hashes only on HTTPS or on its own machine).
@@ -58,7 +59,7 @@ export async function checkPlan(plan) {
     const content = JSON.parse(plan.content);
     expected = content.trajectory;
     segments = content.segments;
-    plan = {...plan, covered: content};
+    plan = {...plan, task: content.task, covered: content};
     // shown are the segments of the text: those beside it are not covered
     if (!sameSegments(plan.segments, segments)) return {...plan, refused: "content"};
   } else if (Array.isArray(plan.segments) && plan.segments.length) {
@@ -67,7 +68,9 @@ export async function checkPlan(plan) {
   if (plan.trajectory === undefined || plan.trajectory === null) return {...plan, refused: "missing"};
   if (!isTrajectory(plan.trajectory, plan.joints.length)) return {...plan, refused: "trajectory"};
   const found = await trajectoryHash(plan.joints, plan.trajectory);
-  return {...plan, refused: found === expected ? "" : "trajectory"};
+  if (found !== expected) return {...plan, refused: "trajectory"};
+  const {times, positions} = plan.trajectory;
+  return {...plan, duration: times[times.length - 1], goal: positions[positions.length - 1], refused: ""};
 }
 
 function sameSegments(shown, covered) {

@@ -13,6 +13,13 @@ export function languageOf(chosen, wanted) {
   return wanted.map((tag) => tag.slice(0, 2).toLowerCase()).find((tag) => languages.includes(tag)) ?? "en";
 }
 
+/** Return an address's query without the language, which would win over the one that is chosen now; the rest stays. */
+export function withoutLanguage(search) {
+  const asked = new URLSearchParams(search);
+  asked.delete("language");
+  return asked.toString();
+}
+
 /**
  * Return the function `texts(key, values)`: the text of a key, with `{name}` replaced by `values.name`.
  *

@@ -10,7 +10,7 @@
  *   old                                        no view for a second
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
- *   press, release                             of the approve button
+ *   press {reviewer}, release                  of the approve button
  *   reject {reason, reviewer}
  *   tick {reviewer}                            again and again; `reviewer` is the person's name
  *   taken, failed {reason}                     what the broker says to the message
@@ -69,10 +69,13 @@ const isSame = (machine, {plan}) => plan !== null && machine.plan !== null && pl
   && plan.hash === machine.plan.hash && plan.refused === machine.plan.refused;
 const isGone = (machine, {plan}) => plan === null;
 const mayApprove = (machine) => blocked(machine) === "";
+/** On a broker without accounts the person's name is typed; without one nobody would be on record. */
+const isNamed = ({reviewer}) => reviewer !== "";
+const mayPress = (machine, event) => mayApprove(machine) && isNamed(event);
 const isHeld = (machine, {at}) => mayApprove(machine) && at - machine.pressedAt >= HELD_FOR && at - machine.tickedAt <= SHORT_GAP;
 const stood = (machine, {at}) => at - machine.tickedAt > STOOD_STILL;
 const isLate = (machine, {at}) => at - machine.sent.at >= ANSWER_WITHIN;
-const hasReason = (machine, {reason, reviewer}) => reason.trim() !== "" && reviewer !== "";
+const hasReason = (machine, event) => event.reason.trim() !== "" && isNamed(event);
 const isOwn = ({sent}, {ack, account}) => sent !== null && (ack.account ?? "") === account && ack.plan_id === sent.plan.id
   && ack.plan_hash === sent.plan.hash && ack.verdict === sent.verdict && (account !== "" || ack.reviewer === sent.reviewer);
 const isOwnTaken = (machine, event) => isOwn(machine, event) && event.ack.ok === true;
@@ -170,7 +173,7 @@ export const TABLE = [
   {states: OPEN, event: "old", action: blind},
   {states: ["open", "pressing"], event: "looked", action: grow},
 
-  {states: ["open"], event: "press", guard: mayApprove, action: press, next: "pressing"},
+  {states: ["open"], event: "press", guard: mayPress, action: press, next: "pressing"},
   {states: ["pressing"], event: "tick", guard: isHeld, action: send("approved"), next: "sending"},
   {states: ["pressing"], event: "tick", guard: stood, action: cancel("stood"), next: "open"},
   {states: ["pressing"], event: "tick", action: note},

@@ -21,17 +21,18 @@ function trackView(changes = {}) {
   return view({joints: {names: NAMES, types: ["prismatic", ...Array(6).fill("revolute")]}, twin: pose, arm: pose, ...changes});
 }
 
-/** A plan panel of a robot whose model is there; `page.time` is its clock [s]. */
-async function planPanel({account = "kr120-planner-ada", refuse = null, fetchText = async () => URDF} = {}) {
+/** A plan panel of a robot whose model is there; `page.time` is its clock [s]; with `keeps` false it has the browser's own storage. */
+async function planPanel({account = "kr120-planner-ada", refuse = null, fetchText = async () => URDF, keeps = true} = {}) {
   const page = fakePage({account});
   page.time = 100;
   const kept = new Map();
+  const storage = {getItem: (key) => kept.get(key) ?? null, setItem: (key, value) => void kept.set(key, value)};
   if (refuse !== null) page.connection.refuse(refuse);
   plan.make(page.parent, page.store, page.connection, page.texts, {
     fetchText,
     parse: (text) => new DOMParser().parseFromString(text, "text/xml"),
-    storage: {getItem: (key) => kept.get(key) ?? null, setItem: (key, value) => void kept.set(key, value)},
     now: () => page.time,
+    ...(keeps ? {storage} : {}),
   });
   await page.hear("kr120", "view", trackView());
   await settle();
@@ -229,6 +230,22 @@ test("a discarded goal is gone from the picture, too", async () => {
   page.press("plan.discard");
   assert.deepEqual([page.goal(), page.handle()], [null, null]);
   assert.equal(page.find(".plan-begin").hidden, false);
+});
+
+test("a browser that forbids pages to keep anything has the panel all the same, and says that a pose was not saved", async (t) => {
+  const before = Object.getOwnPropertyDescriptor(globalThis, "localStorage");
+  t.after(() => (before ? Object.defineProperty(globalThis, "localStorage", before) : delete globalThis.localStorage));
+  Object.defineProperty(globalThis, "localStorage", {
+    configurable: true,
+    get() {
+      throw new DOMException("access is denied", "SecurityError");
+    },
+  });
+  const page = await planPanel({keeps: false});
+  page.press("plan.begin");
+  page.enter(page.find(".plan-poses input"), "above");
+  page.press("plan.pose.save");
+  assert.equal(page.text(".plan-note"), page.texts("plan.pose.not.storage"));
 });
 
 // -- tasks

@@ -61,3 +61,10 @@ test("a work plan's text must be what its hash says, and name the motion and the
   // segments beside the hash of a plain motion are covered by nothing
   assert.equal((await checkPlan({...plain, segments: work().segments})).refused, "content");
 });
+
+test("what is shown of a plan is what its hash covers, whatever the message says beside it", async () => {
+  const plain_ = await checkPlan({...plain, duration: 99, goal: [3, 3]});
+  assert.deepEqual([plain_.refused, plain_.duration, plain_.goal], ["", 1.25, [0.7, -0]]);
+  const work_ = await checkPlan(work({plan: {task: "another", duration: 99, goal: [3, 3]}}));
+  assert.deepEqual([work_.refused, work_.task, work_.duration, work_.goal], ["", "t", 1.25, [0.7, -0]]);
+});

@@ -87,6 +87,13 @@ test("errors are kept in degrees and millimetres, and what is not known is no nu
   assert.ok(Number.isNaN(one.ring.value(2, 0)));
 });
 
+test("late replies are counted on where the gateway was started again and counts from 0", () => {
+  const one = history();
+  [50, 52, 0, 3, null, 1].forEach((late, number) => one.take(1 + number, synced({link: {late}})));
+  const values = Array.from({length: one.ring.size}, (_, number) => one.ring.value(number, one.late));
+  assert.deepEqual(values, [50, 52, 52, 55, NaN, 56]);
+});
+
 test("a view of version 1, which tells no round trip, is drawn without", () => {
   const one = history();
   const old = synced();

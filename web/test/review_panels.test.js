@@ -186,6 +186,15 @@ test("the broker's refusal is told as a missing right", async () => {
   assert.match(it.text(".verdict-notice"), /refused by the broker.*right to review/);
 });
 
+test("a verdict that reached nobody is told at once not to count", async () => {
+  const it = await ready();
+  it.connection.answer(16);
+  it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
+  await it.pass(1200);
+  assert.match(it.text(".verdict-notice"), /Approval does NOT count: nobody takes verdicts/);
+  assert.ok(it.find(".verdict-notice").classList.contains("is-bad"));
+});
+
 test("the tablet that was later is told who was first", async () => {
   const it = await ready();
   it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
@@ -322,6 +331,16 @@ test("a stop without a connection says in red that it did not go out", async () 
   assert.equal(it.find(".stop-stop").disabled, false);
 });
 
+test("beside the buttons stands that nothing goes out, before somebody relies on them", async () => {
+  const it = await page([stop]);
+  assert.equal(it.find(".stop-offline").hidden, true);
+  it.connection.change("lost", "silent");
+  assert.equal(it.find(".stop-offline").hidden, false);
+  assert.match(it.text(".stop-offline"), /nothing that is pressed here goes out/);
+  it.connection.change("connected");
+  assert.equal(it.find(".stop-offline").hidden, true);
+});
+
 test("a stop that nobody answers within a second says so", async () => {
   const it = await page([stop]);
   await it.hear("kr120", "view", view());
@@ -347,6 +366,8 @@ test("the buttons are there before any robot is, and for each robot of two", asy
   await it.settle();
   assert.match(it.text(".stop-result"), /did NOT go out/);
   await it.hear("kr120", "view", view());
+  // it did not go out to the robot that is known since, either
+  assert.match(it.text(".stop-result"), /did NOT go out/);
   await it.hear("kr6", "view", view());
   const labels = [...it.document.querySelectorAll(".stop-stop")].map((each) => each.getAttribute("aria-label"));
   assert.deepEqual(labels, ["Stop kr120", "Stop kr6"]);

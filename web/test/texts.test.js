@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
-import {languageOf, makeTexts} from "../src/texts.js";
+import {languageOf, makeTexts, withoutLanguage} from "../src/texts.js";
 import de from "../src/texts/de.js";
 import en from "../src/texts/en.js";
 
@@ -25,4 +25,10 @@ test("the language is the chosen one, else the browser's, else English", () => {
   assert.equal(languageOf("de", ["en"]), "de");
   assert.equal(languageOf(null, ["fr-CH", "de-CH"]), "de");
   assert.equal(languageOf("xx", ["fr"]), "en");
+});
+
+test("another language is another page of the same robots", () => {
+  assert.equal(withoutLanguage("?prefix=site2&language=de&theme=dark"), "prefix=site2&theme=dark");
+  assert.equal(withoutLanguage("?language=de"), "");
+  assert.equal(withoutLanguage(""), "");
 });

@@ -59,6 +59,12 @@ for (const [what, events, why] of [
   });
 }
 
+test("nobody without a name presses: a browser may tell of a finger on a button that is switched off", () => {
+  const {machine, published} = run([...READY, {type: "press", reviewer: ""}, ...hold(2000)]);
+  assert.deepEqual(published, []);
+  assert.equal(machine.state, "open");
+});
+
 test("what was played to its end counts as what was looked at", () => {
   assert.equal(blocked(run(["connected", plan(), view(), ...shown(1000), played]).machine), "");
 });

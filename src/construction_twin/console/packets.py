@@ -71,6 +71,17 @@ class PacketReader:
                 raise PayloadError("size", f"more than {_MOST} packets at once")
         return packets
 
+    def first(self, data: bytes) -> Packet | None:
+        """Take bytes; return the first packet once it is complete. What comes behind it is not read, and may be of any length.
+
+        Raises
+        ------
+        PayloadError
+            As `feed`.
+        """
+        self._rest += data
+        return self._next()
+
     def _next(self) -> Packet | None:
         rest = self._rest
         if rest and self._from_client and not _is_from_client(rest[0]):

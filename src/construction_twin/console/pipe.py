@@ -206,7 +206,7 @@ async def _from_broker(
             raise Cut(BROKER_AWAY, "the broker has ended the connection")
         if answer is not None:
             try:
-                first = next(iter(answer.feed(data)), None)
+                first = answer.first(data)
             except PayloadError as error:
                 raise Cut(BROKER_AWAY, f"what answers there is no MQTT broker: {error}") from error
             if first is not None:

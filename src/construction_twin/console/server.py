@@ -227,7 +227,7 @@ class ConsoleServer:
         if response.status_code == http.HTTPStatus.SWITCHING_PROTOCOLS:
             ticket = self._tickets.give(_joined(request.headers, "Cookie", "; "))
             self._given[connection] = ticket
-            response.headers["Set-Cookie"] = self._tickets.cookie(ticket, self._settings.tls is not None, PRIVATE)
+            response.headers["Set-Cookie"] = self._tickets.cookie(ticket, self._settings.tls is not None)
         return None
 
     async def _on_socket(self, connection: ServerConnection) -> None:

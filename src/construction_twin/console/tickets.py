@@ -58,6 +58,9 @@ class Tickets:
                 return value
         return ""
 
-    def cookie(self, ticket: str, secure: bool, path: str) -> str:
-        """Return the `Set-Cookie` header of a ticket, for requests below `path`."""
-        return f"{self._name}={ticket}; Path={path}; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
+    def cookie(self, ticket: str, secure: bool) -> str:
+        """Return the `Set-Cookie` header of a ticket.
+
+        It is for all paths: a browser must show the one it has with its next WebSocket, too, or a second tab's takes its place.
+        """
+        return f"{self._name}={ticket}; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")

@@ -114,13 +114,13 @@ def test_only_the_server_s_own_page_and_named_origins_may_connect(origin, host, 
 def test_a_ticket_counts_from_the_login_to_the_end_of_its_connection():
     tickets = Tickets(iter(["one", "two"]).__next__, 8480)
     first, second = tickets.give(None), tickets.give("other=1; console_ticket_8480=guess")
-    header = tickets.cookie(first, True, "/private/").partition(";")[0]
+    header = tickets.cookie(first, True).partition(";")[0]
     assert (first, second, header) == ("one", "two", "console_ticket_8480=one")
     assert not tickets.is_known(header)
     tickets.login(first)
     # also beside a cookie of another program that is no proper one
     assert tickets.is_known(header) and tickets.is_known(f'a b=[,"; {header}')
-    assert not tickets.is_known(tickets.cookie(second, False, "/").partition(";")[0])
+    assert not tickets.is_known(tickets.cookie(second, False).partition(";")[0])
     for other in (None, "", "console_ticket_8480=; \x00=", "console_ticket_8481=one", "console_ticket_8480"):
         assert not tickets.is_known(other), other
     tickets.logout(first)

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
+from http.cookies import SimpleCookie
 from pathlib import Path
 
 import pytest
@@ -176,6 +177,39 @@ def test_a_wrong_password_is_the_broker_s_answer_and_opens_nothing(broker, tmp_p
     asyncio.run(scene())
 
 
+def test_a_browser_s_second_page_does_not_take_the_first_one_s_files_away(broker, tmp_path):
+    """Each page begins with a connection that logs nobody in, and a browser keeps one cookie per name for all of its pages."""
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "robot.json").write_text("{}")
+    jar: SimpleCookie = SimpleCookie()
+
+    def cookies(path: str) -> dict[str, str]:
+        """Return the header that a browser with this jar sends (RFC 6265, section 5.1.4)."""
+        fitting = [
+            each for each in jar.values() if path == each["path"] or path.startswith(each["path"].rstrip("/") + "/")
+        ]
+        return {"Cookie": "; ".join(f"{each.key}={each.value}" for each in fitting)} if fitting else {}
+
+    @contextlib.asynccontextmanager
+    async def page_of_it() -> AsyncIterator:
+        async with browser(additional_headers=cookies("/mqtt")) as client:
+            jar.load(client.response.headers["Set-Cookie"])
+            yield client
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, private=private)), page_of_it() as first:
+            await first.send(login())
+            assert await first.recv() == CONNACK_OK
+            async with page_of_it():
+                answer, _ = await asyncio.to_thread(get, "/private/robot.json", **cookies("/private/robot.json"))
+                assert answer.status == 200
+            answer, _ = await asyncio.to_thread(get, "/private/robot.json", **cookies("/private/robot.json"))
+            assert answer.status == 200
+
+    asyncio.run(scene())
+
+
 @pytest.mark.parametrize("origin", (None, "https://evil.example", "http://127.0.0.1:1"))
 def test_another_site_s_page_is_refused(broker, tmp_path, origin):
     async def scene() -> None:
@@ -235,7 +269,7 @@ def test_a_broker_that_is_not_there_is_told_at_once(tmp_path):
     asyncio.run(scene())
 
 
-def test_a_broker_that_goes_away_is_told_at_once(tmp_path):
+def test_a_broker_that_goes_away_is_told_within_a_second(tmp_path):
     async def scene() -> None:
         gone: list[asyncio.StreamWriter] = []
         server = await asyncio.start_server(lambda reader, writer: gone.append(writer), "127.0.0.1", 28483)
@@ -244,7 +278,29 @@ def test_a_broker_that_goes_away_is_told_at_once(tmp_path):
             while not gone:
                 await asyncio.sleep(0.01)
             gone[0].close()
+            went = time.monotonic()
             assert (await closed(client))[0] == BROKER_AWAY
+            assert time.monotonic() - went < 1.0
+
+    asyncio.run(scene())
+
+
+def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_answer(tmp_path):
+    """A client need not wait for CONNACK before it subscribes (MQTT 5.0, section 3.1.4): a stored plan may come with it."""
+    long = packet(3, text("twin/kr120/plan") + b"x" * 100_000)
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readexactly(len(login()))
+        writer.write(CONNACK_OK + long)
+
+    async def scene() -> None:
+        server = await asyncio.start_server(answer, "127.0.0.1", 28483)
+        async with server, running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483))), browser() as client:
+            await client.send(login())
+            came = b""
+            while len(came) < len(CONNACK_OK + long):
+                came += await asyncio.wait_for(client.recv(), 10)
+            assert came == CONNACK_OK + long
 
     asyncio.run(scene())
 

@@ -10,7 +10,7 @@ import {ends as chainEnds, forward} from "../planning/chain.js";
 import {Goal} from "../planning/goal.js";
 import {IkFollower} from "../planning/ik_follower.js";
 import {ends, fromShown, limits, shown, typed, unit} from "../planning/joints.js";
-import {LONGEST, Poses} from "../planning/poses.js";
+import {LONGEST, ownStorage, Poses} from "../planning/poses.js";
 import {showAsking} from "./asking_line.js";
 
 /** Fractions of the limits that can be chosen; 0: what the planner has set. */
@@ -54,7 +54,7 @@ export function make(parent, store, connection, texts, means = {}) {
   const {
     fetchText = fetchFile,
     parse = (text) => new DOMParser().parseFromString(text, "text/xml"),
-    storage = globalThis.localStorage,
+    storage = ownStorage(),
     now = () => performance.now() / 1000,
   } = means;
   const desks = new Map();

@@ -12,6 +12,8 @@ const BAD = ["refused", "silent", "not_sent", "no_right", "unknown"];
 /** Make the panel. */
 export function make(parent, store, connection, texts, {now, every, time = browser.time} = browser) {
   const rows = new Map();
+  // always in view, also where the line at the top of the page is not; that one is spoken
+  const offline = add(parent, "p", {className: "stop-offline", text: texts("stop.offline"), hidden: true});
   const box = add(parent, "div", {className: "stop-robots"});
   add(parent, "p", {className: "stop-not-emergency", text: texts("stop.not_emergency")});
 
@@ -48,7 +50,8 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const makeRow = (name) => {
     const element = add(box, "div", {className: "stop-robot", role: "group", "aria-label": name ? texts("stop.of", {robot: name}) : texts("stop.all")});
     if (name && store.robots.length > 1) add(element, "span", {className: "stop-name", text: name});
-    const row = rows.get(name) ?? {press: idle()};
+    // what was pressed before a robot was known did not go out to this one either: that stays to be read
+    const row = rows.get(name) ?? {...rows.get("") ?? {press: idle()}};
     for (const verb of VERBS) {
       const label = name ? texts("stop.label", {verb: texts(`stop.${verb}`), robot: name}) : texts(`stop.${verb}`);
       const each = add(element, "button", {type: "button", className: `stop-${verb}`, "aria-label": label, text: texts(`stop.${verb}`)});
@@ -72,6 +75,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const build = () => {
     clear(box);
     for (const name of store.robots.length ? store.robots : [""]) makeRow(name);
+    if (store.robots.length) rows.delete("");
   };
   const onAnswer = (robot, answer) => {
     const row = rows.get(robot);
@@ -79,6 +83,10 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     row.press = answered(row.press, answer, connection.own("stop").split("/")[1] ?? "");
     show(row);
   };
+  const showConnection = () => {
+    offline.hidden = connection.state === "connected";
+  };
+  store.on("connection", showConnection);
   store.on("robots", build);
   store.on("stop_ack", onAnswer);
   store.on("pause_ack", onAnswer);
@@ -90,5 +98,6 @@ export function make(parent, store, connection, texts, {now, every, time = brows
       show(row);
     }
   });
+  showConnection();
   build();
 }

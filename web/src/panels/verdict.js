@@ -16,6 +16,8 @@ export const REASONS = ["too_close", "wrong_place", "scene", "person", "too_fast
 const LONGEST_REASON = 300;
 const LONGEST_NAME = 64;
 const GOOD = ["accepted"];
+/** The broker's reason code for a message that nobody has subscribed to (MQTT 5.0, section 3.4.2.1). */
+const NOBODY = 16;
 
 /** Return what there is to know of a plan before it is approved: rows of key and text. */
 export function checksOf(plan, texts) {
@@ -112,7 +114,7 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     machines.set(robot, after);
     if (publish !== null) {
       connection.publish(connection.own("review"), robot, publish).then(
-        () => take(robot, {type: "taken"}),
+        (code) => take(robot, code === NOBODY ? {type: "failed", reason: "nobody"} : {type: "taken"}),
         (error) => take(robot, {type: "failed", reason: error.reason ?? "unanswered"}),
       );
     }

@@ -49,6 +49,8 @@ export function makeCell(name, overlay, store, redraw) {
   scene.add(new HemisphereLight(0xffffff, 0x777780, 1.4), new AmbientLight(0xffffff, 0.35), sun);
 
   const state = {loading: null, progress: null, failed: "", lacks: "", missing: []};
+  // views come 25 times a second: a model that could not be loaded is not asked for with each of them
+  let resting = false;
   const ghosts = {
     arm: ghostMaterial(...colours.UNKNOWN_SYNC, true), plan: ghostMaterial(colours.PLAN, 0.55, false),
     goal: ghostMaterial(colours.GOAL, 0.4, false),
@@ -105,7 +107,7 @@ export function makeCell(name, overlay, store, redraw) {
   // -- model
 
   async function load() {
-    if (template !== null || state.loading !== null || ended) return;
+    if (template !== null || state.loading !== null || resting || ended) return;
     state.failed = "";
     const done = (async () => {
       template = await loadRobot(`/private/${encodeURIComponent(name)}/robot.urdf`, (loaded, all) => {
@@ -127,7 +129,9 @@ export function makeCell(name, overlay, store, redraw) {
       template = null;
       // a file that is there and cannot be read throws what its reader likes
       state.failed = error instanceof ModelError ? error.message : `${error.name}: ${error.message}`;
+      resting = true;
       setTimeout(() => {
+        resting = false;
         if (store.robot(name)?.view) load();
       }, RETRY);
     } finally {
@@ -151,6 +155,12 @@ export function makeCell(name, overlay, store, redraw) {
       showTasks();
     } catch (error) {
       state.lacks = error instanceof ModelError ? error.message : `${error.name}: ${error.message}`;
+      setTimeout(() => {
+        // another model may be worked on meanwhile
+        if (buildingOf !== key) return;
+        buildingOf = "";
+        showTasks();
+      }, RETRY);
       redraw();
     }
   }

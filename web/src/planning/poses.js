@@ -6,8 +6,17 @@ export const MOST = 50;
 export const LONGEST = 40;
 const KEY = "construction_twin.poses.";
 
+// The browser's storage; null where it is forbidden: then already the name throws.
+export function ownStorage() {
+  try {
+    return globalThis.localStorage;
+  } catch {
+    return null;
+  }
+}
+
 export class Poses {
-  // storage: localStorage, or what behaves as it
+  // storage: localStorage, or what behaves as it; null: nothing is kept
   constructor(storage, robot, joints) {
     this._storage = storage;
     this._key = KEY + robot;

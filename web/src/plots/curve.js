@@ -21,8 +21,7 @@ export function spans(ring, column, begin, end, low, high) {
   return largest;
 }
 
-// Make a counter's spans start at 0 where the window begins; a counter that was set back counts on from where it was.
-// `base` is its first value in the window.
+// Return a counter's first known value since `begin`, which is where its curve starts; NaN when there is none.
 export function firstValue(ring, column, begin) {
   for (let number = ring.firstSince(begin); number < ring.size; number += 1) {
     const value = ring.value(number, column);

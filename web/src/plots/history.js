@@ -31,6 +31,8 @@ export class History {
     this._outcome = null;
     this._plan = null;
     this._heard = true;
+    this._late = null;
+    this._lateBefore = 0;
   }
 
   // Whether a view is of the joints for which this was made.
@@ -59,8 +61,15 @@ export class History {
     }
     const link = view.link;
     this._row[this.roundTrip] = link && isNumber(link.round_trip_ms) ? link.round_trip_ms : NaN;
-    this._row[this.late] = link && isNumber(link.late) ? link.late : NaN;
+    this._row[this.late] = link && isNumber(link.late) ? this._counted(link.late) : NaN;
     this.ring.push(time, view.stamp, this._row);
+  }
+
+  // Return a counter of late replies that never falls: the gateway counts from 0 when it is started again.
+  _counted(late) {
+    if (this._late !== null && late < this._late) this._lateBefore += this._late;
+    this._late = late;
+    return this._lateBefore + late;
   }
 
   // Note that this page heard nothing any more, or hears again.

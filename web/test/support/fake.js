@@ -41,10 +41,12 @@ export function fakePage({account = "", language = "en", check = async (plan) =>
 
 /**
  * A connection that is connected until `change(state, reason)`; `sent` holds what was published. With `refuse(reason)` the next
- * publishes are rejected with it, after they were noted; without a connection nothing is noted.
+ * publishes are rejected with it, after they were noted; with `answer(code)` they resolve with another code than 0. Without a
+ * connection nothing is noted.
  */
 export function fakeConnection(store, account = "") {
   let refused = null;
+  let code = 0;
   const connection = {
     state: "connected", reason: "", account, sent: [],
     own: (topic) => (account === "" && topic === "review" ? topic : `${topic}/${account || "console"}`),
@@ -56,11 +58,14 @@ export function fakeConnection(store, account = "") {
     refuse(reason) {
       refused = reason;
     },
+    answer(newCode) {
+      code = newCode;
+    },
     async publish(topic, robot, payload, {qos = 1} = {}) {
       if (connection.state !== "connected") throw new NotPublished("not_connected");
       connection.sent.push({topic, robot, payload, qos});
       if (refused !== null) throw new NotPublished(refused);
-      return 0;
+      return code;
     },
     login() {},
     logout() {},
