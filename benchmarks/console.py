@@ -8,6 +8,7 @@ subscribers that only read. All processes are on this machine, and so is one clo
 up: a processor draws here, in place of a graphics chip.
 
 `link_p99_ratio` compares the time from a command to the arm's answer to it, over MQTT, with 5 such clients and without, in turns.
+`broker_gone_shown_s` is the time from the end of a site's broker to the page's line that nothing is connected.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ for folder in ("benchmarks", "test/support"):
     sys.path.insert(0, str(ROOT / folder))
 
 from console_page import ConsolePage, launch  # noqa: E402
-from console_site import PAGE, write_robot_files  # noqa: E402
+from console_site import PAGE, ConsoleSite, write_robot_files  # noqa: E402
 from link_cell import Cell, Commander, shipped_config  # noqa: E402
 from link_world import (  # noqa: E402
     REALTIME,
@@ -58,6 +59,8 @@ from construction_twin.mqtt.messages import StateProperties  # noqa: E402
 
 #: Numbers of clients at which the latency is measured, and at which the link is.
 CLIENTS, LINK_CLIENTS = (1, 5, 20), 5
+#: How often a broker is ended and started again.
+LOSSES = 5
 PREFIX = "twin"
 #: Processes that begin anew: a copy of this one would have its real time and its sockets.
 SPAWN = multiprocessing.get_context("spawn")
@@ -323,6 +326,33 @@ def measure_page(port: int, console: int, robot: str, seconds: float, arm: Arm) 
     return found
 
 
+def measure_loss(times: int) -> dict:
+    """Return how long it takes until a page of a site with accounts shows that the broker is gone, and that it is back [s]."""
+    gone, back = [], []
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+        site = ConsoleSite(Path(name))
+        try:
+            site.start()
+            with site.robot():
+                browser = launch(playwright)
+                page = ConsolePage(browser, site.url, picture=True).open()
+                page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
+                page.wait_drawn("one")
+                for _ in range(times):
+                    begin = time.monotonic()
+                    site.site.stop()
+                    page.lost.wait_for(state="visible")
+                    gone.append(round(time.monotonic() - begin, 3))
+                    site.site.start()
+                    begin = time.monotonic()
+                    page.lost.wait_for(state="hidden")
+                    back.append(round(time.monotonic() - begin, 3))
+                browser.close()
+        finally:
+            site.stop()
+    return {"broker_gone_shown_s": gone, "broker_back_shown_s": back}
+
+
 def measure_link(arm: Arm, port: int, rounds: int, seconds: float) -> dict:
     """Return the arm's answer times with clients and without, in turns, and their ratio."""
     taken: dict[bool, list[float]] = {False: [], True: []}
@@ -366,6 +396,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with everything(options.realtime) as (broker_port, port, console, arm), Relay(broker_port):
         result |= measure_page(port, console, shipped_config()[0].robot, options.seconds, arm)
         result |= measure_link(arm, port, options.rounds, options.link_seconds)
+    result |= measure_loss(LOSSES)
     result["environment"] = before | {"load_after": environment()["load"]}
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(result, indent=2) + "\n")
