@@ -7,8 +7,11 @@ let go and forgotten.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from construction_twin.robot.segments import Switch
+from construction_twin.robot.tool import Tool
 from construction_twin.work.ledger import Entry
 from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskMemory, TaskState
 
@@ -96,11 +99,68 @@ class Verdict:
     under_review : bool
     started : bool or None
         Somebody approved it; None: not known.
+    outcome : str
+        Of its execution, as the record has it; empty: it has none.
     """
 
     plan: str
     under_review: bool
     started: bool | None
+    outcome: str = ""
+
+
+@dataclass(frozen=True)
+class SegmentEnd:
+    """What a segment's end does to the grip.
+
+    Attributes
+    ----------
+    switches : tuple of Switch
+    carries : bool
+        The scene then has an object that a link carries and that was put there.
+    """
+
+    switches: tuple[Switch, ...]
+    carries: bool
+
+
+def followed(plan_id: str, memory: TaskMemory, source: str, ends: Sequence[SegmentEnd], tool: Tool) -> Followed:
+    """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it.
+
+    Parameters
+    ----------
+    plan_id : str
+    memory : TaskMemory
+        Of the plan's task.
+    source : str
+        Of the plan.
+    ends : sequence of SegmentEnd
+        Of its segments.
+    tool : Tool
+    """
+    grips, releases = -1, -1
+    for number, end in enumerate(ends):
+        for switch in end.switches:
+            if tool.grip.set.get(switch.output) == switch.value and end.carries:
+                grips = number
+            lets_go = tool.release.set.get(switch.output) == switch.value
+            if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
+                releases = number
+    return Followed(plan_id, memory.task, source, grips, releases)
+
+
+def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
+    """Return a plan of a task that is not known any more, by its outcome: nothing tells of its segments, only of its end."""
+    if outcome == FINISHED:
+        return Followed(plan_id, memory.task, "", -1 if memory.in_grip else 0, 0)
+    return Followed(plan_id, memory.task, "", -2, -2)
+
+
+def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> Grip:
+    """Return what a tool's outputs and inputs, read back, say of its grip."""
+    asked = any(outputs.get(name) == value for name, value in tool.grip.set.items())
+    holds = any(inputs.get(name) == value for name, value in tool.grip.confirm.items())
+    return Grip(True, asked or holds)
 
 
 class _Line:

@@ -6,10 +6,25 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+import work_samples
 
-from construction_twin.work.following import Followed, Grip, Report, Verdict, after_restart, follow, question
+from construction_twin.robot.segments import Switch
+from construction_twin.work.following import (
+    FINISHED,
+    Followed,
+    Grip,
+    Report,
+    SegmentEnd,
+    Verdict,
+    after_restart,
+    follow,
+    followed,
+    followed_unseen,
+    grip_of,
+    question,
+)
 from construction_twin.work.ledger import Entry, Ledger
-from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskState
+from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskMemory, TaskState
 
 HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
@@ -272,3 +287,48 @@ def test_what_the_tool_did_before_a_stop_is_written_when_the_engagement_says_so(
     memory = node.memory
     assert (memory.state, memory.in_grip, memory.placed) == state
     node.ledger.close()
+
+
+CLOSE, OPEN_IT = (SegmentEnd((Switch("vacuum", value, (), 1.0),), value) for value in (True, False))
+MOTION = SegmentEnd((), False)
+
+
+@pytest.mark.parametrize(
+    ("ends", "in_grip", "found"),
+    [
+        ((MOTION, CLOSE, MOTION, OPEN_IT, MOTION), False, (1, 3)),
+        # to be sure that it is open is no letting go, unless something is held
+        ((OPEN_IT, CLOSE, OPEN_IT), False, (1, 2)),
+        ((MOTION, OPEN_IT, MOTION), True, (-1, 1)),
+        ((MOTION, OPEN_IT, MOTION), False, (-1, -1)),
+        # let go is where it is let go first
+        ((CLOSE, OPEN_IT, OPEN_IT), False, (0, 1)),
+        # a grip that carries nothing takes no element
+        ((SegmentEnd(CLOSE.switches, False), OPEN_IT), False, (-1, -1)),
+        ((MOTION, MOTION), True, (-1, -1)),
+    ],
+)
+def test_where_a_plan_grips_and_lets_go(ends, in_grip, found):
+    plan = followed("p1", TaskMemory("stud", in_grip=in_grip), "source", ends, work_samples.tool().tool)
+    assert plan == Followed("p1", "stud", "source", *found)
+
+
+def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go():
+    held, empty = TaskMemory("stud", in_grip=True), TaskMemory("stud")
+    assert followed_unseen("p1", held, FINISHED) == Followed("p1", "stud", "", -1, 0)
+    assert followed_unseen("p1", empty, FINISHED) == Followed("p1", "stud", "", 0, 0)
+    assert followed_unseen("p1", held, "stopped") == Followed("p1", "stud", "", -2, -2)
+
+
+@pytest.mark.parametrize(
+    ("output", "inputs", "closed"),
+    [
+        (True, {"vacuum_reached": True}, True),
+        (True, {"vacuum_reached": False}, True),
+        (False, {"vacuum_reached": True}, True),
+        (False, {"vacuum_reached": False}, False),
+        (False, {}, False),
+    ],
+)
+def test_a_grip_is_closed_when_it_is_told_to_hold_or_holds(output, inputs, closed):
+    assert grip_of(work_samples.tool().tool, {"vacuum": output}, inputs) == Grip(True, closed)

@@ -1,0 +1,228 @@
+"""What the work node writes into the ledger of a building: what the executor's reports say of the task under way.
+
+Everything but `WorkFollower.grip` is to be called under the desk's lock. When a method returns, its lines are on the disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import rospy
+
+from construction_twin.core.errors import PayloadError, PoseUnknownError
+from construction_twin.kinematics.chain import Chain
+from construction_twin.msg import Engagement, Execution
+from construction_twin.msg import Plan as PlanMsg
+from construction_twin.ros.messages.convert import trajectory_from_msg
+from construction_twin.ros.messages.work_convert import end_from_msg, is_playing, left_from_msg, report_from_msg
+from construction_twin.ros.shared.work_listener import KnownPlan, WorkListener
+from construction_twin.work import engaged_scene, following
+from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
+from construction_twin.work.following import Followed, Grip
+from construction_twin.work.ledger import MEASURED, PLANNED, Entry
+from construction_twin.work.shared_desk import SharedDesk
+from construction_twin.work.task_states import UNDER_WAY, TaskState
+
+
+class WorkFollower:
+    """Writes how the task under way goes on and ends.
+
+    Parameters
+    ----------
+    desk : SharedDesk
+    heard : WorkListener
+    chain : Chain
+        Of the arm.
+    arm_pose : callable
+        Returns the physical arm's present joint positions [rad], [m]; raises PoseUnknownError or PayloadError.
+    refuse : callable
+        Counts what could not be used; takes reason and sentence.
+    """
+
+    def __init__(
+        self,
+        desk: SharedDesk,
+        heard: WorkListener,
+        chain: Chain,
+        arm_pose: Callable[[], tuple[float, ...]],
+        refuse: Callable[[str, str], None],
+    ):
+        self._shared, self._heard = desk, heard
+        self._chain, self._arm_pose = chain, arm_pose
+        self._refuse = refuse
+
+    def catch_up(self, report: Execution | None) -> None:
+        """Write all that a report, verdicts and tool have to say, and settle what nobody will report any more."""
+        self.follow(report)
+        self._drop_if_turned_down()
+        self.settle_if_lost()
+        self._doubt_if_open()
+
+    def grip(self) -> Grip:
+        """Return what the tool says of its grip."""
+        desk = self._shared.desk
+        return Grip(False, False) if desk is None else self._heard.grip(desk.prepared.tool)
+
+    # -- the task under way
+
+    def follow(self, report: Execution | None) -> None:
+        """Write what a report says of the task under way."""
+        desk, plan, left = self._shared.desk, self._heard.plan, self._heard.left
+        if desk is None or report is None:
+            return
+        task = desk.busy()
+        if not task or self._heard.unsaid:
+            return
+        memory = desk.ledger.book.tasks[task]
+        known = self._heard.work_plan(left.plan_id) if left is not None else None
+        if left is not None and left.plan_id == memory.plan and known is not None:
+            if report.plan_id != memory.plan or not is_playing(report):
+                self._follow_left(task, left, known, report)
+                return
+        followed = self._followed(task, plan) if plan is not None else None
+        if followed is None or followed.id != report.plan_id:
+            # without the plan nothing can be told of its segments; its end will be heard
+            if not memory.plan or report.plan_id != memory.plan or not report.outcome:
+                return
+            followed = following.followed_unseen(memory.plan, memory, report.outcome)
+        self._write(task, followed, report_from_msg(report))
+
+    def _follow_left(self, task: str, left: Engagement, known: KnownPlan, report: Execution) -> None:
+        """Write how the task's plan ended inside an engaged segment: what the tool has done by then is done."""
+        plan = known.message
+        followed = self._followed(task, plan)
+        if followed is None:
+            return
+        numbers = [number for number, segment in enumerate(plan.segments) if segment.name == left.segment]
+        mine = report.plan_id == plan.id
+        # after a restart of the executor only the segment's name is known
+        number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
+        confirmed = 0 <= number < len(plan.segments) and engaged_scene.confirmed(
+            left_from_msg(left), known.steps[number]
+        )
+        outcome = (report.outcome if mine else "") or "stopped"
+        said = following.Report(
+            plan=plan.id,
+            playing=False,
+            outcome=outcome,
+            segment=number,
+            # only there the arm still stands as it let go
+            at_boundary=mine and (confirmed or report.at_boundary),
+            reason=left.reason,
+            confirmed=confirmed,
+        )
+        self._write(task, followed, said)
+
+    def _write(self, task: str, followed: Followed, said: following.Report) -> None:
+        """Write the lines that follow from a report."""
+        desk = self._shared.opened()
+        memory = desk.ledger.book.tasks[task]
+        built, source = self._as_built(task, followed, said) if followed.releases >= 0 else ((), "")
+        entries = following.follow(memory, desk.element_of(task), followed, said, self.grip(), built, source)
+        for entry in entries:
+            desk.ledger.add(entry)
+            rospy.loginfo("%s: %s%s", desk.title(task), entry.event, f"; {entry.reason}" if entry.reason else "")
+
+    def _followed(self, task: str, plan: PlanMsg) -> Followed | None:
+        """Return a plan of a task as it is followed; None when it is another's."""
+        desk = self._shared.opened()
+        memory = desk.ledger.book.tasks[task]
+        if plan.task != task or not (plan.id == memory.plan or (memory.offer and memory.offer in plan.source)):
+            return None
+        ends = tuple(map(end_from_msg, plan.segments))
+        return following.followed(plan.id, memory, plan.source, ends, desk.prepared.tool)
+
+    def _as_built(self, task: str, followed: Followed, report: following.Report) -> tuple[tuple[float, ...], str]:
+        """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
+        desk = self._shared.opened()
+        memory, planned = desk.ledger.book.tasks[task], self._planned_pose(followed)
+        if planned is None or not memory.tool0_T_element or memory.state is TaskState.RETREATING:
+            return (), ""
+        q, source = planned, PLANNED
+        if report.segment == followed.releases and (report.at_boundary or report.wants_scene):
+            try:
+                q, source = self._arm_pose(), MEASURED
+            except (PoseUnknownError, PayloadError) as error:
+                self._refuse("pose", f"the planned pose is taken for the arm's: {error}")
+        held, goal = pose_of_tuple(memory.tool0_T_element), desk.goal(task)
+        return pose_tuple(as_built(self._chain.forward(q), self._chain.forward(planned), held, goal)), source
+
+    def _planned_pose(self, followed: Followed) -> tuple[float, ...] | None:
+        """Return where the arm was to let go [rad], [m]; None when the plan is not known any more."""
+        known = self._heard.work_plan(followed.id)
+        if known is None or not 0 <= followed.releases < len(known.message.segments):
+            return None
+        end = known.message.segments[followed.releases].end
+        return tuple(trajectory_from_msg(known.message.trajectory).sample(end)[0])
+
+    # -- a task that nobody reports
+
+    def settle_if_lost(self) -> None:
+        """Settle a task under way that the executor does not know: it was started anew, or has gone on to another plan."""
+        desk, report = self._shared.desk, self._heard.execution
+        task = desk.busy() if desk is not None else ""
+        if desk is None or not task or report is None:
+            return
+        memory = desk.ledger.book.tasks[task]
+        if memory.state in UNDER_WAY and report.plan_id != memory.plan:
+            self.settle()
+        elif memory.state is TaskState.PLANNED and self._heard.forget_if_nobody_has(memory.plan):
+            self.settle()
+
+    def settle(self) -> None:
+        """Settle a task whose plan the executor does not report, and never will: by its record, else by asking."""
+        desk, report = self._shared.desk, self._heard.execution
+        task = desk.busy() if desk is not None else ""
+        if desk is None or not task or self._heard.unsaid:
+            return
+        memory, element = desk.ledger.book.tasks[task], desk.element_of(task)
+        if report is not None and memory.plan and report.plan_id == memory.plan:
+            return
+        verdict = self._heard.verdict(memory.plan, memory.offer)
+        if verdict.outcome == following.FINISHED:
+            ended = following.Report(verdict.plan, False, verdict.outcome)
+            followed = following.followed_unseen(verdict.plan, memory, verdict.outcome)
+            built, source = self._planned_end(task, verdict.plan)
+            entries = following.follow(memory, element, followed, ended, self.grip(), built, source)
+        else:
+            entries = following.after_restart(memory, element, verdict, self.grip())
+        for entry in entries:
+            rospy.logwarn("%s: %s; %s", desk.title(task), entry.event, entry.reason)
+            desk.ledger.add(entry)
+
+    def settle_offer(self, task: str, offer: str) -> None:
+        """Settle a task whose plan was offered to a planner that did not answer: it may have published it before it went away."""
+        desk = self._shared.opened()
+        memory = desk.ledger.book.tasks[task]
+        verdict = self._heard.verdict("", offer)
+        for entry in following.after_restart(memory, desk.element_of(task), verdict, self.grip()):
+            desk.ledger.add(entry)
+
+    def _planned_end(self, task: str, plan_id: str) -> tuple[tuple[float, ...], str]:
+        """Return where the element was to be let go by a plan that has been carried out; empty when it is not known any more."""
+        plan = self._heard.plan
+        followed = self._followed(task, plan) if plan is not None and plan.id == plan_id else None
+        return ((), "") if followed is None else self._as_built(task, followed, following.Report(plan_id, False, ""))
+
+    # -- what others say
+
+    def _drop_if_turned_down(self) -> None:
+        """Take note of a plan under review that was rejected, replaced, or is void."""
+        desk = self._shared.desk
+        task = desk.busy() if desk is not None else ""
+        if desk is None or not task:
+            return
+        memory = desk.ledger.book.tasks[task]
+        review = self._heard.review(memory.plan)
+        if memory.state is TaskState.PLANNED and review is not None and not review.approved:
+            reason = f"{review.reviewer}: {review.reason}"
+            desk.ledger.add(Entry("dropped", task, desk.element_of(task), plan=memory.plan, reason=reason))
+            desk.failures[task] = f"its plan was turned down by {reason}"
+
+    def _doubt_if_open(self) -> None:
+        """Have it asked about what counts as carried, when the tool is surely open."""
+        desk = self._shared.desk
+        if desk is not None and not self._heard.playing and self.grip().surely_open:
+            sentence = desk.lost()
+            if sentence:
+                rospy.logwarn("%s", sentence)

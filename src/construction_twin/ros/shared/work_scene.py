@@ -1,0 +1,148 @@
+"""How the work node changes the collision scene: as the plan says, as the ledger says, and for an arm that was left engaged.
+
+The ledger comes first: the scene changes only after what is known of the task is on the disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from construction_twin.msg import Execution
+from construction_twin.ros.messages.scene_convert import object_to_msg
+from construction_twin.ros.messages.work_convert import left_from_msg
+from construction_twin.ros.shared.work_follower import WorkFollower
+from construction_twin.ros.shared.work_listener import WorkListener
+from construction_twin.srv import EditSceneRequest
+from construction_twin.work import engaged_scene
+from construction_twin.work.built import change
+from construction_twin.work.shared_desk import SharedDesk
+from construction_twin.work.task_states import UNDER_WAY
+
+#: Calls a service with a request; returns why there is no answer, and the answer.
+Call = Callable[[Any], tuple[str, Any]]
+#: How long a changed scene may take from the scene node to this one [s].
+SCENE_TIME = 2.0
+
+
+class WorkScene:
+    """Has the scene changed by the scene node. To be called without the desk's lock: the scene node is waited for.
+
+    Parameters
+    ----------
+    desk : SharedDesk
+    heard : WorkListener
+    follower : WorkFollower
+    edit_scene : callable
+        The scene node's service, see `Call`.
+    refuse : callable
+        Counts what could not be done; takes reason and sentence.
+
+    Attributes
+    ----------
+    blocked : str
+        Why the scene of an engaged arm cannot be made right; empty: it can, or no arm is engaged.
+    """
+
+    def __init__(
+        self,
+        desk: SharedDesk,
+        heard: WorkListener,
+        follower: WorkFollower,
+        edit_scene: Call,
+        refuse: Callable[[str, str], None],
+    ):
+        self._shared, self._heard, self._follower = desk, heard, follower
+        self._edit_scene, self._refuse = edit_scene, refuse
+        self.blocked = ""
+        #: Of what that was said.
+        self._blocked_in: tuple | None = None
+
+    def change_as_planned(self, report: Execution | None) -> None:
+        """Change the scene as planned, when a report, which has been followed, says that the executor waits for it."""
+        desk, plan, scene = self._shared.desk, self._heard.plan, self._heard.scene
+        if desk is None or report is None or plan is None or scene is None:
+            return
+        if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
+            return
+        segment = plan.segments[report.segment]
+        task = desk.busy()
+        if not task or desk.ledger.book.tasks[task].plan != plan.id or scene.hash == segment.scene_after:
+            return
+        self._edit(
+            EditSceneRequest(before=segment.scene, put=segment.put, remove=segment.remove, after=segment.scene_after)
+        )
+
+    def tidy(self) -> None:
+        """Make the scene what the ledger says: tool, stock, placed elements."""
+        scene, desk = self._heard.scene, self._shared.desk
+        if scene is None or desk is None:
+            return
+        with self._shared.lock:
+            if desk.in_doubt:
+                return
+            wanted, alone = desk.wanted_scene()
+        wrong = change(scene, wanted, alone)
+        if wrong:
+            put = [object_to_msg(item) for item in wrong.put]
+            self._edit(EditSceneRequest(before=scene.hash, put=put, remove=list(wrong.remove)))
+
+    def make_for_way_back(self) -> str:
+        """Make the scene one in which an engaged arm can go back; return why not, empty when it is.
+
+        What the ledger has to say of the stop is on the disk before.
+        """
+        left = self._heard.left
+        if left is None:
+            return (
+                "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
+            )
+        with self._shared.lock:
+            desk, scene = self._shared.desk, self._heard.scene
+            if scene is None:
+                return "the scene is not known; see why the scene node is down"
+            if scene.hash in left.scenes:
+                self.unblock()
+                return ""
+            if desk is None:
+                return self._shared.problem
+            if self._heard.playing:
+                return "a plan is under way, and the scene is not the one for the way back; wait for its end"
+            self._follower.follow(self._heard.execution)
+            self._follower.settle_if_lost()
+            memory = desk.ledger.book.tasks.get(left.task)
+            if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
+                return f"{desk.title(left.task)}: how its plan ended is not written yet; ask again"
+            known = self._heard.work_plan(left.plan_id)
+            steps = known.steps if known is not None else ()
+            about = (left.plan_id, tuple(left.scenes), scene.hash, bool(steps), memory.state if memory else None)
+            if about == self._blocked_in:
+                return self.blocked
+            element = desk.element_of(left.task) if memory is not None else ""
+            forms = desk.forms(left.task) if memory is not None else ()
+            found = engaged_scene.due(left_from_msg(left), scene, steps, self._heard.scenes(), element, forms)
+        if found.change is None:
+            self.blocked, self._blocked_in = found.sentence, about
+            self._refuse("engagement", found.sentence)
+            return found.sentence
+        put = [object_to_msg(item) for item in found.change.put]
+        request = EditSceneRequest(before=scene.hash, put=put, remove=list(found.change.remove), after=found.after)
+        # tried again as long as the scene node refuses
+        self.blocked, self._blocked_in = self._edit(request), None
+        return self.blocked
+
+    def unblock(self) -> None:
+        """Forget why the scene of an engaged arm could not be made right."""
+        self.blocked, self._blocked_in = "", None
+
+    def _edit(self, request: EditSceneRequest) -> str:
+        """Have the scene changed; return why not, empty when it was and the change has arrived here."""
+        problem, answer = self._edit_scene(request)
+        if answer is None or not answer.success:
+            sentence = problem or answer.message
+            self._refuse("edit_scene", sentence)
+            return sentence
+        heard = self._heard
+        if not heard.wait_for(lambda: heard.scene is not None and heard.scene.hash == answer.hash, SCENE_TIME):
+            return "the scene was changed, but is not published"
+        return ""

@@ -1,0 +1,348 @@
+"""The work node among scripted neighbours, without ROS: worker, planner, executor, scene node and tool, for one task.
+
+What the node publishes and asks for is noted in the order in which it happens, with the ledger's last line on the disk at that
+moment. Messages go through the wire format.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import rospy
+import work_samples
+from construction_twin.msg import Engagement, Execution, Review, ToolState
+from construction_twin.srv import (
+    EditSceneResponse,
+    PlanWorkResponse,
+    WorkPlanTaskRequest,
+    WorkPlanTaskResponse,
+)
+from executor_bench import ROBOT, joined, reach
+from plan_samples import make_report
+from std_srvs.srv import TriggerResponse
+
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.review.queue import Ending, Verdict
+from construction_twin.review.record import ReviewLog
+from construction_twin.robot.plan import Plan, content_hash
+from construction_twin.robot.segments import Segment, Signal, Switch
+from construction_twin.ros.messages.convert import (
+    change_from_msg,
+    plan_to_msg,
+    signal_from_msg,
+    switch_from_msg,
+    trajectory_from_msg,
+)
+from construction_twin.ros.messages.scene_convert import object_from_msg, scene_to_msg
+from construction_twin.ros.nodes import work as module
+from construction_twin.ros.shared.work_listener import WorkListener
+from construction_twin.scene.objects import Scene, SceneObject, product
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.work.desk import ElementFacts, Prepared
+from construction_twin.work.jobs import WorkSegment
+from construction_twin.work.ledger import Entry, read_entries
+from construction_twin.work.racks import Slot, StockPlan
+from construction_twin.work.schedule import Job, Schedule
+from construction_twin.work.shared_desk import SharedDesk
+
+TASK, ELEMENT = "T1", "E1"
+_CHAIN = Chain(ROBOT)
+_STOCK, _GOAL = (np.array(ROBOT.home) + np.radians([turn, 10, 0, 0, 0, 0]) for turn in (-40, 40))
+HOME, AT_STOCK, AT_GOAL = (tuple(map(float, q)) for q in (ROBOT.home, _STOCK, _GOAL))
+HELD = Pose(np.array([0.0, 0.0, 0.3]), np.eye(3))
+BODY = SceneObject(f"{ELEMENT}/0", "box", (0.1, 0.1, 0.1))
+IN_STOCK, PLACED = (BODY.moved(product(_CHAIN.forward(q), HELD)) for q in (AT_STOCK, AT_GOAL))
+GRIPPED = BODY.moved(HELD, ROBOT.tip_link)
+POST = SceneObject("tool/post", "box", (0.1, 0.1, 0.1), link=ROBOT.tip_link)
+FLOOR = SceneObject("floor", "box", (20.0, 20.0, 1.0), (0.0, 0.0, -0.5))
+#: Numbers of the plan's segments.
+FETCH, GRIP, CARRY, LEAVE = range(4)
+
+
+def prepared() -> Prepared:
+    """Return a model of one element, which one task places."""
+    goal, stock = (product(_CHAIN.forward(q), HELD) for q in (AT_GOAL, AT_STOCK))
+    facts = ElementFacts("stud", "IfcMember", "", (BODY,), goal, np.zeros((1, 3, 3)))
+    schedule = Schedule((Job(TASK, TASK, "Place stud", ELEMENT, (), ()),), (), (), False)
+    slots = StockPlan({ELEMENT: Slot(ELEMENT, "rack", 1, 0, stock, "")})
+    tool = work_samples.tool().tool
+    return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, {ELEMENT: facts}, slots, tool, (POST,))
+
+
+def segments(scene: Scene) -> tuple[WorkSegment, ...]:
+    """Return what the worker plans in a scene: fetch, grip, carry and let go, leave."""
+    close = Switch("vacuum", True, (Signal("vacuum_reached", True),), 3.0)
+    open_ = Switch("vacuum", False, (Signal("vacuum_reached", False),), 3.0)
+    above = tuple(0.5 * (a + b) for a, b in zip(HOME, AT_STOCK))
+    made: list[WorkSegment] = []
+    for name, begin, end, engaged, switches, put in (
+        ("fetch", HOME, above, False, (), ()),
+        ("grip", above, AT_STOCK, True, (close,), (GRIPPED,)),
+        ("carry", AT_STOCK, AT_GOAL, True, (open_,), (PLACED,)),
+        ("leave", AT_GOAL, HOME, False, (), ()),
+    ):
+        after = SceneChange(put).apply(scene)
+        motion = reach(begin, end, 1.0, 9)
+        made.append(WorkSegment(name, motion, engaged, (), switches, put, (), scene, after))
+        scene = after
+    return tuple(made)
+
+
+def over_the_wire(message):
+    """Return a message as another process gets it."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return type(message)().deserialize(buffer.getvalue())
+
+
+class Killed(Exception):
+    """The node ends at this point."""
+
+
+class Bench:
+    """The node and its neighbours.
+
+    Attributes
+    ----------
+    scene : Scene
+        As the scene node has it.
+    scene_refuses : str
+        Why it changes nothing.
+    publishers : dict of str to int
+        Nodes that publish a topic.
+    planner_dies : str
+        ``before`` or ``after`` it has published a plan: it does not answer then. ``node``: the node ends instead, by `Killed`.
+    arm_pose : callable
+        Where the arm is [rad].
+    noted : list of (str, str)
+        What the node asked others for, and the event of the ledger's last line on the disk then.
+    refused : list of (str, str)
+        Reasons and sentences.
+    tasks : list of WorkTasks
+        What it published.
+    plan : Plan
+        What the planner offers.
+    """
+
+    def __init__(self, monkeypatch, folder: Path):
+        self._folder = folder
+        self.scene = Scene((FLOOR,), 0.01)
+        self.scene_refuses = self.planner_dies = ""
+        self.publishers = {"execution": 1, "plan": 1, "tool": 1}
+        self.arm_pose: Callable[[], tuple[float, ...]] = lambda: AT_GOAL
+        self.noted: list[tuple[str, str]] = []
+        self.refused: list[tuple[str, str]] = []
+        self.tasks: list = []
+        self._plans = 0
+        monkeypatch.setenv("ROS_HOME", str(folder))
+        monkeypatch.setattr(module, "SCENE_TIME", 0.05)
+        monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(7))
+        for level in ("loginfo", "logwarn", "logerr"):
+            monkeypatch.setattr(rospy, level, lambda *_: None)
+        self.start()
+
+    def start(self) -> None:
+        """Start a node that has heard nothing yet."""
+        settings = module.Settings(
+            model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="", review_file=str(self.review_file),
+            folder="work", arm="mock", max_pose_age=0.5, service_timeout=1.0, listen_time=0.02, retry_time=0.01,
+        )  # fmt: skip
+        refuse = lambda *said: self.refused.append(said)  # noqa: E731
+        self.desk = SharedDesk("the model is being read")
+        self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)
+        self.node = module.WorkNode(
+            settings,
+            ROBOT,
+            {},
+            SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
+            self.desk,
+            self.heard,
+            module.Inputs(lambda: HOME, lambda: self.arm_pose(), lambda *_: None),
+            module.Outputs(
+                SimpleNamespace(publish=lambda message: self.tasks.append(over_the_wire(message))),
+                SimpleNamespace(publish=lambda _: None),
+                self._edit_scene,
+                self._plan_work,
+                self._plan_way_back,
+            ),
+            SimpleNamespace(refuse=refuse, count=refuse),
+        )
+
+    def ready(self) -> Bench:
+        """Read the model beside an executor that rests and a tool that is open; the scene gets tool and stock."""
+        self.show()
+        self.execution(Execution.IDLE)
+        self.tool(False)
+        self.node.open()
+        return self.run()
+
+    def kill(self) -> None:
+        """End the node where it stands; what it had heard is lost, the ledger is not."""
+        self.desk.opened().ledger.close()
+        self.noted.clear()
+        self.tasks.clear()
+
+    def run(self, times: int = 8) -> Bench:
+        """Let the node do what follows from all it has heard, and try again what does not work."""
+        for _ in range(times):
+            self.node.go_on()
+        return self
+
+    # -- what the node hears
+
+    def show(self, scene: Scene | None = None) -> None:
+        """Publish the scene, or another one from now on."""
+        self.scene = scene or self.scene
+        self.heard.on_scene(over_the_wire(scene_to_msg(self.scene, rospy.Time(6), "base_link")))
+
+    def execution(self, state: int, segment: int = -1, **fields) -> None:
+        """Publish what the executor does; `plan_id` is the offered plan's while it plays."""
+        if state not in (Execution.IDLE, Execution.WAITING):
+            fields.setdefault("plan_id", self.plan.id)
+        self.heard.on_execution(over_the_wire(Execution(state=state, segment=segment, **fields)))
+
+    def tool(self, closed: bool) -> None:
+        """Publish what the tool reads."""
+        said = ToolState(
+            known=True, outputs=["vacuum"], output_values=[closed], inputs=["vacuum_reached"], input_values=[closed]
+        )
+        self.heard.on_tool(over_the_wire(said))
+
+    def left_engaged(self, segment: str, *scenes: str) -> None:
+        """Publish where the arm was left engaged, and in which scenes it may go back."""
+        message = Engagement(
+            engaged=True, plan_id=self.plan.id, task=TASK, segment=segment, reason="a person", scenes=scenes
+        )
+        self.heard.on_engagement(over_the_wire(message))
+
+    def verdict(self, approved: bool, plan_id: str = "", reason: str = "") -> None:
+        """Publish a person's verdict on the offered plan, or on another."""
+        message = Review(plan_id=plan_id or self.plan.id, approved=approved, reviewer="Ada", reason=reason)
+        self.heard.on_review(over_the_wire(message))
+
+    # -- what the executor keeps
+
+    @property
+    def review_file(self) -> Path:
+        """The record of verdicts."""
+        return self._folder / "reviews.jsonl"
+
+    def record(self, approved: bool, outcome: str = "") -> None:
+        """Write a verdict on the offered plan into the record, and how its execution ended."""
+        log = ReviewLog(self.review_file, lambda: 7)
+        plan = self.plan
+        log.append(Verdict("approved" if approved else "rejected", plan.id, plan.hash, "Ada", "", plan))
+        if outcome:
+            log.append(Ending(plan, outcome, ""))
+        log.close()
+
+    # -- what the node does
+
+    def ask(self, task: str = TASK) -> WorkPlanTaskResponse:
+        """Ask for a plan as a person would."""
+        return self.node.on_plan_task(over_the_wire(WorkPlanTaskRequest(task)))
+
+    def play(self, segment: int, at_boundary: bool = False, wants_scene: bool = False) -> Bench:
+        """Have the executor say where it is, and the node act on it."""
+        state = Execution.AT_BOUNDARY if at_boundary else Execution.PLAYING
+        self.execution(state, segment, at_boundary=at_boundary, wants_scene=wants_scene)
+        return self.run()
+
+    def planned(self) -> Bench:
+        """Have the task planned; its plan waits for a verdict."""
+        answer = self.ready().ask()
+        assert answer.success, answer.message
+        self.noted.clear()
+        return self.run()
+
+    def carrying(self) -> Bench:
+        """Play until the element is carried."""
+        self.planned().play(FETCH).play(GRIP).tool(True)
+        return self.play(GRIP, True).play(GRIP, True, True).play(CARRY)
+
+    @property
+    def entries(self) -> list[Entry]:
+        """The ledger's lines about the task, as they are on the disk."""
+        (path,) = (self._folder / "work").glob("*.jsonl")
+        return [entry for entry in read_entries(path) if entry.task == TASK]
+
+    @property
+    def events(self) -> list[str]:
+        """The words of those lines."""
+        return [entry.event for entry in self.entries]
+
+    @property
+    def row(self):
+        """The task as it was published last."""
+        return self.tasks[-1].tasks[0]
+
+    def _note(self, what: str) -> None:
+        self.noted.append((what, (self.events or [""])[-1]))
+
+    # -- the neighbours
+
+    def _planned(self, *_, scene: Scene, **__) -> SimpleNamespace:
+        return SimpleNamespace(grip="top", segments=segments(scene), tool0_T_element=HELD)
+
+    def _edit_scene(self, request) -> tuple[str, EditSceneResponse | None]:
+        request = over_the_wire(request)
+        self._note("edit_scene")
+        try:
+            if self.scene_refuses:
+                raise SceneError("the scene", self.scene_refuses, "another one")
+            wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
+            scene = wanted.between(self.scene, request.before, request.after)
+        except SceneError as error:
+            return "", EditSceneResponse(False, str(error), self.scene.hash)
+        self.show(scene)
+        return "", EditSceneResponse(True, "changed", scene.hash)
+
+    def _plan_work(self, request) -> tuple[str, PlanWorkResponse | None]:
+        request = over_the_wire(request)
+        self._note("plan_work")
+        if self.planner_dies == "before":
+            return "the planner does not answer", None
+        motion = joined(*(trajectory_from_msg(segment.trajectory) for segment in request.segments))
+        scene, end, parts, changes = self.scene, 0.0, [], []
+        for segment in request.segments:
+            changes.append(change_from_msg(segment))
+            end, after = end + segment.trajectory.points[-1].time_from_start.to_sec(), changes[-1].apply(scene)
+            requires, switches = map(signal_from_msg, segment.requires), map(switch_from_msg, segment.switches)
+            parts.append(
+                Segment(segment.name, end, segment.engaged, tuple(requires), tuple(switches), scene.hash, after.hash)
+            )
+            scene = after
+        self._publish_plan(motion, request.source, request.task, tuple(parts), tuple(changes))
+        if self.planner_dies == "node":
+            raise Killed
+        if self.planner_dies == "after":
+            return "the planner does not answer", None
+        plan = self.plan
+        return "", PlanWorkResponse(True, "planned", plan.id, plan.hash, plan.trajectory.duration)
+
+    def _plan_way_back(self, _) -> tuple[str, TriggerResponse | None]:
+        self._note("plan_way_back")
+        motion, here = reach(AT_STOCK, HOME, 1.0, 9), self.scene.hash
+        back = Segment("way back", motion.duration, True, (), (), here, here)
+        work = self.plan
+        self._publish_plan(motion, "way back", TASK, (back,), (SceneChange(),))
+        self.plan = work
+        return "", TriggerResponse(True, "the way back waits")
+
+    def _publish_plan(self, motion, source: str, task: str, parts: tuple[Segment, ...], changes) -> None:
+        self._plans += 1
+        self.plan = Plan(
+            f"p{self._plans}", content_hash(motion, task, parts), source, "work", parts[0].scene, 7, 0.0, motion,
+            make_report(len(ROBOT.joint_names)), task=task, segments=parts,
+        )  # fmt: skip
+        self._published = plan_to_msg(self.plan, "base_link", np.zeros((0, 3)), changes)
+        self.publish_plan()
+
+    def publish_plan(self) -> None:
+        """Publish the plan that was published last, as a latched topic does for a node that comes later."""
+        self.heard.on_plan(over_the_wire(self._published))
