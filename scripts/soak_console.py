@@ -91,6 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
                     expect(page.lost).to_be_hidden()
                     page.page.wait_for_timeout(1000 * options.interval)
                     expect(page.lost).to_be_hidden()
+                    page.forget_uploads()
                     samples.append(sample(session, site.console_pid))
                     figures = [(number + 1) * options.interval / 60, *astuple(samples[-1])]
                     print(" ".join(f"{each:12.1f}" for each in figures), flush=True)

@@ -153,6 +153,10 @@ class ConsolePage:
         self.page.mouse.move(*end, steps=8)
         self.page.mouse.up()
 
+    def forget_uploads(self) -> None:
+        """Drop what was noted of the drawn geometry: it is this class's, not the page's."""
+        self.page.evaluate("window.uploaded.length = 0")
+
     @property
     def lost(self) -> Locator:
         """The line that says that there is no connection."""
