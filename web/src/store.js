@@ -2,7 +2,7 @@
  * What the page knows: the newest message of each kind per robot, checked, and what the panels tell each other.
  *
  * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
- * value is of no robot.
+ * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
  * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
  * null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
@@ -15,6 +15,7 @@
  *   old          value true: no view for a second, what is shown is not the present; false: it is again
  *   transition   {at, part, from, state, reason}: a state of sync, link or execution has changed; `at` [ms] as performance.now()
  *   refused      {kind, sentence}: a message was not as expected and is not shown
+ *   failed       {part}: a part of the page had an exception (`failed`); told once for each exception of a part
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
  *   drawn        true when the picture has the robot's model, so that a plan can be seen in it; null before (picture)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
@@ -87,16 +88,33 @@ function checkScene(scene) {
  * @param {object} [options]
  * @param {() => number} [options.now] milliseconds of a monotonic clock
  * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
+ * @param {(error: Error) => void} [options.report] where exceptions of the page's parts go: the browser's console
  */
-export function makeStore({now = () => performance.now(), check = checkPlan} = {}) {
+export function makeStore({now = () => performance.now(), check = checkPlan, report = (error) => globalThis.reportError(error)} = {}) {
   const robots = new Map();
   const listeners = new Map();
   const plans = new Map();
+  // what each part has failed with last: views come 25 times a second, and may fail each time
+  const faults = new Map();
   let selected = "";
   let refused = 0;
 
   function tell(kind, robot, value) {
-    for (const listener of [...listeners.get(kind) ?? []]) listener(robot, value);
+    for (const {listener, part} of [...listeners.get(kind) ?? []]) {
+      try {
+        listener(robot, value);
+      } catch (error) {
+        fail(part, error);
+      }
+    }
+  }
+
+  function fail(part, error) {
+    const what = String(error);
+    if (faults.get(part) === what) return;
+    faults.set(part, what);
+    report(error);
+    tell("failed", "", {part});
   }
 
   function refuse(robot, kind, sentence) {
@@ -192,11 +210,20 @@ export function makeStore({now = () => performance.now(), check = checkPlan} = {
       return robots.get(name) ?? null;
     },
 
-    /** Call `listener(robot, value)` at each new value of a kind; returns a function that ends it. */
-    on(kind, listener) {
+    /** Call `listener(robot, value)` at each new value of a kind; returns a function that ends it. `part` of the page it belongs to. */
+    on(kind, listener, part = "page") {
       if (!listeners.has(kind)) listeners.set(kind, new Set());
-      listeners.get(kind).add(listener);
-      return () => listeners.get(kind).delete(listener);
+      const entry = {listener, part};
+      listeners.get(kind).add(entry);
+      return () => listeners.get(kind).delete(entry);
+    },
+
+    /** Take that a part of the page, by its area or `page`, had an exception. */
+    failed: fail,
+
+    /** Return the store for one part of the page: the exceptions of its listeners are its own. */
+    of(part) {
+      return Object.create(store, {on: {value: (kind, listener) => store.on(kind, listener, part)}});
     },
 
     /** Make a robot the one that the panels are about. */

@@ -281,6 +281,10 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     if (robot === store.selected) show();
   });
   store.on("looked", (robot, {what, hash}) => take(robot, {type: "looked", what, hash}));
+  store.on("failed", (_, {part}) => {
+    // the area takes no presses any more, and so sees no release either
+    if (part === "verdict") for (const [robot, {state}] of machines) if (state === "pressing") take(robot, {type: "release"});
+  });
   store.on("review_ack", (robot, ack) => take(robot, {type: "ack", ack}));
   every(TICK_EVERY, () => {
     for (const [robot, {state}] of machines) {
