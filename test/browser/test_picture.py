@@ -31,7 +31,7 @@ TASKS = {
     "tasks": [
         {"id": str(number), "name": f"Place {number}", "element": f"beam-{number}", "work": "place", "state": state,
          "question": "Is it in the grip?" if state == "asks" else "", "reason": "", "after": []}
-        for number, state in enumerate(("done", "ready", "blocked", "waiting", "asks", "held", "skipped"), 1)
+        for number, state in enumerate(("done", "ready", "carried", "waiting", "asks", "held", "skipped"), 1)
     ],
 }  # fmt: skip
 

@@ -46,10 +46,13 @@ const KINDS = {
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Kinds whose newest value is kept. An answer is told once. */
 const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn"];
+/** Types of joints that a view may name. */
+const TYPES = ["revolute", "prismatic"];
 const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
 const isText = (value) => typeof value === "string";
+const isTexts = (value) => Array.isArray(value) && value.every(isText);
 const isNumbers = (value) => Array.isArray(value) && value.every((item) => Number.isFinite(item));
 
 function expect(is, sentence) {
@@ -59,7 +62,10 @@ function expect(is, sentence) {
 function checkView(view) {
   expect(view.version === 1 || view.version === 2, `view version ${view.version}; expected 1 or 2. Reload the page`);
   expect(isText(view.run) && Number.isInteger(view.seq) && typeof view.online === "boolean", "view without run, seq or online");
-  expect(isObject(view.joints) && Array.isArray(view.joints.names) && view.joints.names.every(isText), "view without joints");
+  expect(isObject(view.joints) && isTexts(view.joints.names), "view without joints");
+  const {names, types} = view.joints;
+  expect(Array.isArray(types) && types.length === names.length && types.every((type) => TYPES.includes(type)),
+    `view whose joints are not each one of ${TYPES.join(", ")}`);
   for (const part of ["twin", "arm"]) {
     const pose = view[part];
     expect(pose === null || isNumbers(pose?.positions) && pose.positions.length === view.joints.names.length,
@@ -80,6 +86,25 @@ function checkScreen(screen) {
 function checkScene(scene) {
   expect(Array.isArray(scene.objects) && scene.objects.every((each) => isObject(each) && isText(each.name) && isText(each.shape)),
     "scene without objects");
+}
+
+function checkTasks(work) {
+  for (const key of ["model", "model_hash", "schedule", "next", "reason"]) expect(isText(work[key]), `tasks without ${key}`);
+  expect(typeof work.engaged === "boolean", "tasks that do not say whether the arm is engaged");
+  expect(isTexts(work.notes), "tasks without notes");
+  expect(Array.isArray(work.tasks), "tasks without a list of them");
+  for (const task of work.tasks) {
+    expect(isObject(task) && ["id", "name", "element", "state", "reason"].every((key) => isText(task[key])),
+      "a task without id, name, element, state or reason");
+    expect(isTexts(task.after), `task ${task.id} that does not say what must be done before`);
+    for (const key of ["element_name", "robot", "question"]) {
+      expect(task[key] === undefined || isText(task[key]), `task ${task.id} whose ${key} is no text`);
+    }
+    for (const key of ["deviation_mm", "deviation_deg"]) {
+      expect((task[key] ?? null) === null || Number.isFinite(task[key]), `task ${task.id} whose ${key} is no number`);
+    }
+    expect(task.answers === undefined || isTexts(task.answers), `task ${task.id} whose answers are no texts`);
+  }
 }
 
 /**
@@ -286,6 +311,7 @@ export function makeStore({now = () => performance.now(), check = checkPlan, rep
         else if (kind === "screen") put(robot, kind, checkScreen(value));
         else if (KEPT.includes(kind)) {
           if (kind === "scene" && value !== null) checkScene(value);
+          if (kind === "tasks" && value !== null) checkTasks(value);
           put(robot, kind, value);
         } else {
           expect(isObject(value), `${kind} that is no JSON object`);

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {mock, test} from "node:test";
 import {makeCell} from "../src/picture/cell.js";
-import {fakePage, view} from "./support/fake.js";
+import {fakePage, view, work} from "./support/fake.js";
 
 /** A cell whose files the test answers: `answers` by the end of the path, a status or a text; `asked` holds the paths. */
 function cell(answers) {
@@ -41,7 +41,7 @@ test("a robot model that cannot be had is asked for every five seconds, and not 
 test("a building model that could not be had is asked for again", async () => {
   mock.timers.enable({apis: ["setTimeout"]});
   const it = cell({"robot.urdf": 404, "building.glb": 404});
-  const tasks = {model: "wall", model_hash: "0", tasks: [{id: "1", element: "beam", state: "ready"}]};
+  const tasks = work({model_hash: "0"});
   await it.hear("kr120", "work/tasks", tasks, true);
   await it.settle();
   const models = () => it.asked.filter((path) => path.endsWith("building.glb")).length;

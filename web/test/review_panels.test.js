@@ -4,7 +4,7 @@ import * as playback from "../src/panels/playback.js";
 import * as status from "../src/panels/status.js";
 import * as stop from "../src/panels/stop.js";
 import * as verdict from "../src/panels/verdict.js";
-import {fakePage, view} from "./support/fake.js";
+import {fakePage, view, work} from "./support/fake.js";
 
 const PLAN = {
   id: "p1", hash: "h1", source: "request", planner: "RRTConnect", scene: "5ce9e0", duration: 2, joints: ["joint_a1", "joint_a2"],
@@ -459,7 +459,7 @@ test("the plan of a task is named as in the list of tasks, and the whole of who 
   // the list may come after the plan
   const task = {id: "0l7PAfCbzQORIUotwsG0jI", name: "Place stud 1", element: "e", element_name: "Stud 1", state: "planned", reason: "",
     after: [], robot: "", plan_id: "p1", deviation_mm: null, deviation_deg: null, question: "", answers: []};
-  await it.hear("kr120", "work/tasks", {version: 1, model: "m.ifc", schedule: "model", reason: "", engaged: false, notes: [], tasks: [task]}, true);
+  await it.hear("kr120", "work/tasks", work({tasks: [task]}), true);
   assert.equal(it.text(".verdict-title"), "Plan of the task Place stud 1");
   const rows = [...it.document.querySelectorAll(".verdict-checks dd")].map((row) => row.textContent);
   assert.ok(rows.includes(source) && rows.includes("0l7PAfCbzQORIUotwsG0jI"));

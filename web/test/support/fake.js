@@ -103,3 +103,11 @@ export function view(changes = {}) {
     ...changes,
   };
 }
+
+/** Return `work/tasks` of a model with one task, of the element `beam`, with what is given in place of its own. */
+export function work(changes = {}) {
+  const task = {id: "1", name: "Place beam", element: "beam", element_name: "Beam", state: "ready", reason: "", after: [], robot: "",
+    plan_id: "", deviation_mm: null, deviation_deg: null, question: "", answers: []};
+  return {stamp: 1, model: "wall.ifc", model_hash: "h", schedule: "model", engaged: false, next: "1", reason: "", tasks: [task], notes: [],
+    ...changes};
+}
