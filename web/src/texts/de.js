@@ -46,6 +46,7 @@ export default {
   "picture.loading": "Robotermodell wird geladen: {done} von {all} Dateien",
   "picture.no_model": "Das Robotermodell ließ sich nicht laden ({why}). Der Rest der Seite arbeitet.",
   "picture.lacks": "Ein Teil des Bildes fehlt ({why}).",
+  "picture.stale": "Das Gebäudemodell hier ist nicht das der Aufgaben: Es wird nicht gezeigt und noch einmal geholt.",
   "picture.no_webgl": "Dieser Browser hat kein WebGL: Es kann nichts gezeichnet werden. Der Rest der Seite arbeitet.",
   "picture.view.home": "Ganze Zelle",
   "picture.view.front": "Vorn",

@@ -46,6 +46,7 @@ export default {
   "picture.loading": "Loading the robot model: {done} of {all} files",
   "picture.no_model": "The robot model could not be loaded ({why}). The rest of the page works.",
   "picture.lacks": "A part of the picture is missing ({why}).",
+  "picture.stale": "The building model here is not the one that the tasks are of: it is not shown, and is fetched again.",
   "picture.no_webgl": "This browser has no WebGL: nothing can be drawn. The rest of the page works.",
   "picture.view.home": "Whole cell",
   "picture.view.front": "Front",
