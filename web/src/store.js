@@ -17,7 +17,8 @@
  *   refused      {kind, sentence}: a message was not as expected and is not shown
  *   failed       {part}: a part of the page had an exception (`failed`); told once for each exception of a part
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
- *   drawn        true when the picture has the robot's model, so that a plan can be seen in it; null before (picture)
+ *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
+ *                picture, nothing can be seen in it ever (picture)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
  *   goal         {names, positions, reach} or null: the pose that is asked for, shown as a goal ghost; `reach` free, contact, out or
  *                unknown (plan panel)

@@ -119,7 +119,6 @@ export function makeCell(name, overlay, store, redraw) {
         body.visible = false;
         scene.add(body);
       }
-      store.set("drawn", name, true);
     })();
     state.loading = done;
     try {

@@ -48,6 +48,7 @@ export default {
   "picture.lacks": "Ein Teil des Bildes fehlt ({why}).",
   "picture.stale": "Das Gebäudemodell hier ist nicht das der Aufgaben: Es wird nicht gezeigt und noch einmal geholt.",
   "picture.no_webgl": "Dieser Browser hat kein WebGL: Es kann nichts gezeichnet werden. Der Rest der Seite arbeitet.",
+  "picture.lost": "Der Browser hat dieser Seite die Grafik entzogen: Es wird nichts gezeichnet, bis er sie zurückgibt. Dauert das lange, laden Sie die Seite neu.",
   "picture.view.home": "Ganze Zelle",
   "picture.view.front": "Vorn",
   "picture.view.side": "Seite",
@@ -292,6 +293,10 @@ export default {
   "verdict.blocked.look": "Spielen Sie den Plan bis zum Ende ab oder öffnen Sie die Prüfwerte, dann kann er freigegeben werden.",
   "verdict.blocked.shown": "Der Plan muss eine Sekunde lang gezeigt sein, bevor er freigegeben werden kann.",
   "verdict.blocked.name": "Nennen Sie Ihren Namen, dann kann der Plan freigegeben werden.",
+  "verdict.unseen.away": "Das Bild ist nicht zu sehen: Gehen Sie zu ihm und spielen Sie den Plan bis zum Ende ab, oder öffnen Sie die Prüfwerte, dann kann er freigegeben werden.",
+  "verdict.unseen.model": "Der Roboter ist im Bild nicht gezeichnet, ein Abspielen zeigt also nichts: Öffnen Sie die Prüfwerte, dann kann der Plan freigegeben werden.",
+  "verdict.unseen.lost": "Der Browser zeichnet gerade nichts, ein Abspielen zeigt also nichts: Öffnen Sie die Prüfwerte, dann kann der Plan freigegeben werden.",
+  "verdict.unseen.none": "Hier ist kein Bild, ein Abspielen zeigt also nichts: Öffnen Sie die Prüfwerte, dann kann der Plan freigegeben werden.",
   "verdict.reject_title": "Ablehnen",
   "verdict.reason": "Grund",
   "verdict.pick": "Grund wählen ...",
@@ -337,6 +342,7 @@ export default {
   "playback.on": "{output} ein",
   "playback.off": "{output} aus",
   "playback.present": "Gegenwart",
+  "playback.waits": "Wartet, bis der Plan im Bild zu sehen ist.",
 
   // stop (panels/stop.js)
   "stop.stop": "Stopp",

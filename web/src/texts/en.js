@@ -48,6 +48,7 @@ export default {
   "picture.lacks": "A part of the picture is missing ({why}).",
   "picture.stale": "The building model here is not the one that the tasks are of: it is not shown, and is fetched again.",
   "picture.no_webgl": "This browser has no WebGL: nothing can be drawn. The rest of the page works.",
+  "picture.lost": "The browser has taken the graphics away from this page: nothing is drawn until it gives them back. If that takes long, reload the page.",
   "picture.view.home": "Whole cell",
   "picture.view.front": "Front",
   "picture.view.side": "Side",
@@ -146,6 +147,10 @@ export default {
   "verdict.blocked.look": "Play the plan to its end, or open its checks, then it can be approved.",
   "verdict.blocked.shown": "The plan must be shown for a second before it can be approved.",
   "verdict.blocked.name": "Say your name, then the plan can be approved.",
+  "verdict.unseen.away": "The picture is not in view: scroll to it and play the plan to its end, or open its checks, then it can be approved.",
+  "verdict.unseen.model": "The robot is not drawn in the picture, so a playback shows nothing: open the plan's checks, then it can be approved.",
+  "verdict.unseen.lost": "The browser draws nothing at the moment, so a playback shows nothing: open the plan's checks, then it can be approved.",
+  "verdict.unseen.none": "There is no picture here, so a playback shows nothing: open the plan's checks, then it can be approved.",
   "verdict.reject_title": "Reject",
   "verdict.reason": "Reason",
   "verdict.pick": "Pick a reason ...",
@@ -191,6 +196,7 @@ export default {
   "playback.on": "{output} on",
   "playback.off": "{output} off",
   "playback.present": "Present",
+  "playback.waits": "Waits until the plan can be seen in the picture.",
 
   // stop (panels/stop.js)
   "stop.stop": "Stop",
