@@ -31,7 +31,7 @@ TASKS = {
     "tasks": [
         {"id": str(number), "name": f"Place {number}", "element": f"beam-{number}", "work": "place", "state": state,
          "question": "Is it in the grip?" if state == "asks" else "", "reason": "", "after": []}
-        for number, state in enumerate(("done", "ready", "blocked", "waiting", "asks", "held", "skipped"), 1)
+        for number, state in enumerate(("done", "ready", "carried", "waiting", "asks", "held", "skipped"), 1)
     ],
 }  # fmt: skip
 
@@ -126,6 +126,50 @@ def test_a_plan_that_was_played_to_its_end_in_the_picture_may_be_approved(seen, 
     assert robot.verdicts == [("one-reviewer-ada", "approved", plan.id)]
     # nothing but the motion moves the arm on the screen
     seen.wait_drawn("one", f"Math.abs(it.twin.joints.joint_a1 - {plan.goal[0]}) < 1e-6")
+
+
+def test_on_a_phone_a_playback_waits_until_the_picture_is_in_view_and_what_was_played_stays(page_of, robot):
+    page = page_of("reviewer-ada", picture=True, size=PHONE)
+    page.wait_drawn("one")
+    robot.show_plan(duration=0.5)
+    play, time = page.page.locator(".playback-play"), page.page.locator(".playback-time")
+    hint, waits = page.page.locator(".verdict-hint"), page.page.locator(".playback-waits")
+    picture = page.page.locator("#picture")
+    expect(hint).to_contain_text("Play the plan to its end")
+    page.page.evaluate("window.scrollTo(0, document.documentElement.scrollHeight)")
+    expect(picture).not_to_be_in_viewport()
+    expect(hint).to_contain_text("not in view: scroll to it")
+    # the button without the scrolling that a click does
+    play.dispatch_event("click")
+    expect(waits).to_be_visible()
+    page.wait_frame()
+    expect(time).to_contain_text("0.0 s of 0.5 s")
+    picture.scroll_into_view_if_needed()
+    expect(time).to_contain_text("0.5 s of 0.5 s")
+    expect(page.approve_button).to_be_enabled()
+    page.hold_approve()
+    expect(page.notice).to_contain_text("accepted")
+
+
+def test_graphics_that_the_browser_takes_away_show_nothing_until_they_are_given_back(page_of, robot):
+    page = page_of("reviewer-ada", picture=True, size=SMALL)
+    page.wait_drawn("one")
+    robot.show_plan(duration=0.5)
+    hint, note = page.page.locator(".verdict-hint"), page.page.locator(".picture-note")
+    expect(hint).to_contain_text("Play the plan to its end")
+    page.page.evaluate("""() => {
+        window.graphics = document.querySelector("#picture canvas").getContext("webgl2").getExtension("WEBGL_lose_context");
+        window.graphics.loseContext();
+    }""")
+    expect(hint).to_contain_text("draws nothing at the moment")
+    expect(note).to_contain_text("taken the graphics away")
+    page.page.locator(".playback-play").click()
+    expect(page.page.locator(".playback-waits")).to_be_visible()
+    page.page.evaluate("window.graphics.restoreContext()")
+    expect(page.page.locator(".playback-time")).to_contain_text("0.5 s of 0.5 s")
+    expect(page.approve_button).to_be_enabled()
+    page.wait_frame()
+    assert orange(pixels(page)).mean() > 0.01
 
 
 def test_a_plan_that_was_played_where_no_picture_is_was_not_looked_at(page_of, robot):

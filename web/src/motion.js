@@ -49,12 +49,15 @@ export function rewound(duration) {
   return {duration, time: 0, speed: 1, playing: false, seen: 0};
 }
 
-/** Return the playback after a frame of `elapsed` seconds. A frame that came late moves on less: nothing is left out. */
-export function advanced(playback, elapsed) {
+/**
+ * Return the playback after a frame of `elapsed` seconds. A frame that came late moves on less: nothing is left out. `visible` says
+ * whether somebody could see it; else the motion goes on and does not count as seen.
+ */
+export function advanced(playback, elapsed, visible = true) {
   if (!playback.playing) return playback;
   const step = Math.min(Math.max(elapsed, 0), LONGEST_FRAME) * playback.speed;
   const time = Math.min(playback.time + step, playback.duration);
-  const seen = playback.time <= playback.seen ? Math.max(playback.seen, time) : playback.seen;
+  const seen = visible && playback.time <= playback.seen ? Math.max(playback.seen, time) : playback.seen;
   return {...playback, time, seen, playing: time < playback.duration};
 }
 

@@ -2,7 +2,7 @@
  * The frame of the page: header, the line about the connection, and an area per panel.
  *
  * A panel is a module with `make(parent, store, connection, texts)`. It makes its elements once below `parent` and changes them when
- * the store tells something. It shows the robot `store.selected`.
+ * the store tells something. It shows the robot `store.selected`. An exception in one panel is told in a line, and the others go on.
  */
 import {add, button, clear, setText} from "./dom.js";
 
@@ -13,6 +13,10 @@ const BESIDE = ["stop", "verdict", "plan", "tasks"];
 /** Areas that can be folded: what must always be there cannot. */
 const FOLDING = ["plan", "tasks", "plots", "runs"];
 const OPEN_AT_FIRST = ["plan"];
+/** Areas whose panels are made and told before the others, whatever becomes of those. */
+const FIRST = ["stop", "status"];
+/** An area that takes no presses any more once it has failed: what it shows may be of another plan. */
+const CLOSING = "verdict";
 
 /**
  * Build the frame and the panels in it.
@@ -34,6 +38,7 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
   button(header, texts("page.theme"), () => onTheme?.(), {className: "quiet"});
   const logout = button(header, texts("page.logout"), () => connection.logout(), {className: "quiet"});
   const lost = add(parent, "p", {className: "lost", role: "alert", hidden: true});
+  const failed = add(parent, "p", {className: "failed", role: "alert", hidden: true});
   const old = add(parent, "p", {className: "old", role: "status", hidden: true});
   const waiting = add(parent, "p", {className: "waiting", text: texts("page.waiting")});
   const refused = add(parent, "p", {className: "refused", role: "status", hidden: true});
@@ -50,7 +55,24 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
     } else {
       areas[name] = add(place, "section", {id: name, className: "area", "aria-label": texts(`page.area.${name}`)});
     }
-    for (const panel of [panels[name] ?? []].flat()) panel.make(areas[name], store, connection, texts);
+  }
+
+  const failures = new Set();
+  store.on("failed", (_, {part}) => {
+    failures.add(part);
+    if (part === CLOSING) areas[part].setAttribute("inert", "");
+    const parts = [...failures].map((each) => texts(`page.area.${each}`)).join(", ");
+    failed.hidden = false;
+    setText(failed, texts(failures.has("stop") ? "page.failed_stop" : "page.failed", {parts}));
+  });
+  for (const name of [...FIRST, ...AREAS.filter((each) => !FIRST.includes(each))]) {
+    for (const panel of [panels[name] ?? []].flat()) {
+      try {
+        panel.make(areas[name], store.of(name), connection, texts);
+      } catch (error) {
+        store.failed(name, error);
+      }
+    }
   }
 
   const showRobots = () => {

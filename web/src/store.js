@@ -2,7 +2,7 @@
  * What the page knows: the newest message of each kind per robot, checked, and what the panels tell each other.
  *
  * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
- * value is of no robot.
+ * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
  * Kinds from the broker: view, screen, scene, plan, tasks, review_ack, stop_ack, pause_ack, plan_request_ack, ik_ack. A value of
  * null means: not known (any more). `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit has
@@ -15,8 +15,10 @@
  *   old          value true: no view for a second, what is shown is not the present; false: it is again
  *   transition   {at, part, from, state, reason}: a state of sync, link or execution has changed; `at` [ms] as performance.now()
  *   refused      {kind, sentence}: a message was not as expected and is not shown
+ *   failed       {part}: a part of the page had an exception (`failed`); told once for each exception of a part
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
- *   drawn        true when the picture has the robot's model, so that a plan can be seen in it; null before (picture)
+ *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
+ *                picture, nothing can be seen in it ever (picture)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
  *   goal         {names, positions, reach} or null: the pose that is asked for, shown as a goal ghost; `reach` free, contact, out or
  *                unknown (plan panel)
@@ -45,10 +47,13 @@ const KINDS = {
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Kinds whose newest value is kept. An answer is told once. */
 const KEPT = ["view", "screen", "scene", "plan", "tasks", "playback", "goal", "handle", "picked", "drawn"];
+/** Types of joints that a view may name. */
+const TYPES = ["revolute", "prismatic"];
 const FROM_BROKER = ["view", "screen", "scene", "plan", "tasks"];
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
 const isText = (value) => typeof value === "string";
+const isTexts = (value) => Array.isArray(value) && value.every(isText);
 const isNumbers = (value) => Array.isArray(value) && value.every((item) => Number.isFinite(item));
 
 function expect(is, sentence) {
@@ -58,7 +63,10 @@ function expect(is, sentence) {
 function checkView(view) {
   expect(view.version === 1 || view.version === 2, `view version ${view.version}; expected 1 or 2. Reload the page`);
   expect(isText(view.run) && Number.isInteger(view.seq) && typeof view.online === "boolean", "view without run, seq or online");
-  expect(isObject(view.joints) && Array.isArray(view.joints.names) && view.joints.names.every(isText), "view without joints");
+  expect(isObject(view.joints) && isTexts(view.joints.names), "view without joints");
+  const {names, types} = view.joints;
+  expect(Array.isArray(types) && types.length === names.length && types.every((type) => TYPES.includes(type)),
+    `view whose joints are not each one of ${TYPES.join(", ")}`);
   for (const part of ["twin", "arm"]) {
     const pose = view[part];
     expect(pose === null || isNumbers(pose?.positions) && pose.positions.length === view.joints.names.length,
@@ -81,22 +89,58 @@ function checkScene(scene) {
     "scene without objects");
 }
 
+function checkTasks(work) {
+  for (const key of ["model", "model_hash", "schedule", "next", "reason"]) expect(isText(work[key]), `tasks without ${key}`);
+  expect(typeof work.engaged === "boolean", "tasks that do not say whether the arm is engaged");
+  expect(isTexts(work.notes), "tasks without notes");
+  expect(Array.isArray(work.tasks), "tasks without a list of them");
+  for (const task of work.tasks) {
+    expect(isObject(task) && ["id", "name", "element", "state", "reason"].every((key) => isText(task[key])),
+      "a task without id, name, element, state or reason");
+    expect(isTexts(task.after), `task ${task.id} that does not say what must be done before`);
+    for (const key of ["element_name", "robot", "question"]) {
+      expect(task[key] === undefined || isText(task[key]), `task ${task.id} whose ${key} is no text`);
+    }
+    for (const key of ["deviation_mm", "deviation_deg"]) {
+      expect((task[key] ?? null) === null || Number.isFinite(task[key]), `task ${task.id} whose ${key} is no number`);
+    }
+    expect(task.answers === undefined || isTexts(task.answers), `task ${task.id} whose answers are no texts`);
+  }
+}
+
 /**
  * Make the store.
  *
  * @param {object} [options]
  * @param {() => number} [options.now] milliseconds of a monotonic clock
  * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
+ * @param {(error: Error) => void} [options.report] where exceptions of the page's parts go: the browser's console
  */
-export function makeStore({now = () => performance.now(), check = checkPlan} = {}) {
+export function makeStore({now = () => performance.now(), check = checkPlan, report = (error) => globalThis.reportError(error)} = {}) {
   const robots = new Map();
   const listeners = new Map();
   const plans = new Map();
+  // what each part has failed with last: views come 25 times a second, and may fail each time
+  const faults = new Map();
   let selected = "";
   let refused = 0;
 
   function tell(kind, robot, value) {
-    for (const listener of [...listeners.get(kind) ?? []]) listener(robot, value);
+    for (const {listener, part} of [...listeners.get(kind) ?? []]) {
+      try {
+        listener(robot, value);
+      } catch (error) {
+        fail(part, error);
+      }
+    }
+  }
+
+  function fail(part, error) {
+    const what = String(error);
+    if (faults.get(part) === what) return;
+    faults.set(part, what);
+    report(error);
+    tell("failed", "", {part});
   }
 
   function refuse(robot, kind, sentence) {
@@ -192,11 +236,20 @@ export function makeStore({now = () => performance.now(), check = checkPlan} = {
       return robots.get(name) ?? null;
     },
 
-    /** Call `listener(robot, value)` at each new value of a kind; returns a function that ends it. */
-    on(kind, listener) {
+    /** Call `listener(robot, value)` at each new value of a kind; returns a function that ends it. `part` of the page it belongs to. */
+    on(kind, listener, part = "page") {
       if (!listeners.has(kind)) listeners.set(kind, new Set());
-      listeners.get(kind).add(listener);
-      return () => listeners.get(kind).delete(listener);
+      const entry = {listener, part};
+      listeners.get(kind).add(entry);
+      return () => listeners.get(kind).delete(entry);
+    },
+
+    /** Take that a part of the page, by its area or `page`, had an exception. */
+    failed: fail,
+
+    /** Return the store for one part of the page: the exceptions of its listeners are its own. */
+    of(part) {
+      return Object.create(store, {on: {value: (kind, listener) => store.on(kind, listener, part)}});
     },
 
     /** Make a robot the one that the panels are about. */
@@ -259,6 +312,7 @@ export function makeStore({now = () => performance.now(), check = checkPlan} = {
         else if (kind === "screen") put(robot, kind, checkScreen(value));
         else if (KEPT.includes(kind)) {
           if (kind === "scene" && value !== null) checkScene(value);
+          if (kind === "tasks" && value !== null) checkTasks(value);
           put(robot, kind, value);
         } else {
           expect(isObject(value), `${kind} that is no JSON object`);

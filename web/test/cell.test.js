@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import {mock, test} from "node:test";
 import {makeCell} from "../src/picture/cell.js";
-import {fakePage, view} from "./support/fake.js";
+import {BY_TASK} from "../src/picture/colours.js";
+import {fakePage, view, work} from "./support/fake.js";
 
 /** A cell whose files the test answers: `answers` by the end of the path, a status or a text; `asked` holds the paths. */
 function cell(answers) {
@@ -41,7 +42,7 @@ test("a robot model that cannot be had is asked for every five seconds, and not 
 test("a building model that could not be had is asked for again", async () => {
   mock.timers.enable({apis: ["setTimeout"]});
   const it = cell({"robot.urdf": 404, "building.glb": 404});
-  const tasks = {model: "wall", model_hash: "0", tasks: [{id: "1", element: "beam", state: "ready"}]};
+  const tasks = work({model_hash: "0"});
   await it.hear("kr120", "work/tasks", tasks, true);
   await it.settle();
   const models = () => it.asked.filter((path) => path.endsWith("building.glb")).length;
@@ -58,4 +59,43 @@ test("a building model that could not be had is asked for again", async () => {
   await it.settle();
   assert.equal(models(), 2);
   mock.timers.reset();
+});
+
+/** A building model with one element, as its file says of which model it is. */
+const building = (hash) => JSON.stringify({
+  asset: {version: "2.0", ...(hash === null ? {} : {extras: {model_hash: hash}})}, scene: 0, scenes: [{nodes: [0]}],
+  nodes: [{name: "beam", extras: {element: "beam"}}],
+});
+/** Reading a model takes a few turns. */
+async function loaded(it, condition) {
+  for (let k = 0; k < 200 && !condition(it.made.inspect()); k += 1) await it.settle();
+  return it.made.inspect();
+}
+
+test("a building model of another hash than the tasks' is not shown, is said, and is fetched again", async () => {
+  mock.timers.enable({apis: ["setTimeout"]});
+  for (const other of ["old", null]) {
+    const it = cell({"robot.urdf": 404, "building.glb": building(other)});
+    await it.hear("kr120", "work/tasks", work({model_hash: "new"}), true);
+    assert.equal((await loaded(it, ({stale}) => stale)).stale, true);
+    assert.deepEqual(it.made.inspect().elements, []);
+    it.answers["building.glb"] = building("new");
+    mock.timers.tick(5000);
+    const {elements, stale} = await loaded(it, (found) => found.elements.length);
+    assert.deepEqual([elements.map(([element]) => element), stale], [["beam"], false]);
+  }
+  mock.timers.reset();
+});
+
+test("a model that is shown goes when the tasks are of another one, and no task colours it meanwhile", async () => {
+  const it = cell({"robot.urdf": 404, "building.glb": building("one")});
+  await it.hear("kr120", "work/tasks", work({model_hash: "one"}), true);
+  assert.equal((await loaded(it, ({elements}) => elements.length)).elements[0][1], BY_TASK.ready[0]);
+  it.answers["building.glb"] = building("two");
+  await it.hear("kr120", "work/tasks", work({model_hash: "two", tasks: [{...work().tasks[0], state: "done"}]}), true);
+  assert.deepEqual(it.made.inspect().elements, []);
+  assert.equal((await loaded(it, ({elements}) => elements.length)).elements[0][1], BY_TASK.done[0]);
+  // while the robot's program reads its model again there are no tasks of it
+  await it.hear("kr120", "work/tasks", work({model_hash: "", tasks: [], reason: "the model is being read"}), true);
+  assert.deepEqual(it.made.inspect().elements, []);
 });

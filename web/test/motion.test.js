@@ -59,3 +59,13 @@ test("play at the end begins anew; a pause stays where it is", () => {
   const paused = toggled(play(toggled(rewound(2)), 0.4));
   assert.equal(advanced(paused, 0.04).time, paused.time);
 });
+
+test("what nobody could see goes on and does not count as seen", () => {
+  let playback = toggled(rewound(1));
+  playback = advanced(playback, 0.2);
+  playback = advanced(playback, 0.2, false);
+  assert.deepEqual([playback.time.toFixed(1), playback.seen.toFixed(1)], ["0.4", "0.2"]);
+  // nor what comes behind the gap
+  while (playback.playing) playback = advanced(playback, 0.2);
+  assert.equal(wasPlayed(playback), false);
+});

@@ -160,6 +160,18 @@ test("dragging the tool asks where it is now, and the goal follows the answers t
   assert.ok(page.handle() !== null);
 });
 
+test("a planner's word that this page does not know is no answer, and no exception", async () => {
+  const page = await planPanel();
+  page.press("plan.begin");
+  page.store.set("drag", "kr120", {position: [1, 0, 1], quaternion: [0, 0, 0, 1], done: true});
+  const [{payload}] = page.connection.sent.filter(({qos}) => qos === 0);
+  const joints = Object.fromEntries(NAMES.map((name, number) => [name, POSITIONS[number]]));
+  await page.hear("kr120", "ik/ack/kr120-planner-ada", {id: payload.id, reach: "near_singular", joints, sentence: "close to a singularity"});
+  assert.match(page.text(".plan-reach"), /^It is not known whether the arm gets there\. close to a singularity$/);
+  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  assert.equal(page.goal().reach, "unknown");
+});
+
 test("a drag without a goal, or without the right, asks nothing", async () => {
   const page = await planPanel();
   page.store.set("drag", "kr120", {position: [1, 0, 1], quaternion: [0, 0, 0, 1], done: true});

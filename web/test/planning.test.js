@@ -103,6 +103,11 @@ test("where the arm does not get nothing can be asked for, and the last joint va
   // an answer that contradicts itself, or is of another robot
   goal.setAnswer(pose(1), {reach: "free", joints: {a: 7, b: 2}, sentence: ""});
   assert.deepEqual([goal.reach, goal.isAskable], ["unknown", false]);
+  // words that this page does not know, also such as every object has
+  for (const reach of ["near_singular", "constructor", 3, undefined]) {
+    goal.setAnswer(pose(1), {reach, joints: {a: 0.5, b: 2}, sentence: {}});
+    assert.deepEqual([goal.reach, goal.sentence, goal.isAskable], ["unknown", "", false]);
+  }
   goal.setJoint("a", 0.1);
   assert.deepEqual([goal.pose, goal.isAskable], [null, true]);
 });

@@ -4,7 +4,7 @@ import * as playback from "../src/panels/playback.js";
 import * as status from "../src/panels/status.js";
 import * as stop from "../src/panels/stop.js";
 import * as verdict from "../src/panels/verdict.js";
-import {fakePage, view} from "./support/fake.js";
+import {fakePage, view, work} from "./support/fake.js";
 
 const PLAN = {
   id: "p1", hash: "h1", source: "request", planner: "RRTConnect", scene: "5ce9e0", duration: 2, joints: ["joint_a1", "joint_a2"],
@@ -106,13 +106,54 @@ test("a motion that no picture showed was not looked at", async () => {
 
 test("a plan can be approved after it was played to its end", async () => {
   const it = await planned();
-  it.store.set("drawn", "kr120", true);
+  it.store.set("drawn", "kr120", "seen");
   it.click(it.find(".playback-play"));
   await it.pass(1500);
   assert.equal(it.find(".verdict-approve").disabled, true);
   await it.pass(800);
   assert.equal(it.find(".verdict-approve").disabled, false);
   assert.match(it.find(".verdict-steps").textContent, /done: played.*done: shown/s);
+});
+
+for (const word of ["away", "lost", "model"]) {
+  test(`a plan that cannot be seen in the picture any more waits, and is played to its end once it can: ${word}`, async () => {
+    const it = await planned();
+    it.store.set("drawn", "kr120", "seen");
+    it.click(it.find(".playback-play"));
+    await it.pass(1000);
+    assert.equal(it.find(".playback-waits").hidden, true);
+    it.store.set("drawn", "kr120", word);
+    const {time} = it.store.robot("kr120").playback;
+    await it.pass(3000);
+    assert.equal(it.store.robot("kr120").playback.time, time);
+    assert.equal(it.find(".playback-waits").hidden, false);
+    assert.equal(it.find(".verdict-approve").disabled, true);
+    assert.equal(it.text(".verdict-hint"), it.texts(`verdict.unseen.${word}`));
+    it.store.set("drawn", "kr120", "seen");
+    assert.equal(it.text(".verdict-hint"), it.texts("verdict.blocked.look"));
+    await it.pass(1300);
+    assert.equal(it.find(".verdict-approve").disabled, false);
+    // what was reached stays: on a phone the button is where the picture is not
+    it.store.set("drawn", "kr120", "away");
+    await it.pass(1000);
+    assert.equal(it.find(".verdict-approve").disabled, false);
+    it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
+    await it.pass(1200);
+    assert.equal(it.connection.sent.length, 1);
+  });
+}
+
+test("why a playback does not count is said in both languages, and that there is no picture", async () => {
+  for (const [language, sentence] of [["en", /no picture here.*open the plan's checks/], ["de", /kein Bild.*Öffnen Sie die Prüfwerte/]]) {
+    const it = await planned(undefined, {language});
+    assert.match(it.text(".verdict-hint"), sentence);
+    it.store.set("drawn", "kr120", "away");
+    assert.match(it.text(".verdict-hint"), language === "en" ? /not in view: scroll to it and play/ : /nicht zu sehen: Gehen Sie zu ihm/);
+    // the checks are another way, also with the picture out of view
+    await it.pass(1400);
+    openChecks(it);
+    assert.equal(it.find(".verdict-approve").disabled, false);
+  }
 });
 
 for (const [way, down, up] of [
@@ -156,6 +197,7 @@ test("a right click does not press", async () => {
 
 test("a lost connection takes the plan away, and nothing of a press goes out when it is back", async () => {
   const it = await ready();
+  it.store.set("drawn", "kr120", "seen");
   it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
   await it.pass(500);
   it.connection.change("lost", "closed");
@@ -459,7 +501,7 @@ test("the plan of a task is named as in the list of tasks, and the whole of who 
   // the list may come after the plan
   const task = {id: "0l7PAfCbzQORIUotwsG0jI", name: "Place stud 1", element: "e", element_name: "Stud 1", state: "planned", reason: "",
     after: [], robot: "", plan_id: "p1", deviation_mm: null, deviation_deg: null, question: "", answers: []};
-  await it.hear("kr120", "work/tasks", {version: 1, model: "m.ifc", schedule: "model", reason: "", engaged: false, notes: [], tasks: [task]}, true);
+  await it.hear("kr120", "work/tasks", work({tasks: [task]}), true);
   assert.equal(it.text(".verdict-title"), "Plan of the task Place stud 1");
   const rows = [...it.document.querySelectorAll(".verdict-checks dd")].map((row) => row.textContent);
   assert.ok(rows.includes(source) && rows.includes("0l7PAfCbzQORIUotwsG0jI"));

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
 import {makeStore} from "../src/store.js";
-import {fakePage, view} from "./support/fake.js";
+import {fakePage, view, work} from "./support/fake.js";
 
 const plan = (changes = {}) => ({id: "p1", hash: "h1", joints: ["joint_a1"], ...changes});
 
@@ -139,4 +139,35 @@ test("what a panel sets reaches the others and stays for those that look later",
   store.set("playback", "nobody", {time: 2});
   assert.deepEqual(told, [["r", 1.5]]);
   assert.equal(store.robot("r").playback.time, 1.5);
+});
+
+test("a view whose joints are of no known type is refused: what is drawn and plotted depends on it", async () => {
+  const {store, hear} = fakePage();
+  const names = ["joint_a1", "joint_a2"];
+  for (const types of [undefined, null, "revolute", [], ["revolute"], ["revolute", "screw"], ["revolute", 1], ["revolute", "revolute", "revolute"]]) {
+    await hear("r", "view", view({joints: {names, types}}));
+    assert.equal(store.robot("r").view, null, String(types));
+  }
+  assert.equal(store.refused, 8);
+  await hear("r", "view", view({joints: {names, types: ["prismatic", "revolute"]}}));
+  assert.deepEqual(store.robot("r").view.joints.types, ["prismatic", "revolute"]);
+});
+
+test("tasks that are none are refused with a sentence, and the last ones stay", async () => {
+  const {store, hear} = fakePage();
+  const told = [];
+  store.on("refused", (_, {kind, sentence}) => told.push([kind, sentence]));
+  await hear("r", "work/tasks", work(), true);
+  const [task] = work().tasks;
+  const bad = [
+    {}, work({tasks: null}), work({tasks: {}}), work({tasks: [null]}), work({tasks: [{...task, name: 3}]}), work({tasks: [{...task, after: "1"}]}),
+    work({tasks: [{...task, deviation_deg: "1"}]}), work({tasks: [{...task, answers: "yes"}]}), work({tasks: [{...task, question: {}}]}),
+    work({model_hash: undefined}), work({engaged: "no"}), work({reason: null}), work({notes: "none"}), work({notes: [1]}),
+  ];
+  for (const value of bad) await hear("r", "work/tasks", value, true);
+  assert.equal(told.length, bad.length);
+  for (const [kind, sentence] of told) assert.match(`${kind}: ${sentence}`, /^tasks: .*task/);
+  assert.equal(store.robot("r").tasks.model, "wall.ifc");
+  await hear("r", "work/tasks", null);
+  assert.equal(store.robot("r").tasks, null);
 });

@@ -44,8 +44,15 @@ class ShownElement:
     base_T_element: Pose
 
 
-def glb(elements: Iterable[ShownElement]) -> bytes:
-    """Return the file; elements without triangles are left out."""
+def glb(elements: Iterable[ShownElement], model_hash: str) -> bytes:
+    """Return the file; elements without triangles are left out.
+
+    Parameters
+    ----------
+    elements : iterable of ShownElement
+    model_hash : str
+        SHA-256 of the model's own file, as in `work/tasks`: who shows the tasks in this file compares the two.
+    """
     nodes: list[dict] = []
     meshes: list[dict] = []
     accessors: list[dict] = []
@@ -83,7 +90,7 @@ def glb(elements: Iterable[ShownElement]) -> bytes:
     if nodes:
         root["children"] = list(range(1, len(nodes) + 1))
     document = {
-        "asset": {"version": "2.0", "generator": "construction_twin"},
+        "asset": {"version": "2.0", "generator": "construction_twin", "extras": {"model_hash": model_hash}},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [root, *nodes],

@@ -45,7 +45,7 @@ def array(document: dict, binary: bytes, number: int) -> np.ndarray:
 
 
 def test_each_element_is_a_node_with_its_triangles_where_the_model_has_it():
-    document, binary = chunks(glb([element("2O2Fr$t4X7Zf8NOew3FLOH"), element("b", 5.0)]))
+    document, binary = chunks(glb([element("2O2Fr$t4X7Zf8NOew3FLOH"), element("b", 5.0)], "h"))
     assert document["buffers"] == [{"byteLength": len(binary)}]
     root, first, second = document["nodes"]
     assert document["scenes"] == [{"nodes": [0]}] and root["children"] == [1, 2]
@@ -62,7 +62,7 @@ def test_each_element_is_a_node_with_its_triangles_where_the_model_has_it():
 
 
 def test_what_is_up_in_the_base_is_up_in_gltf():
-    document, _ = chunks(glb([element("a")]))
+    document, _ = chunks(glb([element("a")], "h"))
     upright = quaternion_to_rotation(document["nodes"][0]["rotation"])
     np.testing.assert_allclose(upright @ [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(upright @ [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], atol=1e-12)
@@ -70,6 +70,7 @@ def test_what_is_up_in_the_base_is_up_in_gltf():
 
 @pytest.mark.parametrize("elements", [[], [element("flat", triangles=np.empty((0, 3, 3)))]])
 def test_a_model_without_geometry_is_an_empty_scene(elements):
-    document, binary = chunks(glb(elements))
+    document, binary = chunks(glb(elements, "5ce9e0"))
+    assert document["asset"]["extras"] == {"model_hash": "5ce9e0"}
     assert binary == b"" and len(document["nodes"]) == 1 and "meshes" not in document
     assert math.isclose(sum(value**2 for value in document["nodes"][0]["rotation"]), 1.0)

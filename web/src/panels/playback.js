@@ -1,6 +1,8 @@
 /**
  * Playback of the plan under review: the picture shows it at a time that a person chooses. Only a plan whose hash was checked is
- * played, from the very numbers that the hash covers. What was shown is told to the verdict panel: `looked` {what, hash}.
+ * played, from the very numbers that the hash covers. What was shown is told to the verdict panel: `looked` {what, hash}. While the
+ * picture is not in view the playback waits, so that nothing of the motion is missed; where there is no picture it goes on, and
+ * does not count as played.
  */
 import {add, clear, setText} from "../dom.js";
 import {advanced, durationOf, rewound, sample, sought, toggled, wasPlayed} from "../motion.js";
@@ -36,12 +38,16 @@ export function make(parent, store, connection, texts, {now, every, frame} = bro
   const time = add(row, "span", {className: "playback-time"});
   const bar = add(area, "ol", {className: "playback-segments", "aria-label": texts("playback.segments")});
   const segment = add(area, "p", {className: "playback-segment"});
+  const waiting = add(area, "p", {className: "playback-waits", role: "status", text: texts("playback.waits"), hidden: true});
   let plan = null;
   let motion = null;
   let visible = false;
   let drawnAt = null;
   let shownOf = "";
 
+  const canSee = () => store.robot(shownOf)?.drawn === "seen";
+  /** Whether it waits for the picture: there is one, and it cannot be seen now. */
+  const waits = () => !canSee() && (store.robot(shownOf)?.drawn ?? null) !== null;
   const told = (what) => store.set("looked", shownOf, {what, hash: plan.hash});
 
   const show = () => {
@@ -58,13 +64,14 @@ export function make(parent, store, connection, texts, {now, every, frame} = bro
     slider.setAttribute("aria-valuetext", [texts("playback.time", values), name].filter(Boolean).join(", "));
     [...bar.children].forEach((item, k) => item.classList.toggle("is-now", k === number));
     present.hidden = !visible;
+    waiting.hidden = !motion.playing || !waits();
   };
 
   const draw = () => {
     visible = true;
     store.set("playback", shownOf, {names: plan.joints, positions: sample(plan.trajectory, motion.time), time: motion.time});
     // a motion that nobody could see was not looked at: without a picture its checks must be opened
-    if (wasPlayed(motion) && store.robot(shownOf)?.drawn) told("played");
+    if (wasPlayed(motion) && canSee()) told("played");
     show();
   };
 
@@ -77,9 +84,13 @@ export function make(parent, store, connection, texts, {now, every, frame} = bro
   function onFrame() {
     if (motion === null || !motion.playing) return;
     const at = now();
-    motion = advanced(motion, (at - drawnAt) / 1000);
+    if (waits()) {
+      show();
+    } else {
+      motion = advanced(motion, (at - drawnAt) / 1000, canSee());
+      draw();
+    }
     drawnAt = at;
-    draw();
     if (motion.playing) frame(onFrame);
   }
 

@@ -182,7 +182,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     const held = pressing ? Math.min(1, (now() - machine.pressedAt) / verdict.HELD_FOR) : 0;
     approve.style.setProperty("--held", held.toFixed(3));
     setText(approveText, texts(pressing ? "verdict.keep" : "verdict.approve"));
-    setText(hint, why === "" ? texts("verdict.hint") : texts(`verdict.blocked.${why}`));
+    const drawn = store.robot(robot)?.drawn ?? "none";
+    const unseen = why === "look" && drawn !== "seen";
+    setText(hint, why === "" ? texts("verdict.hint") : texts(unseen ? `verdict.unseen.${drawn}` : `verdict.blocked.${why}`));
     step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
     step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("verdict.step_shown"));
     const free = machine.state === "open" || machine.state === "unfit";
@@ -277,10 +279,16 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   store.on("old", (robot, old) => {
     if (old) take(robot, {type: "old"});
   });
-  store.on("tasks", (robot) => {
-    if (robot === store.selected) show();
-  });
+  for (const kind of ["tasks", "drawn"]) {
+    store.on(kind, (robot) => {
+      if (robot === store.selected) show();
+    });
+  }
   store.on("looked", (robot, {what, hash}) => take(robot, {type: "looked", what, hash}));
+  store.on("failed", (_, {part}) => {
+    // the area takes no presses any more, and so sees no release either
+    if (part === "verdict") for (const [robot, {state}] of machines) if (state === "pressing") take(robot, {type: "release"});
+  });
   store.on("review_ack", (robot, ack) => take(robot, {type: "ack", ack}));
   every(TICK_EVERY, () => {
     for (const [robot, {state}] of machines) {

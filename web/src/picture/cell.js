@@ -48,7 +48,7 @@ export function makeCell(name, overlay, store, redraw) {
   sun.position.set(3, -4, 6);
   scene.add(new HemisphereLight(0xffffff, 0x777780, 1.4), new AmbientLight(0xffffff, 0.35), sun);
 
-  const state = {loading: null, progress: null, failed: "", lacks: "", missing: []};
+  const state = {loading: null, progress: null, failed: "", lacks: "", stale: false, missing: []};
   // views come 25 times a second: a model that could not be loaded is not asked for with each of them
   let resting = false;
   const ghosts = {
@@ -119,7 +119,6 @@ export function makeCell(name, overlay, store, redraw) {
         body.visible = false;
         scene.add(body);
       }
-      store.set("drawn", name, true);
     })();
     state.loading = done;
     try {
@@ -141,28 +140,38 @@ export function makeCell(name, overlay, store, redraw) {
     }
   }
 
-  /** Load the building model that tasks are of; another model takes the place of the one before. */
-  async function loadModel(key) {
-    if (buildingOf === key || ended) return;
-    buildingOf = key;
+  /** Load the building model that tasks are of, by the model's hash. A file of another model is not taken: it may be an old one. */
+  async function loadModel(hash) {
+    if (buildingOf === hash || ended) return;
+    buildingOf = hash;
     try {
       const loaded = await loadBuilding(`/private/${encodeURIComponent(name)}/building.glb`);
-      if (buildingOf !== key || ended) return;
-      if (building !== null) dispose(building.group);
-      building = loaded;
-      scene.add(building.group);
+      if (buildingOf !== hash || ended) return;
       state.lacks = "";
-      showTasks();
+      state.stale = loaded.hash !== hash;
+      if (!state.stale) {
+        building = loaded;
+        scene.add(building.group);
+        showTasks();
+        return;
+      }
     } catch (error) {
       state.lacks = error instanceof ModelError ? error.message : `${error.name}: ${error.message}`;
-      setTimeout(() => {
-        // another model may be worked on meanwhile
-        if (buildingOf !== key) return;
-        buildingOf = "";
-        showTasks();
-      }, RETRY);
-      redraw();
     }
+    redraw();
+    setTimeout(() => {
+      // another model may be worked on meanwhile
+      if (buildingOf !== hash) return;
+      buildingOf = "";
+      showTasks();
+    }, RETRY);
+  }
+
+  function dropModel() {
+    if (building !== null) dispose(building.group);
+    building = null;
+    buildingOf = "";
+    state.stale = false;
   }
 
   // -- what the store knows
@@ -268,8 +277,13 @@ export function makeCell(name, overlay, store, redraw) {
 
   function showTasks() {
     const tasks = robot()?.tasks ?? null;
-    if (tasks === null) buildingOf = building === null ? "" : buildingOf;
-    else if (tasks.tasks?.length) loadModel(`${tasks.model} ${tasks.model_hash}`);
+    if (tasks === null) {
+      // without tasks nobody looks at a model that has not come yet; one that is there stays, without their colours
+      if (building === null) dropModel();
+    } else {
+      if (buildingOf !== "" && buildingOf !== tasks.model_hash) dropModel();
+      if (tasks.tasks.length) loadModel(tasks.model_hash);
+    }
     if (building !== null) colourBuilding(building, tasks, robot()?.picked?.element ?? "");
     redraw();
   }
@@ -382,7 +396,7 @@ export function makeCell(name, overlay, store, redraw) {
       const values = (body) => (bodies === null || !bodies[body].visible ? null
         : Object.fromEntries(Object.values(bodies[body].joints).filter((joint) => joint.jointType !== "fixed")
           .map((joint) => [joint.name ?? joint.urdfName, joint.angle])));
-      const result = {ready: bodies !== null, failed: state.failed, lacks: state.lacks, seq: robot()?.view?.seq ?? null};
+      const result = {ready: bodies !== null, failed: state.failed, lacks: state.lacks, stale: state.stale, seq: robot()?.view?.seq ?? null};
       for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: toolPosition(body)};
       result.path = path === null ? null : robot()?.plan?.tool_path ?? null;
       result.armColour = ghosts.arm.color.getHex();

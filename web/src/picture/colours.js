@@ -1,7 +1,11 @@
-/** Colours of what is drawn; the same as in rviz (views/sync_picture.py, views/work_markers.py). */
+/**
+ * Colours of what is drawn; the same as in rviz (views/sync_picture.py, views/work_markers.py). Words come from the broker: a table
+ * has its own keys and no others.
+ */
 
 /** Of the measured arm by the gate's state: colour and opacity. Faint while the poses agree, so that the twin is easy to see. */
 export const BY_SYNC = {
+  __proto__: null,
   WAITING: [0x73809a, 0.35],
   IN_SYNC: [0x1abf40, 0.2],
   HOLDING: [0xffcc00, 0.6],
@@ -16,7 +20,8 @@ export const UNKNOWN_SYNC = [0x73809a, 0.35];
 /** Of an element of the building model by the state of its task, and of one without a task. */
 const PENDING = [0x999ea8, 0.25];
 export const BY_TASK = {
-  waiting: PENDING, blocked: PENDING, ready: [0x1a66f2, 0.4], planned: [0x1a66f2, 0.55], working: [0xf29a1a, 0.9],
+  __proto__: null,
+  waiting: PENDING, ready: [0x1a66f2, 0.4], planned: [0x1a66f2, 0.55], working: [0xf29a1a, 0.9],
   carried: [0xf29a1a, 0.9], gripping: [0xf29a1a, 0.9], carrying: [0xf29a1a, 0.9], releasing: [0xf29a1a, 0.9],
   retreating: [0xf29a1a, 0.9], asks: [0xd91f1a, 0.8], held: [0xd91f1a, 0.8], skipped: [0x594d66, 0.12], done: [0x33a64d, 1],
 };
@@ -24,7 +29,7 @@ export const NO_TASK = PENDING;
 export const PICKED = [0xff4fd8, 0.8];
 
 /** Of a goal by what the planner says of it. */
-export const BY_REACH = {free: 0x1f9e4a, contact: 0xd97706, out: 0xd91f1a, unknown: 0x6b7280};
+export const BY_REACH = {__proto__: null, free: 0x1f9e4a, contact: 0xd97706, out: 0xd91f1a, unknown: 0x6b7280};
 
 export const PLAN = 0x2f7df6;
 export const GOAL = 0x0e9aa7;

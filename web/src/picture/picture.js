@@ -9,6 +9,7 @@
 import {WebGLRenderer} from "three";
 import {add, button, setText} from "../dom.js";
 import {makeCell} from "./cell.js";
+import {IN_VIEW, seenWord} from "./seen.js";
 
 const VIEWS = ["home", "front", "side", "top", "tool"];
 /** Shortest time between two frames [ms]. */
@@ -60,6 +61,10 @@ export function make(parent, store, connection, texts) {
   let height = 0;
   let nextFrame = 0;
   let began = 0;
+  let lost = false;
+  let inView = 0;
+  let observer = null;
+  let covered = "";
   canvas.frames = 0;
   canvas.frameTime = 0;
   canvas.inspect = (name) => cells.get(name)?.cell.inspect() ?? null;
@@ -127,7 +132,39 @@ export function make(parent, store, connection, texts) {
       overlay.classList.toggle("selected", visible.length > 1 && cell.name === store.selected);
     });
     showBar();
+    watch();
+    tellSeen();
     redraw();
+  }
+
+  // -- what a person can see of it
+
+  /** Tell the others whether each robot can be seen. It is seen once it was drawn, and is not from the moment when it cannot be. */
+  function tellSeen(wasDrawn = false) {
+    const visible = shown();
+    for (const [name, each] of cells) {
+      const word = seenWord({
+        lost, ready: each.cell.ready, shown: visible.includes(each), inView, visible: document.visibilityState === "visible",
+      });
+      const before = store.robot(name).drawn;
+      if (word === before) continue;
+      if (word === "seen" && !wasDrawn) redraw();
+      else store.set("drawn", name, word);
+    }
+  }
+
+  /** Watch how much of the picture is in view; what the style has the page scroll to above its lower edge, the stop covers. */
+  function watch() {
+    const bottom = getComputedStyle(document.documentElement).scrollPaddingBottom;
+    const now = bottom.endsWith("px") ? bottom : "0px";
+    if (observer !== null && now === covered) return;
+    observer?.disconnect();
+    covered = now;
+    observer = new IntersectionObserver((entries) => {
+      inView = entries.at(-1).intersectionRatio;
+      tellSeen();
+    }, {threshold: [0, IN_VIEW], rootMargin: `0px 0px -${covered} 0px`});
+    observer.observe(canvas);
   }
 
   function addRobots() {
@@ -145,10 +182,12 @@ export function make(parent, store, connection, texts) {
     const robot = store.robot(store.selected);
     const state = cells.get(store.selected)?.cell.state;
     let text = "";
-    if (state?.progress) text = texts("picture.loading", state.progress);
+    if (lost) text = texts("picture.lost");
+    else if (state?.progress) text = texts("picture.loading", state.progress);
     else if (state?.failed) text = texts("picture.no_model", {why: state.failed});
     else if (state?.missing.length) text = texts("picture.no_model", {why: state.missing.join(", ")});
     else if (robot?.playback) text = texts("picture.playback", {time: robot.playback.time.toFixed(1)});
+    else if (state?.stale) text = texts("picture.stale");
     else if (state?.lacks) text = texts("picture.lacks", {why: state.lacks});
     note.hidden = text === "";
     setText(note, text);
@@ -191,6 +230,8 @@ export function make(parent, store, connection, texts) {
     turns.port2.postMessage(null);
     showNote();
     showLegend();
+    // three draws nothing then, and says nothing
+    if (lost) return;
     const visible = shown();
     visible.forEach(({cell}, k) => {
       const part = width / visible.length;
@@ -199,13 +240,23 @@ export function make(parent, store, connection, texts) {
       renderer.render(cell.scene, cell.camera);
     });
     canvas.frames += 1;
+    tellSeen(true);
   }
 
   store.on("robots", addRobots);
   store.on("selected", arrange);
   store.on("handle", showBar);
   for (const kind of ["playback", "goal", "plan", "connection"]) store.on(kind, redraw);
-  canvas.addEventListener("webglcontextrestored", redraw);
+  canvas.addEventListener("webglcontextlost", () => {
+    lost = true;
+    tellSeen();
+    redraw();
+  });
+  canvas.addEventListener("webglcontextrestored", () => {
+    lost = false;
+    redraw();
+  });
+  document.addEventListener("visibilitychange", () => tellSeen());
   new ResizeObserver(arrange).observe(stage);
   addEventListener("theme", theme);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", theme);

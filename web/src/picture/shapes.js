@@ -72,10 +72,13 @@ export function sceneBody(object, onChange) {
   return group;
 }
 
-/** Return the building model in base_link; glTF has Y up. Its elements are found by `userData.element`. */
+/**
+ * Return the building model in base_link; glTF has Y up. Its elements are found by `userData.element`; `hash` is of the model that it
+ * was made from, "" for a file that does not say.
+ */
 export async function loadBuilding(url) {
   const bytes = await fetchOwn(url, (answer) => answer.arrayBuffer());
-  const {scene} = await new GLTFLoader().parseAsync(bytes, "");
+  const {scene, asset} = await new GLTFLoader().parseAsync(bytes, "");
   const group = new Group();
   group.rotation.x = Math.PI / 2;
   group.add(scene);
@@ -91,7 +94,7 @@ export async function loadBuilding(url) {
       mesh.userData.tapped = element;
     });
   });
-  return {group, elements};
+  return {group, elements, hash: asset.extras?.model_hash ?? ""};
 }
 
 /** Colour the elements of a building by the states of the tasks that place them. */

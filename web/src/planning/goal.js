@@ -2,6 +2,9 @@
 
 import {isInside} from "./joints.js";
 
+// What a planner says of a goal; another word says nothing.
+const REACHES = ["free", "contact", "out"];
+
 export class Goal {
   // joints: as from `limits`
   constructor(joints) {
@@ -32,13 +35,14 @@ export class Goal {
     return this.values !== null && this.setJoints({...this.values, [name]: value});
   }
 
-  // Take what the planner said of a pose of the tool. Without joint values the last ones stay to be seen, and cannot be asked for.
+  // Take what the planner said of a pose of the tool. Without joint values, or with another word than REACHES, the last ones stay to
+  // be seen, and cannot be asked for.
   setAnswer(pose, {reach, joints, sentence}) {
     const solved = joints !== null && isComplete(this.joints, joints);
     if (solved) this.values = Object.fromEntries(this.joints.map(({name}) => [name, joints[name]]));
     this.pose = pose;
-    this.reach = solved || reach === "out" ? reach : "unknown";
-    this.sentence = sentence;
+    this.reach = REACHES.includes(reach) && (solved || reach === "out") ? reach : "unknown";
+    this.sentence = typeof sentence === "string" ? sentence : "";
   }
 
   // Whether a plan to it can be asked for.

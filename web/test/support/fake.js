@@ -11,11 +11,21 @@ import {NotPublished} from "../../src/connection.js";
 import {makeStore} from "../../src/store.js";
 import {makeTexts} from "../../src/texts.js";
 
-/** Return a document's parent element, store, connection and texts, and functions to drive them. */
-export function fakePage({account = "", language = "en", check = async (plan) => ({...plan, refused: ""})} = {}) {
+/** An exception that no test expects ends it, as one that nobody has caught. */
+function rethrow(error) {
+  queueMicrotask(() => {
+    throw error;
+  });
+}
+
+/**
+ * Return a document's parent element, store, connection and texts, and functions to drive them. `report` gets the exceptions of
+ * listeners; without it they fail the test.
+ */
+export function fakePage({account = "", language = "en", check = async (plan) => ({...plan, refused: ""}), report = rethrow} = {}) {
   const {document, window} = parseHTML("<!doctype html><html><body><main></main></body></html>");
   const clock = {now: 0};
-  const store = makeStore({now: () => clock.now, check});
+  const store = makeStore({now: () => clock.now, check, report});
   const connection = fakeConnection(store, account);
   return {
     document, window, store, connection, clock,
@@ -92,4 +102,12 @@ export function view(changes = {}) {
     closest: null, plan: "",
     ...changes,
   };
+}
+
+/** Return `work/tasks` of a model with one task, of the element `beam`, with what is given in place of its own. */
+export function work(changes = {}) {
+  const task = {id: "1", name: "Place beam", element: "beam", element_name: "Beam", state: "ready", reason: "", after: [], robot: "",
+    plan_id: "", deviation_mm: null, deviation_deg: null, question: "", answers: []};
+  return {stamp: 1, model: "wall.ifc", model_hash: "h", schedule: "model", engaged: false, next: "1", reason: "", tasks: [task], notes: [],
+    ...changes};
 }

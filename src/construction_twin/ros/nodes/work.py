@@ -287,7 +287,7 @@ class WorkNode:
             for key, facts in prepared.elements.items()
         ]
         try:
-            files.write_building(glb(shown))
+            files.write_building(glb(shown, prepared.digest))
         except ConstructionTwinError as error:
             self._diagnostics.refuse("building", str(error))
 
