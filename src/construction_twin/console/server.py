@@ -239,7 +239,7 @@ class ConsoleServer:
                 self._tell(logging.WARNING, f"{peer} refused as {_shown(account)}: {why}")
                 return why
             accounts.append(account)
-            self._tickets.login(ticket)
+            self._tickets.login(ticket, account)
             self._tell(logging.INFO, f"{peer} logged in as {_shown(account)}")
             return ""
 
@@ -247,8 +247,8 @@ class ConsoleServer:
             how = await pipe(connection, self._settings.broker, self._settings.limits, on_login)
             self._tell(logging.INFO, f"{peer}: {how}")
         finally:
-            if accounts:
-                self._tickets.logout(ticket)
+            for account in accounts:
+                self._tickets.logout(ticket, account)
 
 
 def _joined(headers: Headers, name: str, between: str) -> str | None:

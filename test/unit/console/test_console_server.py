@@ -211,6 +211,33 @@ def test_a_browser_s_second_page_does_not_take_the_first_one_s_files_away(broker
     asyncio.run(scene())
 
 
+@pytest.mark.parametrize("closes", ("the earlier one", "the later one"))
+def test_two_tabs_that_connect_at_once_outlive_each_other(broker, tmp_path, closes):
+    """Each gets a ticket, because neither shows one; the browser keeps the later one for both."""
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "robot.json").write_text("{}")
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, private=private)), browser() as earlier, browser() as later:
+            kept = later.response.headers["Set-Cookie"].partition(";")[0]
+            for client in (earlier, later):
+                await client.send(login())
+                assert await client.recv() == CONNACK_OK
+            gone, left = (earlier, later) if closes == "the earlier one" else (later, earlier)
+            await gone.send(packet(14))
+            await closed(gone)
+            answer, _ = await asyncio.to_thread(get, "/private/robot.json", Cookie=kept)
+            assert answer.status == 200
+            await left.send(packet(14))
+            await closed(left)
+            async with asyncio.timeout(10):
+                while (await asyncio.to_thread(get, "/private/robot.json", Cookie=kept))[0].status != 403:
+                    pass
+
+    asyncio.run(scene())
+
+
 @pytest.mark.parametrize("origin", (None, "https://evil.example", "http://127.0.0.1:1"))
 def test_another_site_s_page_is_refused(broker, tmp_path, origin):
     async def scene() -> None:
