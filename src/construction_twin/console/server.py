@@ -43,8 +43,11 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "manifest-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-#: A report is a page of its own, with its figures inside, and no script.
-REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'; sandbox"
+#: A report is a page of its own with style and figures inside, without a script. From its sandbox a request would bring no cookie.
+REPORT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'; sandbox"
+)
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,7 @@ class ConsoleServer:
         settings = self._settings
         path, policy = None, POLICY
         if name == "runs.json" and settings.results is not None:
-            return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY)
+            return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY, private=True)
         if name.startswith("runs/") and settings.results is not None:
             path, policy = recordings(settings.results).get(name.removeprefix("runs/")), REPORT_POLICY
         elif settings.private is not None:
@@ -197,7 +200,7 @@ class ConsoleServer:
             )
         if file is None:
             return _answer(http.HTTPStatus.NOT_FOUND, b"no such file\n")
-        return _file_answer(file, request, policy)
+        return _file_answer(file, request, policy, private=True)
 
     # -- the pipe
 
@@ -275,6 +278,7 @@ def _answer(status: http.HTTPStatus, body: bytes) -> Response:
     return Response(status.value, status.phrase, Headers(headers | _COMMON | {"Content-Security-Policy": POLICY}), body)
 
 
+_LASTING = "max-age=31536000, immutable"
 _COMMON = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -283,13 +287,13 @@ _COMMON = {
 }
 
 
-def _file_answer(file: StaticFile, request: Request, policy: str) -> Response:
+def _file_answer(file: StaticFile, request: Request, policy: str, private: bool = False) -> Response:
     headers = _COMMON | {
         "Content-Security-Policy": policy,
         "Content-Type": file.kind,
         "ETag": file.tag,
         "Vary": "Accept-Encoding",
-        "Cache-Control": "max-age=31536000, immutable" if file.lasting else "no-cache",
+        "Cache-Control": ("private, " if private else "") + (_LASTING if file.lasting else "no-cache"),
         "Connection": "close",
     }
     if request.headers.get("If-None-Match") == file.tag:
