@@ -20,7 +20,7 @@ def pair(tmp_path_factory) -> tuple[Path, Path]:
     """Return certificate and key."""
     folder = tmp_path_factory.mktemp("site")
     key, certificate = folder / "console.key", folder / "console.crt"
-    Authority(folder / "ca", "site").issue("console", key, certificate, 10, HOSTS)
+    Authority(folder / "ca", "site", HOSTS).issue("console", key, certificate, 10, HOSTS)
     return certificate, key
 
 
@@ -33,7 +33,7 @@ def test_on_all_addresses_the_names_of_the_certificate_are_told(pair, listen):
 
 def test_without_names_it_is_this_machine_s(pair, tmp_path):
     key, certificate = tmp_path / "key", tmp_path / "crt"
-    Authority(tmp_path / "ca", "site").issue("console", key, certificate, 10)
+    Authority(tmp_path / "ca", "site", HOSTS).issue("console", key, certificate, 10)
     expected = [f"https://{socket.gethostname()}:8480/"]
     assert addresses("0.0.0.0", 8480, certificate, key, "https", "/") == expected
     assert addresses("0.0.0.0", 8480, None, None, "https", "/") == expected
