@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import socket
 from collections.abc import Callable
 from typing import Any
@@ -80,7 +81,13 @@ async def listeners(host: str, port: int, places: Places, on_full: Callable[[str
     made: list[Listener] = []
     with contextlib.ExitStack() as undo:
         for family, address in dict.fromkeys((each[0], each[4]) for each in found):
-            made.append(undo.enter_context(Listener(family, places, on_full)))
+            try:
+                made.append(undo.enter_context(Listener(family, places, on_full)))
+            except OSError as error:
+                # localhost has an address of IPv6 where the kernel has none
+                if error.errno != errno.EAFNOSUPPORT or family != socket.AF_INET6:
+                    raise
+                continue
             made[-1].setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if family == socket.AF_INET6:
                 made[-1].setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)

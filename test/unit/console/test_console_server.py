@@ -31,8 +31,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from construction_twin.broker import make_site
 from construction_twin.console import command_line
 from construction_twin.console.command_line import main
+from construction_twin.console.listener import listeners
 from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, BrokerAddress, PipeLimits
-from construction_twin.console.places import PlaceLimits
+from construction_twin.console.places import PlaceLimits, Places
 from construction_twin.console.server import ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError
@@ -620,6 +621,22 @@ def test_what_is_no_broker_is_told(tmp_path):
         async with server, running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483))), browser() as client:
             code, reason = await closed(client)
             assert (code, reason[:37]) == (BROKER_AWAY, "what answers there is no MQTT broker:")
+
+    asyncio.run(scene())
+
+
+def test_a_name_of_several_addresses_is_listened_to_on_each_and_a_port_that_is_taken_is_told():
+    async def scene() -> None:
+        places = Places(PlaceLimits())
+        made = await listeners("localhost", PORT, places, print)
+        try:
+            found = {each[4][0] for each in socket.getaddrinfo("localhost", PORT, type=socket.SOCK_STREAM)}
+            assert {each.getsockname()[0] for each in made} == found
+            with pytest.raises(OSError, match="in use"):
+                await listeners("127.0.0.1", PORT, places, print)
+        finally:
+            for each in made:
+                each.close()
 
     asyncio.run(scene())
 
