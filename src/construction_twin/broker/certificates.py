@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import secrets
 import shutil
 import subprocess
@@ -31,6 +32,9 @@ class Authority:
     folder : Path
     name : str
         Common name of a new CA.
+    hosts : iterable of str
+        Names and addresses that a new CA may vouch for, beside this machine's loopback; no browser believes it about others. Of a
+        name also what stands below it: ``twin.example`` permits ``hall7.twin.example``.
 
     Raises
     ------
@@ -38,9 +42,10 @@ class Authority:
         When openssl is not installed or fails, or only one half of the CA is there.
     """
 
-    def __init__(self, folder: Path, name: str):
+    def __init__(self, folder: Path, name: str, hosts: Iterable[str]):
         self.certificate = folder / "ca.crt"
         self._key = folder / "ca.key"
+        self._name = name
         if self._key.exists() != self.certificate.exists():
             raise SiteError(
                 f"{folder} holds only one of ca.key and ca.crt; put the other one back, or make a new site in another folder"
@@ -49,7 +54,30 @@ class Authority:
             return
         make_folder(folder)
         make_key(self._key)
-        write_private(self.certificate, _sign(name, self._key, CA_DAYS, _CA))
+        self.sign_anew(hosts)
+
+    def sign_anew(self, hosts: Iterable[str]) -> None:
+        """Sign the CA's own certificate for its key, for these hosts only; what it has signed before stays signed."""
+        permitted = ",".join(f"permitted;{each}" for each in sorted(_constraints(hosts)))
+        extensions = (*_CA, f"nameConstraints=critical,{permitted}")
+        write_private(self.certificate, _sign(self._name, self._key, CA_DAYS, extensions))
+
+    def is_limited(self) -> bool:
+        """Return whether the CA may vouch for some names only; one from before they were limited may for any."""
+        return bool(self._permitted())
+
+    def not_permitted(self, hosts: Iterable[str]) -> list[str]:
+        """Return those of the hosts that this CA may not vouch for."""
+        permitted = self._permitted()
+        if not permitted:
+            return []
+        return [host for host in hosts if not permitted.intersection(_permitting(host))]
+
+    def _permitted(self) -> set[str]:
+        text = openssl("x509", "-in", self.certificate, "-noout", "-text")
+        _, _, constraints = text.partition("X509v3 Name Constraints")
+        names = re.findall(r"^ +(DNS|IP):([^/\s]+)", constraints, re.MULTILINE)
+        return _constraints(name for _, name in names) if names else set()
 
     def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
         """Sign a certificate for the key in `key`, which is made when it is not there.
@@ -131,6 +159,29 @@ def openssl(*arguments: object) -> str:
 
 def _serial() -> str:
     return f"0x{secrets.randbits(126) | 1 << 126:x}"
+
+
+def _constraints(hosts: Iterable[str]) -> set[str]:
+    """Return hosts and loopback as openssl writes permitted names and ranges; with none of a kind all of that kind would be."""
+    found = set()
+    for host in (*hosts, "localhost", "127.0.0.1", "::1"):
+        kind, _, name = _alternative_name(host).partition(":")
+        found.add(_range(name) if kind == "IP" else f"DNS:{name.lower()}")
+    return found
+
+
+def _permitting(host: str) -> set[str]:
+    """Return the constraints of which any permits a host: for a name also those of the names above it."""
+    kind, _, name = _alternative_name(host).partition(":")
+    if kind == "IP":
+        return {_range(name)}
+    labels = name.lower().split(".")
+    return {f"DNS:{'.'.join(labels[at:])}" for at in range(len(labels))}
+
+
+def _range(address: str) -> str:
+    network = ipaddress.ip_network(address)
+    return f"IP:{network.network_address}/{network.netmask}"
 
 
 def _alternative_name(host: str) -> str:

@@ -59,7 +59,9 @@ class SiteFolder:
         except (OSError, ValueError, AttributeError) as error:
             raise SiteError(f"{self._settings} cannot be read: {error}; restore it from a backup") from error
 
-    def make(self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = ()) -> list[str]:
+    def make(
+        self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
+    ) -> list[str]:
         """Make what is missing; return sentences on what was done.
 
         Parameters
@@ -71,11 +73,13 @@ class SiteFolder:
             Sign all certificates anew, for the same keys.
         replace : iterable of str, optional
             Accounts that get a new password and a new key.
+        renew_ca : bool, optional
+            Sign the CA's certificate anew, for the same key, and for the names of this site.
 
         Raises
         ------
         ConstructionTwinError
-            When a program is missing or a name does not fit.
+            When a program is missing, a name does not fit, or the CA may not vouch for one.
         """
         replace = set(replace)
         unknown = replace - {account.name for account in site.accounts()}
@@ -86,12 +90,7 @@ class SiteFolder:
         rules, configuration = access_rules(site, self._template), broker_configuration(site, self._template)
         for folder in (self._folder, self._broker, self._folder / "accounts"):
             make_folder(folder)
-        said = (
-            []
-            if (self._folder / "ca").exists()
-            else [f"made a CA in {self._folder / 'ca'}; keep ca.key off the network"]
-        )
-        authority = Authority(self._folder / "ca", "construction_twin site")
+        authority, said = self._authority(tuple(dict.fromkeys((*site.hosts, *site.consoles))), renew_ca)
         if renew or before.get("hosts") != site.hosts or not (self._broker / "server.crt").exists():
             authority.issue(_SERVER, self._broker / "server.key", self._broker / "server.crt", days, site.hosts)
             said.append(f"signed the broker's certificate for {', '.join(site.hosts)}")
@@ -111,6 +110,33 @@ class SiteFolder:
         write_private(self._broker / "mosquitto.conf", configuration)
         write_private(self._settings, json.dumps(dataclasses.asdict(site), indent=1) + "\n")
         return said
+
+    def _authority(self, names: tuple[str, ...], renew: bool) -> tuple[Authority, list[str]]:
+        """Return the site's CA, which may vouch for these names, and sentences on what was done."""
+        folder, made = self._folder / "ca", not (self._folder / "ca").exists()
+        authority = Authority(folder, "construction_twin site", names)
+        if made:
+            return authority, [f"made a CA in {folder}, for {', '.join(names)} only; keep ca.key off the network"]
+        if renew:
+            authority.sign_anew(names)
+            ca = authority.certificate.read_text(encoding="utf-8")
+            for path in (self._folder / "accounts").glob("*/ca.crt"):
+                write_private(path, ca)
+            return authority, [
+                f"signed the CA's certificate anew, for {', '.join(names)} only, with the same key: every tablet and every client "
+                "needs the new ca.crt"
+            ]
+        if missing := authority.not_permitted(names):
+            raise SiteError(
+                f"the site's CA may not vouch for {', '.join(missing)}; with --renew-ca its certificate is signed anew, with the "
+                "same key, and then every tablet and every client needs the new ca.crt"
+            )
+        if authority.is_limited():
+            return authority, []
+        return authority, [
+            "kept the CA, which may vouch for any name; --renew-ca limits it to this site's, and then every tablet needs the new "
+            "ca.crt"
+        ]
 
     def expiries(self) -> list[str]:
         """Return a line per certificate with the day of its end, and a warning when the CA's comes first."""
@@ -242,6 +268,11 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--broker-folder", help="where the broker will find DIR/broker, e.g. /etc/mosquitto/site [DIR/broker]")
     add("--days", type=int, default=DAYS, help="lifetime of new certificates [%(default)s]")
     add("--renew", action="store_true", help="sign all certificates anew, for the same keys")
+    add(
+        "--renew-ca",
+        action="store_true",
+        help="sign the CA's certificate anew, for the same key and the site's names of now; then every tablet and client needs it",
+    )
     add("--replace", action="append", default=[], metavar="ACCOUNT", help="give this account a new password and key")
     add("--templates", type=Path, default=_TEMPLATES, help="folder of the templates for mosquitto [%(default)s]")
     return parser.parse_args(argv)
@@ -280,7 +311,7 @@ def main(argv: list[str] | None = None) -> int:
     folder = SiteFolder(arguments.folder, arguments.templates)
     try:
         site = _site(arguments, folder.load())
-        said = folder.make(site, arguments.days, arguments.renew, arguments.replace)
+        said = folder.make(site, arguments.days, arguments.renew, arguments.replace, arguments.renew_ca)
         said += folder.expiries()
     except ConstructionTwinError as error:
         print(f"make_site: {error}")

@@ -1,4 +1,4 @@
-"""A file over HTTP, written as fast as its reader takes it: the time limit is for no progress, never for the whole file.
+"""A file over HTTP, written as fast as its reader takes it: one time limit is for no progress, a long one for the whole file.
 
 `websockets` writes an answer at once, and gives all of it the time that the end of a WebSocket has; with TLS asyncio cuts off what
 has not gone out 30 s after that. So whoever needs longer for a building model got a part of it. Here the answer is written in
@@ -18,6 +18,8 @@ from construction_twin.console.visitors import Visitor
 _PIECE = 65536
 #: What the kernel keeps of an answer [bytes]: much more, and a slow reader would seem to take nothing for a long time.
 _KERNEL = 262144
+#: A reader that takes less in the long run is cut off [bytes/s]: a building model of 64 MB may take more than an hour.
+SLOWEST = 16384
 
 
 async def deliver(visitor: Visitor, request: Request, answer: Response, stall_s: float) -> bool:
@@ -32,7 +34,7 @@ async def deliver(visitor: Visitor, request: Request, answer: Response, stall_s:
     answer : Response
         Whole, with its length and ``Connection: close``.
     stall_s : float
-        A reader that takes nothing for so long is cut off [s].
+        A reader that takes nothing for so long is cut off [s], and whoever takes longer than this and the body at `SLOWEST`.
     """
     transport = visitor.transport
     kernel = transport.get_extra_info("socket")
@@ -42,21 +44,22 @@ async def deliver(visitor: Visitor, request: Request, answer: Response, stall_s:
     body = b"" if request.method == "HEAD" else answer.body
     head = f"HTTP/1.1 {answer.status_code} {answer.reason_phrase}\r\n".encode() + answer.headers.serialize()
     try:
-        for piece in (head, *(body[at : at + _PIECE] for at in range(0, len(body), _PIECE))):
-            if transport.is_closing():
-                return False
-            transport.write(piece)
+        async with asyncio.timeout(stall_s + len(body) / SLOWEST):
+            for piece in (head, *(body[at : at + _PIECE] for at in range(0, len(body), _PIECE))):
+                if transport.is_closing():
+                    return False
+                transport.write(piece)
+                async with asyncio.timeout(stall_s):
+                    await visitor.drain()
+            # the rest is in the kernel. With TLS, closing waits for the reader; without, only the reader's own end shows that it
+            # has all, and a connection that is closed before the reader has stopped writing is reset
+            if transport.can_write_eof() and not visitor.reader_ended:
+                visitor.written = True
+                transport.write_eof()
+            else:
+                transport.close()
             async with asyncio.timeout(stall_s):
-                await visitor.drain()
-        # the rest is in the kernel. With TLS, closing waits for the reader; without, only the reader's own end shows that it has
-        # all, and a connection that is closed before the reader has stopped writing is reset
-        if transport.can_write_eof() and not visitor.reader_ended:
-            visitor.written = True
-            transport.write_eof()
-        else:
-            transport.close()
-        async with asyncio.timeout(stall_s):
-            await visitor.wait_closed()
+                await visitor.wait_closed()
     except (TimeoutError, OSError):
         return False
     finally:

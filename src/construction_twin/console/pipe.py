@@ -87,7 +87,7 @@ async def pipe(
     browser: ServerConnection,
     broker: BrokerAddress,
     limits: PipeLimits,
-    on_login: Callable[[str], None],
+    on_login: Callable[[str], str],
     clock: Callable[[], float] = time.monotonic,
 ) -> str:
     """Carry bytes until one side ends; return in one sentence how it ended.
@@ -98,7 +98,7 @@ async def pipe(
     broker : BrokerAddress
     limits : PipeLimits
     on_login : callable
-        Called with the account when the broker has accepted it.
+        Called with the account when the broker has accepted it; returns why it may not stay all the same, or an empty text.
     clock : callable, optional
         Returns seconds from any origin.
     """
@@ -212,8 +212,8 @@ async def _from_broker(
             if first is not None:
                 answer = None
                 refused = not is_accepted(first)
-                if not refused:
-                    on_login(stream.account)
+                if not refused and (why := on_login(stream.account)):
+                    raise Cut(TOO_MUCH, why)
         try:
             await asyncio.wait_for(browser.send(data), limits.stall_s)
         except TimeoutError as error:

@@ -7,7 +7,9 @@ import asyncio
 import logging
 import signal
 import ssl
+from collections.abc import Iterable
 
+from construction_twin.console.addresses import addresses
 from construction_twin.console.pipe import BrokerAddress
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
@@ -54,7 +56,7 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     )
 
 
-async def _serve(server: ConsoleServer, host: str, port: int, address: str) -> None:
+async def _serve(server: ConsoleServer, host: str, port: int, opened_at: Iterable[str]) -> None:
     task = asyncio.current_task()
     assert task is not None
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -65,7 +67,7 @@ async def _serve(server: ConsoleServer, host: str, port: int, address: str) -> N
     try:
         await asyncio.wait((serving, opened), return_when=asyncio.FIRST_COMPLETED)
         if ready.is_set():
-            print(f"console: {address}", flush=True)
+            print("\n".join(f"console: {address}" for address in opened_at), flush=True)
         await serving
     finally:
         opened.cancel()
@@ -81,12 +83,11 @@ def run(arguments: argparse.Namespace) -> int:
     except ConstructionTwinError as error:
         print(f"console: {error}")
         return 1
-    place = f"[{arguments.listen}]" if ":" in arguments.listen else arguments.listen
-    kind = "http" if arguments.page else "ws"
-    secure = "s" if arguments.certificate else ""
-    address = f"{kind}{secure}://{place}:{arguments.port}{'/' if arguments.page else SOCKET}"
+    scheme = ("http" if arguments.page else "ws") + ("s" if arguments.certificate else "")
+    path = "/" if arguments.page else SOCKET
+    opened_at = addresses(arguments.listen, arguments.port, arguments.certificate, arguments.key, scheme, path)
     try:
-        asyncio.run(_serve(server, arguments.listen, arguments.port, address))
+        asyncio.run(_serve(server, arguments.listen, arguments.port, opened_at))
     except asyncio.CancelledError:
         return 0
     except OSError as error:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import http
 import logging
 import secrets
 import ssl
 import time
 import weakref
-from collections import Counter
 from collections.abc import Mapping
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,8 +21,10 @@ from websockets.http11 import Request, Response
 
 from construction_twin.console.allowance import Allowance
 from construction_twin.console.delivery import deliver
+from construction_twin.console.listener import Listener, listeners
 from construction_twin.console.origin import refusal
-from construction_twin.console.pipe import TOO_MUCH, BrokerAddress, PipeLimits, pipe
+from construction_twin.console.pipe import BrokerAddress, PipeLimits, pipe
+from construction_twin.console.places import PlaceLimits, Places
 from construction_twin.console.recordings import listing, recordings
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
@@ -40,8 +43,11 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "manifest-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-#: A report is a page of its own, with its figures inside, and no script.
-REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'; sandbox"
+#: A report is a page of its own with style and figures inside, without a script. From its sandbox a request would bring no cookie.
+REPORT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'; sandbox"
+)
 
 
 @dataclass(frozen=True)
@@ -61,10 +67,9 @@ class ServerSettings:
         Further origins whose pages may connect.
     tls : ssl.SSLContext or None
     limits : PipeLimits
-    connections, connections_per_peer : int
-        Most WebSockets at once; of TCP connections four times as many, because a browser gets files by several at once.
+    places : PlaceLimits
     file_stall_s : float
-        Who takes nothing of a file for so long is cut off [s]; the whole file may take any time.
+        Who takes nothing of a file for so long is cut off [s].
     """
 
     files: Mapping[str, StaticFile]
@@ -74,13 +79,12 @@ class ServerSettings:
     origins: frozenset[str] = frozenset()
     tls: ssl.SSLContext | None = None
     limits: PipeLimits = field(default_factory=PipeLimits)
-    connections: int = 64
-    connections_per_peer: int = 16
+    places: PlaceLimits = field(default_factory=PlaceLimits)
     file_stall_s: float = 20.0
 
 
 class ConsoleServer:
-    """Answers requests; knows how many are connected, and who is logged in.
+    """Answers requests; knows who is connected, and who is logged in.
 
     Parameters
     ----------
@@ -90,7 +94,7 @@ class ConsoleServer:
     def __init__(self, settings: ServerSettings):
         self._settings = settings
         self._tickets = Tickets(lambda: secrets.token_urlsafe(24), 0)
-        self._peers: Counter[str] = Counter()
+        self._places = Places(settings.places)
         # weak: a browser may leave between the answer and its first frame
         self._given: weakref.WeakKeyDictionary[ServerConnection, str] = weakref.WeakKeyDictionary()
         self._delivering: set[Visitor] = set()
@@ -108,31 +112,10 @@ class ConsoleServer:
         ready : asyncio.Event, optional
             Set when the port is open.
         """
-        settings = self._settings
         self._tickets = Tickets(lambda: secrets.token_urlsafe(24), port)
-        async with serve(
-            self._on_socket,
-            host,
-            port,
-            subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]  # a NewType of str
-            process_request=self._on_request,
-            process_response=self._on_response,
-            compression=None,  # what is sent is small, and latency counts
-            max_size=settings.limits.largest + 16,
-            max_queue=16,
-            open_timeout=None,  # a visitor has little time to ask, a file any time to go out
-            close_timeout=1.0,
-            ping_interval=_PING_S,
-            ping_timeout=_PING_S,
-            server_header=None,
-            create_connection=visitor_type(
-                settings.limits.login_s, 4 * settings.connections, 4 * settings.connections_per_peer
-            ),
-            ssl=settings.tls,
-            ssl_handshake_timeout=settings.limits.login_s if settings.tls else None,
-            # the library's would be close_timeout, and what a reader has not taken by then would be dropped
-            ssl_shutdown_timeout=settings.file_stall_s if settings.tls else None,
-        ):
+        async with contextlib.AsyncExitStack() as serving:
+            for listener in await listeners(host, port, self._places, self._on_full):
+                await serving.enter_async_context(self._serve(listener))
             if ready is not None:
                 ready.set()
             try:
@@ -141,6 +124,32 @@ class ConsoleServer:
                 # the library waits for whoever still answers a request
                 for visitor in tuple(self._delivering):
                     visitor.transport.abort()
+
+    def _serve(self, listener: Listener) -> AbstractAsyncContextManager[object]:
+        settings = self._settings
+        return serve(
+            self._on_socket,
+            sock=listener,
+            subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]  # a NewType of str
+            process_request=self._on_request,
+            process_response=self._on_response,
+            compression=None,  # what is sent is small, and latency counts
+            max_size=settings.limits.largest + 16,
+            max_queue=16,
+            open_timeout=None,  # a visitor has little time to ask, a file more to go out
+            close_timeout=1.0,
+            ping_interval=_PING_S,
+            ping_timeout=_PING_S,
+            server_header=None,
+            create_connection=visitor_type(settings.limits.login_s),
+            ssl=settings.tls,
+            ssl_handshake_timeout=settings.limits.login_s if settings.tls else None,
+            # the library's would be close_timeout, and what a reader has not taken by then would be dropped
+            ssl_shutdown_timeout=settings.file_stall_s if settings.tls else None,
+        )
+
+    def _on_full(self, peer: str) -> None:
+        self._tell(logging.WARNING, f"{peer}: too many connections; its oldest one without a login had to go")
 
     # -- files
 
@@ -177,7 +186,7 @@ class ConsoleServer:
         settings = self._settings
         path, policy = None, POLICY
         if name == "runs.json" and settings.results is not None:
-            return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY)
+            return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY, private=True)
         if name.startswith("runs/") and settings.results is not None:
             path, policy = recordings(settings.results).get(name.removeprefix("runs/")), REPORT_POLICY
         elif settings.private is not None:
@@ -191,7 +200,7 @@ class ConsoleServer:
             )
         if file is None:
             return _answer(http.HTTPStatus.NOT_FOUND, b"no such file\n")
-        return _file_answer(file, request, policy)
+        return _file_answer(file, request, policy, private=True)
 
     # -- the pipe
 
@@ -206,14 +215,7 @@ class ConsoleServer:
         if why:
             self._tell(logging.WARNING, f"{peer} refused: {why}")
             return _answer(http.HTTPStatus.FORBIDDEN, f"{why}\n".encode())
-        if self._is_full(peer):
-            self._tell(logging.WARNING, f"{peer} refused: too many connections")
-            return _answer(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many connections\n")
         return None
-
-    def _is_full(self, peer: str) -> bool:
-        settings = self._settings
-        return self._peers.total() >= settings.connections or self._peers[peer] >= settings.connections_per_peer
 
     def _tell(self, level: int, sentence: str) -> None:
         """Write a line that anybody on the network can cause: not more of them than a disk can hold."""
@@ -232,28 +234,24 @@ class ConsoleServer:
 
     async def _on_socket(self, connection: ServerConnection) -> None:
         peer, ticket = _peer(connection), self._given.pop(connection)
-        # again: others may have come since the request
-        if self._is_full(peer):
-            self._tell(logging.WARNING, f"{peer} refused: too many connections")
-            await connection.close(TOO_MUCH, "too many connections")
-            return
-        self._peers[peer] += 1
+        number = connection.transport.get_extra_info("socket").fileno()
         accounts: list[str] = []
 
-        def on_login(account: str) -> None:
+        def on_login(account: str) -> str:
+            if why := self._places.login(number, account):
+                self._tell(logging.WARNING, f"{peer} refused as {_shown(account)}: {why}")
+                return why
             accounts.append(account)
-            self._tickets.login(ticket)
+            self._tickets.login(ticket, account)
             self._tell(logging.INFO, f"{peer} logged in as {_shown(account)}")
+            return ""
 
         try:
             how = await pipe(connection, self._settings.broker, self._settings.limits, on_login)
             self._tell(logging.INFO, f"{peer}: {how}")
         finally:
-            if accounts:
-                self._tickets.logout(ticket)
-            self._peers[peer] -= 1
-            if not self._peers[peer]:
-                del self._peers[peer]
+            for account in accounts:
+                self._tickets.logout(ticket, account)
 
 
 def _joined(headers: Headers, name: str, between: str) -> str | None:
@@ -280,6 +278,7 @@ def _answer(status: http.HTTPStatus, body: bytes) -> Response:
     return Response(status.value, status.phrase, Headers(headers | _COMMON | {"Content-Security-Policy": POLICY}), body)
 
 
+_LASTING = "max-age=31536000, immutable"
 _COMMON = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -288,13 +287,13 @@ _COMMON = {
 }
 
 
-def _file_answer(file: StaticFile, request: Request, policy: str) -> Response:
+def _file_answer(file: StaticFile, request: Request, policy: str, private: bool = False) -> Response:
     headers = _COMMON | {
         "Content-Security-Policy": policy,
         "Content-Type": file.kind,
         "ETag": file.tag,
         "Vary": "Accept-Encoding",
-        "Cache-Control": "max-age=31536000, immutable" if file.lasting else "no-cache",
+        "Cache-Control": ("private, " if private else "") + (_LASTING if file.lasting else "no-cache"),
         "Connection": "close",
     }
     if request.headers.get("If-None-Match") == file.tag:

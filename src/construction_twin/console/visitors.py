@@ -1,9 +1,8 @@
-"""How many TCP connections are open, and that each asks for something soon: before a request nobody is known."""
+"""One TCP connection, which has to ask for something soon, and on which a request can be answered without the library."""
 
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
 
 from websockets.asyncio.server import ServerConnection
 from websockets.protocol import State
@@ -50,26 +49,19 @@ class Visitor(ServerConnection):
         return None
 
 
-def visitor_type(request_s: float, most: int, most_per_peer: int) -> type[Visitor]:
+def visitor_type(request_s: float) -> type[Visitor]:
     """Return the class of a server's connections.
 
     Parameters
     ----------
     request_s : float
         Longest wait for the whole request [s].
-    most, most_per_peer : int
-        Most connections at once, of all and of one address; what is more is closed without an answer.
     """
-    peers: Counter[str] = Counter()
 
-    class CountedVisitor(Visitor):
+    class ImpatientVisitor(Visitor):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
-            self.peer = str(transport.get_extra_info("peername")[0])
-            peers[self.peer] += 1
             self.waiting = asyncio.get_running_loop().call_later(request_s, self.give_up)
-            if peers.total() > most or peers[self.peer] > most_per_peer:
-                self.transport.abort()
 
         def give_up(self) -> None:
             if self.request is None:
@@ -77,9 +69,6 @@ def visitor_type(request_s: float, most: int, most_per_peer: int) -> type[Visito
 
         def connection_lost(self, exc: Exception | None) -> None:
             self.waiting.cancel()
-            peers[self.peer] -= 1
-            if not peers[self.peer]:
-                del peers[self.peer]
             super().connection_lost(exc)
 
-    return CountedVisitor
+    return ImpatientVisitor

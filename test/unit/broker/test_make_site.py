@@ -16,6 +16,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from PIL import Image
 
 from construction_twin.broker import certificates
 from construction_twin.broker.certificates import Authority, expiry
@@ -116,10 +117,10 @@ def test_a_robot_is_added_and_the_others_keep_what_they_have(folder):
 
 def test_a_name_is_added_to_the_broker_s_certificate_but_its_key_stays(folder):
     before = contents(folder)
-    make(folder, "--host", "broker-2.example")
+    make(folder, "--host", "broker-2.example", "--renew-ca")
     after = contents(folder)
     changed = {name for name in before if after[name] != before[name]}
-    assert changed == {"broker/server.crt", "site.json"}
+    assert {name for name in changed if not name.endswith("ca.crt")} == {"broker/server.crt", "site.json"}
     text = subprocess.run(
         ["openssl", "x509", "-in", folder / "broker/server.crt", "-noout", "-ext", "subjectAltName"],
         capture_output=True, text=True, check=True,
@@ -274,14 +275,16 @@ def test_what_is_taken_out_of_the_settings_is_taken_away_and_named(folder, capsy
 # -- the console
 
 
-CONSOLE = ["--console", "twin.example", "--console", "192.168.7.20", "--console", "fd00::7"]
+#: Added to a site that is there, whose CA was made without these names.
+CONSOLE = ["--console", "twin.example", "--console", "192.168.7.20", "--console", "fd00::7", "--renew-ca"]
 ADDRESSES = ["https://twin.example:8480/", "https://192.168.7.20:8480/", "https://[fd00::7]:8480/"]
 
 
 def test_the_console_gets_a_certificate_for_its_own_names(folder, capsys):
     before = contents(folder)
     make(folder, *CONSOLE)
-    assert {name for name in before if contents(folder)[name] != before[name]} == {"site.json"}
+    changed = {name for name in before if contents(folder)[name] != before[name]}
+    assert {name for name in changed if not name.endswith("ca.crt")} == {"site.json"}
     text = certificates.openssl("x509", "-in", folder / "console/console.crt", "-noout", "-ext", "subjectAltName")
     assert "DNS:twin.example, IP Address:192.168.7.20, IP Address:FD00:0:0:0:0:0:0:7" in text
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
@@ -300,7 +303,7 @@ def test_a_second_run_leaves_the_console_alone_and_a_new_name_signs_it_anew(fold
     before = contents(folder)
     make(folder)
     assert contents(folder) == before
-    make(folder, "--console", "hall7.example")
+    make(folder, "--console", "hall7.twin.example")
     after = contents(folder)
     changed = {name for name in before if after[name] != before[name]}
     assert changed == {"console/console.crt", "console/addresses.txt", "site.json"}
@@ -328,11 +331,16 @@ def test_codes_hold_the_address_and_no_password(folder, monkeypatch):
     assert passwords and not any(password in shown for password in passwords)
 
 
-def test_real_codes_are_pictures(folder, capsys):
+def test_real_codes_hold_the_address_and_nothing_else(folder, capsys):
     pytest.importorskip("segno")
+    import zxingcpp
+
     make(folder, *CONSOLE)
     assert capsys.readouterr().out.count("it holds the address, no password") == 3
-    assert (folder / "console/twin.example.png").read_bytes().startswith(b"\x89PNG")
+    for name, address in zip(("twin.example", "192.168.7.20", "fd00__7"), ADDRESSES):
+        with Image.open(folder / f"console/{name}.png") as picture:
+            (code,) = zxingcpp.read_barcodes(picture.convert("L"))
+        assert (code.format, code.text) == (zxingcpp.BarcodeFormat.QRCode, address)
     assert ElementTree.fromstring((folder / "console/twin.example.svg").read_bytes()).tag.endswith("svg")
     make(folder)
     assert "QR code" not in capsys.readouterr().out
@@ -401,6 +409,100 @@ def test_the_certificates_chain_up_and_carry_their_purpose(folder):
     )
 
 
+def verdict(folder: Path, host: str, *more: str) -> tuple[str, str]:
+    """Have the CA sign for these hosts; return what openssl and Python's ssl say, empty when they believe it for the first."""
+    key, certificate = folder / "tried.key", folder / "tried.crt"
+    Authority(folder / "ca", "x", ()).issue("tried", key, certificate, 10, (host, *more))
+    command = ["openssl", "verify", "-x509_strict", "-purpose", "sslserver", "-CAfile", folder / "ca/ca.crt"]
+    kind = "-verify_hostname" if host.strip("0123456789.") and ":" not in host else "-verify_ip"
+    done = subprocess.run([*command, kind, host, certificate], capture_output=True, text=True, check=False)
+    own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    own.load_cert_chain(certificate, key)
+    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client = ssl.create_default_context(cafile=folder / "ca/ca.crt").wrap_bio(back, there, server_hostname=host)
+    server = own.wrap_bio(there, back, server_side=True)
+    said = ""
+    for side in (client, server, client):
+        try:
+            side.do_handshake()
+        except ssl.SSLWantReadError:
+            pass
+        except ssl.SSLCertVerificationError as error:
+            said = error.verify_message
+    return (done.stderr if done.returncode else ""), said
+
+
+@pytest.mark.parametrize(
+    "host", ["broker.example", "BROKER.example", "a.broker.example", "192.168.7.10", "localhost", "127.0.0.1", "::1"]
+)
+def test_the_ca_vouches_for_the_site_s_names(folder, host):
+    assert verdict(folder, host) == ("", "")
+
+
+@pytest.mark.parametrize(
+    "hosts",
+    [("evil.example",), ("notbroker.example",), ("example",), ("192.168.7.11",), ("fd00::1",),
+     ("broker.example", "bank.example"), ("broker.example", "192.168.7.11")],
+)  # fmt: skip
+def test_nobody_believes_the_ca_about_other_names(folder, hosts):
+    openssl, python = verdict(folder, *hosts)
+    assert "permitted subtree violation" in openssl and python == "permitted subtree violation"
+
+
+def test_a_ca_for_addresses_alone_vouches_for_no_name(tmp_path):
+    make(tmp_path / "site", "--host", "192.168.7.10", *ROBOT)
+    assert verdict(tmp_path / "site", "192.168.7.10") == ("", "")
+    assert verdict(tmp_path / "site", "broker.example")[1] == "permitted subtree violation"
+
+
+def test_a_name_that_the_ca_may_not_vouch_for_changes_nothing_unless_the_ca_is_renewed(folder, capsys):
+    before = contents(folder)
+    assert main([str(folder), "--host", "new.example"]) == 1
+    assert "may not vouch for new.example; with --renew-ca" in capsys.readouterr().out
+    assert contents(folder) == before
+    make(folder, "--host", "new.example", "--renew-ca")
+    assert (
+        "signed the CA's certificate anew, for broker.example, 192.168.7.10, new.example only"
+        in capsys.readouterr().out
+    )
+    assert verdict(folder, "new.example", "broker.example") == ("", "")
+    ca = (folder / "ca/ca.crt").read_bytes()
+    assert all(path.read_bytes() == ca for path in folder.rglob("ca.crt"))
+    assert contents(folder)["ca/ca.key"] == before["ca/ca.key"]
+    # who has a certificate of before is still believed
+    for path in (folder / "accounts").glob("*/client.crt"):
+        certificates.openssl("verify", "-CAfile", folder / "ca/ca.crt", "-purpose", "sslclient", path)
+
+
+def test_a_ca_of_before_there_were_limits_is_kept_and_told_how_to_limit(folder, capsys):
+    key, ca = folder / "ca/ca.key", folder / "ca/ca.crt"
+    request = [
+        "req",
+        "-x509",
+        "-config",
+        "/dev/null",
+        "-subj",
+        "/CN=construction_twin site",
+        "-key",
+        key,
+        "-days",
+        "3650",
+    ]
+    extensions = ["basicConstraints=critical,CA:true,pathlen:0", "keyUsage=critical,keyCertSign,cRLSign"]
+    made = certificates.openssl(
+        *request, *(word for each in (*extensions, "subjectKeyIdentifier=hash") for word in ("-addext", each))
+    )
+    certificates.write_private(ca, made)
+    capsys.readouterr()
+    make(folder, "--host", "new.example")
+    assert "kept the CA, which may vouch for any name; --renew-ca limits it" in capsys.readouterr().out
+    assert ca.read_text() == made and verdict(folder, "evil.example") == ("", "")
+    make(folder, "--renew-ca")
+    make(folder)
+    assert "may vouch for any name" not in capsys.readouterr().out
+    assert verdict(folder, "new.example") == ("", "") and verdict(folder, "evil.example")[1]
+
+
 @pytest.mark.parametrize(
     "arguments, said",
     [
@@ -436,7 +538,7 @@ def test_a_tool_that_fails_is_told_with_its_last_words(tmp_path):
 def test_half_a_ca_is_not_mended_by_making_another(folder):
     (folder / "ca/ca.key").unlink()
     with pytest.raises(SiteError, match="only one of ca.key and ca.crt"):
-        Authority(folder / "ca", "x")
+        Authority(folder / "ca", "x", ())
 
 
 def test_settings_that_cannot_be_read_stop_the_run(folder, capsys):

@@ -16,6 +16,7 @@ import pytest
 
 from construction_twin.broker.access import Site
 from construction_twin.broker.make_site import SiteFolder
+from construction_twin.console import delivery
 from construction_twin.console.pipe import BrokerAddress
 from construction_twin.console.server import ConsoleServer, ServerSettings
 from construction_twin.console.static_files import StaticFile
@@ -116,6 +117,23 @@ def test_who_takes_nothing_is_cut_off_and_nobody_else(site, secure, caplog):
             reader, writer = await ask(get("/"), trust)
             assert (await rest(reader)).endswith(SMALL.body)
             writer.close()
+
+    with caplog.at_level(logging.WARNING, "console"):
+        asyncio.run(scene())
+
+
+def test_who_takes_a_little_for_ever_is_cut_off(monkeypatch, caplog):
+    monkeypatch.setattr(delivery, "SLOWEST", 1e7)
+
+    async def scene() -> None:
+        # 2.5 s for 20 MB; this reader never stalls and would need 20 s
+        async with running(file_stall_s=0.5):
+            reader, writer = await ask(get())
+            async with asyncio.timeout(10):
+                while "did not take all of '/building.glb'" not in caplog.text:
+                    await reader.read(16_384)
+                    await asyncio.sleep(0.016)
+            writer.transport.abort()
 
     with caplog.at_level(logging.WARNING, "console"):
         asyncio.run(scene())

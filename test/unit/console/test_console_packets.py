@@ -111,31 +111,31 @@ def test_only_the_server_s_own_page_and_named_origins_may_connect(origin, host, 
     assert bool(refusal(origin, host, secure, frozenset({"https://other.cell"}))) is not fits
 
 
-def test_a_ticket_counts_from_the_login_to_the_end_of_its_connection():
+def test_a_ticket_counts_from_the_login_to_the_end_of_its_account_s_last_connection():
     tickets = Tickets(iter(["one", "two"]).__next__, 8480)
     first, second = tickets.give(None), tickets.give("other=1; console_ticket_8480=guess")
     header = tickets.cookie(first, True).partition(";")[0]
     assert (first, second, header) == ("one", "two", "console_ticket_8480=one")
     assert not tickets.is_known(header)
-    tickets.login(first)
+    tickets.login(first, "ada")
     # also beside a cookie of another program that is no proper one
     assert tickets.is_known(header) and tickets.is_known(f'a b=[,"; {header}')
     assert not tickets.is_known(tickets.cookie(second, False).partition(";")[0])
     for other in (None, "", "console_ticket_8480=; \x00=", "console_ticket_8481=one", "console_ticket_8480"):
         assert not tickets.is_known(other), other
-    tickets.logout(first)
+    tickets.logout(first, "ada")
     assert not tickets.is_known(header)
 
 
 def test_a_second_tab_does_not_end_the_login_of_the_first():
     tickets = Tickets(iter(["one", "two"]).__next__, 8480)
-    tickets.login(tickets.give(None))
+    tickets.login(tickets.give(None), "ada")
     again = tickets.give("console_ticket_8480=one")
     assert again == "one"
-    tickets.login(again)
-    tickets.logout(again)
+    tickets.login(again, "ada")
+    tickets.logout(again, "ada")
     assert tickets.is_known("console_ticket_8480=one")
-    tickets.logout("one")
+    tickets.logout("one", "ada")
     assert not tickets.is_known("console_ticket_8480=one")
 
 

@@ -17,10 +17,13 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
+from html.parser import HTMLParser
 from http.cookies import SimpleCookie
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
+from evaluation_samples import run
 from mqtt_packets import connect, packet, text
 from websockets.asyncio.client import connect as websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -28,10 +31,13 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from construction_twin.broker import make_site
 from construction_twin.console import command_line
 from construction_twin.console.command_line import main
+from construction_twin.console.listener import listeners
 from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, BrokerAddress, PipeLimits
+from construction_twin.console.places import PlaceLimits, Places
 from construction_twin.console.server import ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.evaluation.report import write_report
 
 PORT, BROKER_PORT = 28480, 28481
 ORIGIN = f"http://127.0.0.1:{PORT}"
@@ -210,6 +216,33 @@ def test_a_browser_s_second_page_does_not_take_the_first_one_s_files_away(broker
     asyncio.run(scene())
 
 
+@pytest.mark.parametrize("closes", ("the earlier one", "the later one"))
+def test_two_tabs_that_connect_at_once_outlive_each_other(broker, tmp_path, closes):
+    """Each gets a ticket, because neither shows one; the browser keeps the later one for both."""
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "robot.json").write_text("{}")
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, private=private)), browser() as earlier, browser() as later:
+            kept = later.response.headers["Set-Cookie"].partition(";")[0]
+            for client in (earlier, later):
+                await client.send(login())
+                assert await client.recv() == CONNACK_OK
+            gone, left = (earlier, later) if closes == "the earlier one" else (later, earlier)
+            await gone.send(packet(14))
+            await closed(gone)
+            answer, _ = await asyncio.to_thread(get, "/private/robot.json", Cookie=kept)
+            assert answer.status == 200
+            await left.send(packet(14))
+            await closed(left)
+            async with asyncio.timeout(10):
+                while (await asyncio.to_thread(get, "/private/robot.json", Cookie=kept))[0].status != 403:
+                    pass
+
+    asyncio.run(scene())
+
+
 @pytest.mark.parametrize("origin", (None, "https://evil.example", "http://127.0.0.1:1"))
 def test_another_site_s_page_is_refused(broker, tmp_path, origin):
     async def scene() -> None:
@@ -305,14 +338,103 @@ def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_an
     asyncio.run(scene())
 
 
-def test_no_more_connections_than_allowed(broker, tmp_path):
+@pytest.mark.parametrize(
+    ("limits", "why"),
+    (
+        (PlaceLimits(logins=2), "too many connections are logged in"),
+        (PlaceLimits(logins_per_address=2), "too many connections from this address are logged in"),
+        (PlaceLimits(logins_per_account=2), "too many connections are logged in to this account"),
+    ),
+)
+def test_no_more_logins_than_allowed(broker, tmp_path, limits, why):
     async def scene() -> None:
-        async with running(settings(tmp_path, connections_per_peer=2)), browser() as one, browser():
-            with pytest.raises(InvalidStatus) as caught:
-                async with browser():
+        async with running(settings(tmp_path, places=limits)), browser() as one, browser() as two:
+            for client in (one, two):
+                await client.send(login())
+                assert await client.recv() == CONNACK_OK
+            async with browser() as third:
+                await third.send(login())
+                assert await closed(third) == (TOO_MUCH, why)
+            await one.send(packet(14))
+            assert (await closed(one))[0] == 1000
+            # its place is free as soon as its connection has ended
+            await one.wait_closed()
+            async with asyncio.timeout(10):
+                while not await logs_in():
                     pass
-            assert caught.value.response.status_code == 503
-            await one.close()
+
+    async def logs_in() -> bool:
+        async with browser() as client:
+            await client.send(login())
+            try:
+                return await client.recv() == CONNACK_OK
+            except ConnectionClosed:
+                return False
+
+    asyncio.run(scene())
+
+
+def test_who_has_logged_in_stays_and_others_get_in_whoever_fills_the_places(broker, tmp_path):
+    """Four addresses hold all places of visitors: with nothing, with half a request, with a WebSocket that does not log in."""
+    places = PlaceLimits(visitors=24, visitors_per_address=8)
+    half = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n".encode()
+    upgrade = (
+        half.replace(b"GET /", b"GET /mqtt")
+        + (
+            f"Origin: {ORIGIN}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: mqtt\r\n\r\n"
+        ).encode()
+    )
+
+    async def scene() -> None:
+        # nobody is cut off for being late
+        served = settings(tmp_path, places=places, limits=PipeLimits(login_s=300.0))
+        async with running(served), browser() as first, contextlib.AsyncExitStack() as held:
+            await first.send(login())
+            assert await first.recv() == CONNACK_OK
+            for number in range(80):
+                address = f"127.0.0.{2 + number % 4}"
+                _, writer = await asyncio.open_connection("127.0.0.1", PORT, local_addr=(address, 0))
+                held.callback(writer.transport.abort)
+                writer.write((b"", half, upgrade)[number // 4 % 3])
+            assert (await asyncio.to_thread(get, "/"))[0].status == 200
+            async with browser() as late:
+                await late.send(login())
+                assert await late.recv() == CONNACK_OK
+                for client in (first, late):
+                    await client.send(PING)
+                    assert await asyncio.wait_for(client.recv(), 10) == PONG
+
+    asyncio.run(scene())
+
+
+def test_with_tls_nobody_s_unfinished_handshakes_keep_others_out(tmp_path):
+    site = tmp_path / "site"
+    assert make_site.main([str(site), "--host", "localhost", "--robot", "kr120"]) == 0
+    own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    own.load_cert_chain(site / "broker/server.crt", site / "broker/server.key")
+    trust = ssl.create_default_context(cafile=site / "ca/ca.crt")
+    places = PlaceLimits(visitors=24, visitors_per_address=8)
+
+    async def scene() -> None:
+        served = settings(tmp_path, places=places, tls=own, limits=PipeLimits(login_s=300.0))
+        async with running(served), contextlib.AsyncExitStack() as held:
+            readers = []
+            for number in range(80):
+                reader, writer = await asyncio.open_connection(
+                    "127.0.0.1", PORT, local_addr=(f"127.0.0.{2 + number % 4}", 0)
+                )
+                held.callback(writer.transport.abort)
+                readers.append(reader)
+            # the oldest have ended, those that fill the places have not
+            ended = [asyncio.create_task(reader.read()) for reader in readers]
+            done, pending = await asyncio.wait(ended[:56], timeout=10)
+            assert len(done) == 56 and not pending
+            assert not any(task.done() for task in ended[56:])
+            reader, writer = await asyncio.open_connection("127.0.0.1", PORT, ssl=trust, server_hostname="localhost")
+            writer.write(f"GET / HTTP/1.1\r\nHost: localhost:{PORT}\r\n\r\n".encode())
+            assert (await asyncio.wait_for(reader.read(), 10)).startswith(b"HTTP/1.1 200")
+            writer.close()
 
     asyncio.run(scene())
 
@@ -364,9 +486,65 @@ def test_the_runs_are_listed_for_who_is_logged_in(broker, tmp_path):
     asyncio.run(scene())
 
 
+class Sources(HTMLParser):
+    """What a page gets or runs, each with the directive of the policy that decides about it."""
+
+    KINDS: ClassVar = {
+        "img": "img-src",
+        "script": "script-src",
+        "iframe": "frame-src",
+        "link": "style-src",
+        "form": "form-action",
+    }
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.found: list[tuple[str, str]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        if tag in self.KINDS:
+            self.found.append((self.KINDS[tag], given.get("src") or given.get("href") or "inline"))
+        if tag == "style" or "style" in given:
+            self.found.append(("style-src", "inline"))
+        assert not [name for name in given if name.startswith("on")]
+
+    def handle_data(self, data):
+        if "url(" in data:
+            self.found.append(("img-src", data[data.index("url(") + 4 :]))
+
+
+def test_all_that_a_report_holds_is_shown_and_its_policy_allows_no_more(broker, tmp_path):
+    """A page in a sandbox has no origin: a picture of this server would be asked for without the cookie, and refused."""
+    results = tmp_path / "results"
+    write_report(run(), None, results / "run1")
+
+    async def scene() -> None:
+        async with running(settings(tmp_path, results=results)), browser() as client:
+            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
+            await client.send(login())
+            assert await client.recv() == CONNACK_OK
+            answer, body = await asyncio.to_thread(get, "/private/runs/run1/report.html", Cookie=ticket)
+            parts = [each.split() for each in answer.headers["Content-Security-Policy"].split(";")]
+            policy = {name: set(values) for name, *values in parts}
+            assert policy["default-src"] == {"'none'"} and policy["sandbox"] == set()
+            needed: dict[str, set[str]] = {}
+            for directive, source in Sources(body.decode()).found:
+                word = "'unsafe-inline'" if source == "inline" else "data:" if source.startswith("data:") else source
+                needed.setdefault(directive, set()).add(word)
+            assert needed["img-src"] and needed["style-src"]
+            assert needed == {name: policy[name] for name in policy if policy[name] - {"'none'"}}
+            assert answer.headers["Cache-Control"] == "private, no-cache"
+            answer, _ = await asyncio.to_thread(get, "/private/runs.json", Cookie=ticket)
+            assert answer.headers["Cache-Control"] == "private, no-cache"
+
+    asyncio.run(scene())
+
+
 def test_ten_thousand_junk_frames_leave_it_alive(broker, tmp_path):
     async def scene() -> None:
-        async with running(settings(tmp_path, connections_per_peer=30)), browser() as good:
+        async with running(settings(tmp_path)), browser() as good:
             await good.send(login())
             assert await good.recv() == CONNACK_OK
 
@@ -447,19 +625,29 @@ def test_what_is_no_broker_is_told(tmp_path):
     asyncio.run(scene())
 
 
-def test_a_connection_that_asks_for_nothing_is_closed_and_one_address_cannot_have_all(tmp_path):
+def test_a_name_of_several_addresses_is_listened_to_on_each_and_a_port_that_is_taken_is_told():
     async def scene() -> None:
-        limits = PipeLimits(login_s=1.0)
-        async with running(settings(tmp_path, limits=limits, connections_per_peer=1)):
-            visitors = [await asyncio.open_connection("127.0.0.1", PORT) for _ in range(5)]
-            # the fifth at once, the others after a second
-            for reader, _ in reversed(visitors):
-                with contextlib.suppress(ConnectionError):
-                    assert await asyncio.wait_for(reader.read(), 10) == b""
-            answer, _ = await asyncio.to_thread(get, "/")
-            assert answer.status == 200
-            for _, writer in visitors:
-                writer.close()
+        places = Places(PlaceLimits())
+        made = await listeners("localhost", PORT, places, print)
+        try:
+            found = {each[4][0] for each in socket.getaddrinfo("localhost", PORT, type=socket.SOCK_STREAM)}
+            assert {each.getsockname()[0] for each in made} == found
+            with pytest.raises(OSError, match="in use"):
+                await listeners("127.0.0.1", PORT, places, print)
+        finally:
+            for each in made:
+                each.close()
+
+    asyncio.run(scene())
+
+
+def test_a_connection_that_asks_for_nothing_is_closed(tmp_path):
+    async def scene() -> None:
+        async with running(settings(tmp_path, limits=PipeLimits(login_s=0.5))):
+            reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
+            with contextlib.suppress(ConnectionError):
+                assert await asyncio.wait_for(reader.read(), 10) == b""
+            writer.close()
 
     asyncio.run(scene())
 
@@ -467,8 +655,8 @@ def test_a_connection_that_asks_for_nothing_is_closed_and_one_address_cannot_hav
 @pytest.mark.parametrize("ends", ("with its request", "once it has all"))
 def test_a_reader_that_has_its_file_takes_up_no_connection(tmp_path, caplog, ends):
     async def scene() -> None:
-        # four connections of an address at once
-        async with running(settings(tmp_path, connections_per_peer=1)):
+        # what has not left its place by then has to go for the next one, and is told
+        async with running(settings(tmp_path, places=PlaceLimits(visitors_per_address=4))):
             for _ in range(12):
                 reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
                 writer.write(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n\r\n".encode())
@@ -480,7 +668,7 @@ def test_a_reader_that_has_its_file_takes_up_no_connection(tmp_path, caplog, end
                 await writer.wait_closed()
 
     asyncio.run(scene())
-    assert "did not take all" not in caplog.text
+    assert "did not take all" not in caplog.text and "too many connections" not in caplog.text
 
 
 def test_a_private_file_is_the_one_of_now(broker, tmp_path):

@@ -129,6 +129,17 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
     assert bench.node.report().values == {"trajectories under review": 1, "trajectories waiting": 0}
 
 
+def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_motion_is(bench):
+    for _ in range(100):
+        bench.node.on_trajectory("kr120-planner-ada", b"{", False)
+    answered = len(bench.answers)
+    assert 10 <= answered < 100 and sum(bench.made.refused.values()) == 100
+    assert bench.node.report().values["trajectories malformed, not answered"] == 100 - answered
+    bench.send("kr120-planner-ada")
+    bench.check()
+    assert bench.answers[-1]["ok"] and len(bench.answers) == answered + 1
+
+
 @pytest.mark.parametrize(
     "sender, says, proven, shown",
     [

@@ -117,6 +117,27 @@ def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench):
     assert (answer["ok"], answer["account"]) == (False, "kr120-reviewer-ada")
 
 
+def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdict_is(bench):
+    for _ in range(100):
+        bench.node.on_review("kr120-reviewer-ada", b"{", False)
+    answered = len(bench.client.published)
+    assert 10 <= answered < 100 and bench.made.refused == {"review": 100}
+    assert bench.node.report().values == {"verdicts malformed, not answered": 100 - answered}
+    # nobody else's answers wait for that, and nothing that can be read does
+    bench.node.on_review("kr120-reviewer-bob", b"{", False)
+    assert json.loads(bench.client.published[-1][1])["account"] == "kr120-reviewer-bob"
+    for _ in range(WAITING + 50):
+        bench.verdict()
+    assert len(bench.client.published) == answered + 1 + 50
+
+
+def test_on_a_site_a_verdict_in_no_name_is_answered_as_often_as_it_comes(monkeypatch):
+    site = Bench("/nowhere/account.json")
+    for _ in range(100):
+        site.verdict()
+    assert len(site.client.published) == 100 and site.made.refused == {"sender": 100}
+
+
 # -- stop, pause, resume
 
 
@@ -189,6 +210,18 @@ def test_what_is_no_press_is_refused_counted_and_answered(pressing, verb, ack):
     assert [answer["ok"] for answer in answers] == [False] * 3
     assert [answer["account"] for answer in answers] == ["kr120-stopper-bob", "kr120-stopper-bob", ""]
     assert pressing.pressed == []
+
+
+@pytest.mark.parametrize("verb, ack", [("stop", "stop"), ("pause", "pause"), ("resume", "pause")])
+def test_who_floods_with_what_is_no_press_is_not_always_answered_and_a_press_is(pressing, verb, ack):
+    for _ in range(100):
+        press(pressing, verb, payload=b"{}")
+    answered = len(acks(pressing, ack))
+    assert 10 <= answered < 100 and pressing.made.refused == {verb: 100}
+    assert pressing.node.report().values == {"interventions malformed, not answered": 100 - answered}
+    press(pressing, verb, "7")
+    wait_until(lambda: len(acks(pressing, ack)) > answered, what="an answer")
+    assert (acks(pressing, ack)[-1]["id"], acks(pressing, ack)[-1]["ok"]) == ("7", True)
 
 
 def test_answers_are_no_presses(pressing):

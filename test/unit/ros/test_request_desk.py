@@ -121,6 +121,15 @@ def bench(monkeypatch):
     return made
 
 
+def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_wish_is(bench):
+    for _ in range(100):
+        bench.desk.on_plan_request(ADA, b"{", False)
+    answered = len(bench.published)
+    assert 10 <= answered < 100 and len(bench.refused) == 100
+    assert bench.desk.counts == {"plan_requests malformed, not answered": 100 - answered}
+    assert bench.ask(kind="joints", joints={"track": 1.5, "joint_a1": 0.25})["ok"]
+
+
 def test_joint_values_become_a_plan_that_a_stop_before_its_turn_voids(bench):
     answer = bench.ask(kind="joints", joints={"track": 1.5, "joint_a1": 0.25}, speed_scale=0.5)
     assert answer == {

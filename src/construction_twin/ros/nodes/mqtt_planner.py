@@ -56,6 +56,7 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.malformed_answers import MalformedAnswers
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
@@ -168,6 +169,7 @@ class MqttPlanner:
         self._desk: RequestDesk | None = None
         self._looks_around = bool(settings.private)
         self._counts: Counter[str] = Counter()
+        self._malformed = MalformedAnswers("trajectories")
         self._sync: tuple[Sync, float] | None = None
         self._link: tuple[Link, float] | None = None
         self._execution: tuple[Execution, float] | None = None
@@ -315,7 +317,8 @@ class MqttPlanner:
 
     def _refuse(self, reason: str, sentence: str, request: str, sender: str) -> None:
         self._diagnostics.refuse(reason, sentence)
-        self._answer(self._topics.trajectory_ack, trajectory_answer(request, sender, False, sentence))
+        if self._malformed.take(sender):
+            self._answer(self._topics.trajectory_ack, trajectory_answer(request, sender, False, sentence))
 
     def _answer(self, topic: str, payload: bytes, qos: int = 1) -> None:
         self._client.publish(topic, payload, qos=qos)
@@ -437,7 +440,7 @@ class MqttPlanner:
         with self._lock:
             values: dict[str, object] = {f"trajectories {name}": n for name, n in sorted(self._counts.items())}
         values["trajectories waiting"] = self._line.waiting
-        values |= self._desk.counts if self._desk is not None else {}
+        values |= self._malformed.report() | (self._desk.counts if self._desk is not None else {})
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         taken = (

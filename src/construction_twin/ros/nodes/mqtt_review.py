@@ -39,6 +39,7 @@ from construction_twin.msg import Link, Plan, Review
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.malformed_answers import MalformedAnswers
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
@@ -104,6 +105,7 @@ class MqttReview:
         self._checked_at = 0.0
         self._reviews: queue.Queue[RemoteReview] = queue.Queue(WAITING)
         self._verdicts: Counter[str] = Counter()
+        self._malformed = MalformedAnswers("verdicts")
         self._topics = Topics(settings.prefix, robot)
         self._review_plan = review_plan
         self._broker = broker
@@ -216,11 +218,13 @@ class MqttReview:
     def on_review(self, account: str, payload: bytes, retained: bool) -> None:
         """Take a verdict from `review/<account>`, or with "" from `review`; it is carried out in the main thread."""
         try:
-            if not account and self._settings.account:
-                raise PayloadError("sender", _NAMELESS)
             review = parse_review(payload, retained, account)
         except PayloadError as error:
             self._refuse_review(error, account)
+            return
+        if not account and self._settings.account:
+            self._diagnostics.refuse("sender", _NAMELESS)
+            self._answer(review, False, _NAMELESS)
             return
         try:
             self._reviews.put_nowait(review)
@@ -231,7 +235,8 @@ class MqttReview:
 
     def _refuse_review(self, error: PayloadError, account: str) -> None:
         self._diagnostics.refuse(error.reason, str(error))
-        self._answer(None, False, str(error), account)
+        if self._malformed.take(account):
+            self._answer(None, False, str(error), account)
 
     def carry_out(self, review: RemoteReview) -> None:
         """Give a verdict to the executor, and its answer to the reviewer."""
@@ -257,7 +262,7 @@ class MqttReview:
         """Return the state for `/diagnostics`."""
         with self._lock:
             values = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
-        values |= self._interventions.report()
+        values |= self._malformed.report() | self._interventions.report()
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         return Report(OK, "a plan is shown" if self._board.payload else "no plan to review", values)

@@ -26,6 +26,7 @@ from construction_twin.mqtt.interventions import (
     parse_intervention,
 )
 from construction_twin.mqtt.messages import Topics, account_of
+from construction_twin.ros.shared.malformed_answers import MalformedAnswers
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 
 #: What may wait while one is carried out, for each of the two threads.
@@ -67,6 +68,7 @@ class RemoteInterventions:
         self._known: deque[Intervention] = deque(maxlen=MEMORY)
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
+        self._malformed = MalformedAnswers("interventions")
         #: Counts a refused input; takes reason and sentence.
         self.refuse: Callable[[str, str], None] = lambda reason, sentence: None
         #: What takes the messages of each topic.
@@ -83,7 +85,8 @@ class RemoteInterventions:
     def report(self) -> dict[str, int]:
         """Return the counts for `/diagnostics`."""
         with self._lock:
-            return {f"interventions {name}": count for name, count in sorted(self._counts.items())}
+            counts = {f"interventions {name}": count for name, count in sorted(self._counts.items())}
+        return counts | self._malformed.report()
 
     def _take(self, verb: str, message: MQTTMessage) -> None:
         account = id_ = ""
@@ -99,7 +102,8 @@ class RemoteInterventions:
             self._queues[verb].put_nowait(wanted)
         except PayloadError as error:
             self.refuse(error.reason, str(error))
-            if error.reason != "repeated":
+            # one that came before was answered then
+            if error.reason != "repeated" and self._malformed.take(account):
                 self._answer(verb, id_, account, False, str(error))
         except queue.Full:
             sentence = f"{WAITING} are waiting already; try again"

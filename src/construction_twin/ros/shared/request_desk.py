@@ -33,6 +33,7 @@ from construction_twin.link.remote_view import ClosestView
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.ros.shared.malformed_answers import MalformedAnswers
 from construction_twin.ros.shared.pose_judge import PoseJudge
 from construction_twin.ros.shared.request_line import Request, RequestLine
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -125,6 +126,7 @@ class RequestDesk:
         self._news = threading.Condition()
         self._poses: dict[str, IkRequest] = {}
         self._counts: Counter[str] = Counter()
+        self._malformed = MalformedAnswers("plan_requests")
         self._closest: tuple[ClosestView, float] | None = None
         self._problem = ""
 
@@ -132,7 +134,7 @@ class RequestDesk:
     def counts(self) -> dict[str, int]:
         """What was done so far, for `/diagnostics`."""
         with self._news:
-            return dict(sorted(self._counts.items()))
+            return dict(sorted(self._counts.items())) | self._malformed.report()
 
     # -- wishes for plans
 
@@ -155,7 +157,8 @@ class RequestDesk:
             kind = asked.kind
         except PayloadError as error:
             self._refuse(error.reason, str(error))
-            self._publish(self._topics.plan_request_ack, plan_answer(name, account, kind, False, str(error)), 1)
+            if self._malformed.take(account):
+                self._publish(self._topics.plan_request_ack, plan_answer(name, account, kind, False, str(error)), 1)
             return
         arrived = now_ns()
         self._line.take(

@@ -1,0 +1,87 @@
+"""Who may be connected at once: nobody who has not logged in takes the place of somebody who has. Pure: connections are numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PlaceLimits:
+    """How many connections there may be.
+
+    Attributes
+    ----------
+    visitors, visitors_per_address : int
+        Of those that have not logged in: they begin TLS, ask for something, get a file, or are about to log in.
+    logins, logins_per_address, logins_per_account : int
+        Of WebSockets on which the broker has accepted a login. A broker without accounts has no limit per account.
+    """
+
+    visitors: int = 256
+    visitors_per_address: int = 64
+    logins: int = 64
+    logins_per_address: int = 16
+    logins_per_account: int = 16
+
+
+@dataclass(frozen=True)
+class _Login:
+    address: str
+    account: str
+
+
+class Places:
+    """The connections of a server.
+
+    A visitor always gets in: where there is no place, the oldest visitor of the address with the most of them has to go. So one
+    address, however many connections it makes, takes nothing from another one with fewer.
+
+    Parameters
+    ----------
+    limits : PlaceLimits
+    """
+
+    def __init__(self, limits: PlaceLimits):
+        self._limits = limits
+        self._visitors: dict[int, str] = {}
+        self._logins: dict[int, _Login] = {}
+
+    def enter(self, connection: int, address: str) -> int | None:
+        """Note a new connection; return the one that has to go for it, and is counted no more, or None."""
+        self._visitors[connection] = address
+        counts = Counter(self._visitors.values())
+        if counts[address] > self._limits.visitors_per_address:
+            return self._take_oldest([address])
+        if len(self._visitors) > self._limits.visitors:
+            most = max(counts.values())
+            return self._take_oldest([each for each, count in counts.items() if count == most])
+        return None
+
+    def _take_oldest(self, addresses: Iterable[str]) -> int:
+        # a dict keeps the order in which they came
+        oldest = next(each for each, address in self._visitors.items() if address in addresses)
+        del self._visitors[oldest]
+        return oldest
+
+    def login(self, connection: int, account: str) -> str:
+        """Give a visitor one of the places of those who are logged in; return why there is none, or an empty text."""
+        address = self._visitors.get(connection)
+        if address is None:
+            return "the connection has ended"
+        limits, logins = self._limits, self._logins.values()
+        if len(logins) >= limits.logins:
+            return "too many connections are logged in"
+        if sum(each.address == address for each in logins) >= limits.logins_per_address:
+            return "too many connections from this address are logged in"
+        if account and sum(each.account == account for each in logins) >= limits.logins_per_account:
+            return "too many connections are logged in to this account"
+        del self._visitors[connection]
+        self._logins[connection] = _Login(address, account)
+        return ""
+
+    def leave(self, connection: int) -> None:
+        """Note that a connection has ended; one that had to go has been forgotten before."""
+        self._visitors.pop(connection, None)
+        self._logins.pop(connection, None)
