@@ -148,7 +148,7 @@ class SiteFolder:
         if max(ends) > ends[0]:
             lines.append(
                 f"warning: the CA ends on {ends[0]:%Y-%m-%d}, and with it every certificate, whatever stands in it; "
-                "before that make a new site in another folder (docs/broker.md)"
+                "before that run it with --renew-ca, and give everybody the new ca.crt (docs/broker.md)"
             )
         return lines
 
