@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from console_page import ConsolePage
 from playwright.sync_api import expect
 
 
@@ -11,6 +12,21 @@ def test_the_page_asks_for_an_account_and_lets_in_who_has_one(page_of, site, rob
     page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
     expect(page.page.locator(".robots")).to_contain_text("one")
     assert "logged in as 'one-reviewer-ada'" in site.log.read_text()
+
+
+def test_where_the_page_s_script_does_not_arrive_a_line_says_what_to_do(browser, site):
+    """As when the tablet changes from one network to another while it loads."""
+    page = ConsolePage(browser, site.url)
+    try:
+        page.page.route("**/main.*.js", lambda route: route.abort("internetdisconnected"))
+        page.open()
+        expect(page.page.locator("#loading")).to_contain_text("reload the page: nothing can be stopped from here")
+        page.page.unroute_all()
+        page.page.reload()
+        expect(page.page.locator(".login")).to_be_visible()
+        expect(page.page.locator("#loading")).to_have_count(0)
+    finally:
+        page.close()
 
 
 def test_a_wrong_password_is_told_and_opens_nothing(page_of, site, robot):

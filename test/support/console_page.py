@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-from playwright.sync_api import Browser, Error, Locator, Page, Playwright, expect
+from playwright.sync_api import Browser, Error, Locator, Page, Playwright, Request, expect
 
 CHROMIUM = Path("/usr/bin/chromium")
 #: Software WebGL; no sandbox where root runs it, because chromium refuses that.
@@ -83,14 +83,25 @@ class ConsolePage:
             self.errors.append(message.text)
 
     def open(self, query: str = "") -> ConsolePage:
+        """Open the page with all that it consists of."""
         for repeats_left in range(3, -1, -1):
+            failed: list[str] = []
+
+            def note(request: Request, failed: list[str] = failed) -> None:
+                failed.append(request.failure or "")
+
+            self.page.on("requestfailed", note)
             try:
-                self.page.goto(self._url + query, wait_until="domcontentloaded")
-                break
+                self.page.goto(self._url + query, wait_until="load")
             except Error as error:
-                # an interface of this machine got an address: chromium gives up what it was loading
+                failed.append(error.message)
                 if "ERR_NETWORK_CHANGED" not in error.message or not repeats_left:
                     raise
+            finally:
+                self.page.remove_listener("requestfailed", note)
+            # an interface of this machine got an address: chromium gives up what it was loading
+            if not any("ERR_NETWORK_CHANGED" in each for each in failed):
+                break
         return self
 
     def login(self, account: str, password: str) -> ConsolePage:

@@ -72,6 +72,8 @@ class Namespaces:
         self.inside(self.ros, "ip", "link", "add", "line", "type", "veth", "peer", "name", "line", "netns", self.cell)
         for space, address in ((self.ros, ROS_PC), (self.cell, CELL_PC)):
             self.inside(space, "ip", "address", "add", f"{address}/24", "dev", "line")
+            # no address of its own that comes seconds later: a browser gives up what it was loading then
+            self.inside(space, "ip", "link", "set", "line", "addrgenmode", "none")
             self.inside(space, "ip", "link", "set", "line", "up")
         return self
 

@@ -50,5 +50,7 @@ socket.hash = "";
 const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
 makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
 login.make(document.body, store, connection, texts);
+// it stood there for whom this script did not reach
+document.querySelector("#loading").remove();
 setInterval(store.tick, 200);
 connection.login();
