@@ -134,7 +134,8 @@ export function make(parent, store, connection, texts) {
     showBar();
     watch();
     tellSeen();
-    redraw();
+    // another size has emptied the picture: nobody is to see it empty
+    paint();
   }
 
   // -- what a person can see of it
@@ -223,7 +224,10 @@ export function make(parent, store, connection, texts) {
 
   function draw() {
     requestAnimationFrame(draw);
-    if (!dirty || width === 0 || performance.now() < nextFrame) return;
+    if (dirty && width > 0 && performance.now() >= nextFrame) paint();
+  }
+
+  function paint() {
     dirty = false;
     began = performance.now();
     nextFrame = Infinity;
