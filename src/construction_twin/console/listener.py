@@ -21,6 +21,7 @@ class _Counted(socket.socket):
     on_close: Callable[[int], None] | None = None
 
     def close(self) -> None:
+        """Close it, and leave its place."""
         # the number is free for the next one as soon as it is closed
         if self.on_close is not None and self.fileno() >= 0:
             self.on_close(self.fileno())
