@@ -6,7 +6,6 @@ Pure; texts only. A page of the docs stands with each, below docs/.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 
@@ -405,8 +404,3 @@ def _line(topic: str, word: Word | None, said: str = "") -> Line:
         topic, word.state, f"{topic}.{state or 'silent'}", {}, int(words.level), sentence, told,
         words.waits_for, words.who, words.todo, words.page,
     )  # fmt: skip
-
-
-def states_of(topic: str) -> Collection[str]:
-    """Return the states of a topic that have words."""
-    return [state for name, state in TABLE if name == topic]

@@ -18,8 +18,6 @@ from construction_twin.work.task_states import TaskMemory, TaskState
 
 #: Further than this from where the model has it, an element was turned by a symmetry of its own [m], [rad].
 _TURNED_BY, _TURNED_ABOUT = 1e-3, math.radians(1.0)
-#: Objects of the scene that are the tool's.
-TOOL_PREFIX = "tool/"
 
 
 @dataclass(frozen=True)

@@ -99,24 +99,6 @@ class ElementShape:
     ways: tuple[str, ...]
 
 
-def element_shape(element: Element, folder: Path, settings: BodySettings | None = None) -> ElementShape:
-    """Return an element as objects of the scene.
-
-    Parameters
-    ----------
-    element : Element
-    folder : Path
-        Where mesh files and results are kept; need not exist.
-    settings : BodySettings, optional
-
-    Raises
-    ------
-    BodyError
-        If the element has no geometry, or none that can be used.
-    """
-    return _shape(element.id, element.bodies, folder, settings or BodySettings())
-
-
 def element_shapes(
     elements: Iterable[Element], folder: Path, settings: BodySettings | None = None, pool: Executor | None = None
 ) -> tuple[dict[str, ElementShape], dict[str, BodyError]]:

@@ -20,7 +20,6 @@ from construction_twin.views.status_line import (
     Heard,
     Level,
     WorkFacts,
-    states_of,
     status_lines,
     work_state,
 )
@@ -29,6 +28,10 @@ from construction_twin.work.task_states import TaskState
 DOCS = Path(__file__).parents[3] / "docs"
 HERE = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True)
 WELL = Heard(Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", ""))
+
+
+def states_of(topic: str) -> list[str]:
+    return [state for name, state in TABLE if name == topic]
 
 
 def lines(heard: Heard) -> dict[str, dict]:

@@ -17,7 +17,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.work.building import Body, Element, Extrusion
 from construction_twin.work.containment import points_on
-from construction_twin.work.element_bodies import BodySettings, element_shape, element_shapes
+from construction_twin.work.element_bodies import BodySettings, ElementShape, element_shapes
 from construction_twin.work.pieces import Pieces
 from construction_twin.work.solids import mesh_of
 
@@ -47,6 +47,13 @@ def body_of(solid: M, extrusion: Extrusion | None = None) -> Body:
 
 def element(*bodies: Body, name: str = "2O2Fr$t4X7Zf8NOew3FLOH") -> Element:
     return Element(name, "IfcMember", "stud", "", "", "", "", "", HERE, bodies, {}, None)
+
+
+def element_shape(one: Element, folder: Path, settings: BodySettings | None = None) -> ElementShape:
+    shapes, problems = element_shapes([one], folder, settings)
+    for problem in problems.values():
+        raise problem
+    return shapes[one.id]
 
 
 def triangles_of(size: tuple, centre=(0.0, 0.0, 0.0)) -> M:

@@ -17,8 +17,8 @@ from construction_twin.robot.shown_urdf import shown_urdf
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh
 from construction_twin.scene.objects import Scene, read_mesh_file
 
-#: Where the console serves the folder, and the meshes in it.
-SERVED, MESHES = "/private/", "/private/mesh/"
+#: Where the console serves meshes.
+MESHES = "/private/mesh/"
 
 
 class PrivateFiles:
