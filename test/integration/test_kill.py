@@ -1,10 +1,21 @@
 #!/usr/bin/env python3
 """The path of commands is interrupted in mid-motion: the arm brakes within its limits and holds; `reset` brings the system back."""
 
+import os
+import signal
 import sys
+from pathlib import Path
 
+import rospy
 import rostest
 from interruption import Interruption
+from mqtt_listener import retained
+from twin_client import HOME, wait
+
+from construction_twin.core.network import listening_ports
+
+#: What is retained below twin/kr120/ while no plan waits for review.
+RETAINED = ("status", "bridge/status", "scene")
 
 
 class KillTest(Interruption):
@@ -22,6 +33,37 @@ class KillTest(Interruption):
         self.interrupt_and_recover(lambda: self.kill("executor"))
         # nothing is forwarded any more, and the gate repeats nothing
         self.assert_said("silence: no command for")
+
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        cls.port = rospy.get_param("mqtt_bridge/port")
+
+    def test_killed_broker(self):
+        self.interrupt_and_recover(self.kill_broker)
+        self.assert_said("silence: no command for")
+
+    def test_killed_broker_comes_back_with_everything_that_is_retained(self):
+        # a plan under review is not among it: the new session drops it; test_mqtt_review.py has one that stays
+        before = retained(self.port)
+        self.assertLessEqual({f"twin/kr120/{name}" for name in RETAINED}, set(before))
+        self.kill_broker()
+        wait(lambda: set(retained(self.port)) == set(before), "the retained topics to be back", 30.0)
+        self.assertEqual(retained(self.port)["twin/kr120/scene"], before["twin/kr120/scene"])
+        self.client.wait_until_ready()
+        self.client.go_to(HOME)
+
+    def kill_broker(self):
+        """Kill mosquitto, and wait until roslaunch has started it again."""
+        before = self.broker()
+        os.kill(before, signal.SIGKILL)
+        wait(lambda: self.broker() not in (0, before), "the broker to be started again")
+
+    def broker(self) -> int:
+        """Return the process that listens on the broker's port; 0 when there is none."""
+        names = Path("/proc").glob("[0-9]*/comm")
+        pids = [int(file.parent.name) for file in names if file.read_text().strip() == "mosquitto"]
+        return next((pid for pid in pids if self.port in listening_ports(pid)), 0)
 
     def test_stop_at_the_gateway(self):
         self.halt_and_recover()

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import socket
+from pathlib import Path
+
+#: Linux: the state of a listening socket in /proc/<pid>/net/tcp.
+_LISTEN = "0A"
 
 
 def is_loopback(host: str) -> bool:
@@ -31,3 +36,19 @@ def port_is_free(kind: socket.SocketKind, port: int, host: str = "127.0.0.1") ->
         except OSError:
             return False
     return True
+
+
+def listening_ports(pid: int) -> set[int]:
+    """Return the TCP ports on which a process of this machine listens; empty for one that has ended, or is another user's."""
+    try:
+        links = [os.readlink(entry.path) for entry in os.scandir(f"/proc/{pid}/fd")]
+        rows = [row.split() for name in ("tcp", "tcp6") for row in _lines(f"/proc/{pid}/net/{name}")]
+    except OSError:
+        return set()
+    inodes = {link[len("socket:[") : -1] for link in links if link.startswith("socket:[")}
+    return {int(row[1].rpartition(":")[2], 16) for row in rows if row[3] == _LISTEN and row[9] in inodes}
+
+
+def _lines(path: str) -> list[str]:
+    """Return the rows below the headline of a table of the kernel's; none where the kernel has no such table."""
+    return Path(path).read_text().splitlines()[1:] if os.path.exists(path) else []

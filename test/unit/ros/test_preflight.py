@@ -338,6 +338,36 @@ def test_a_taken_port_of_a_site_s_broker_is_refused_too(tmp_path):
         assert preflight.port_problem(given | {"broker_port": str(taken)}) == ""
 
 
+@pytest.mark.parametrize(
+    "lines, words",
+    [
+        ("alow_anonymous true\n", "Unknown configuration variable"),
+        ("listener {port} 127.0.0.1\ncertfile /nowhere/server.crt\nkeyfile /nowhere/server.key\n", "certificate"),
+        ("listener {port} 192.0.2.7\n", "Cannot assign requested address"),
+    ],
+)
+def test_a_broker_that_can_never_start_is_refused_before_anything_starts(tmp_path, lines, words):
+    """roslaunch starts the broker again whenever it ends, so nothing else would end such a launch."""
+    file, port = tmp_path / "mosquitto.conf", free_port()
+    file.write_text(lines.format(port=port))
+    given = {"broker": "true", "broker_port": str(port), "broker_config": str(file), "arm": "none"}
+    said = preflight.port_problem(given)
+    assert said.startswith(f"broker_config:={file}: mosquitto ends with exit code ") and words in said
+    assert preflight.port_problem(given | {"broker": "false"}) == ""
+
+
+def test_the_broker_on_trial_leaves_nothing_behind():
+    port = free_port()
+    given = {
+        "broker": "true",
+        "broker_port": str(port),
+        "broker_config": f"{ROOT}/config/mosquitto.conf",
+        "arm": "none",
+    }
+    assert preflight.port_problem(given) == "" and not listens(port)
+    assert preflight.port_problem(given) == ""
+
+
 # -- arguments that nothing reads
 
 

@@ -18,7 +18,7 @@ import pydantic
 import rosgraph
 import rospkg
 
-from construction_twin.broker.start import listener_ports
+from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
 from construction_twin.core.network import port_is_free
@@ -303,7 +303,9 @@ def claim_problem(given: Given, uri: str, pid: int) -> str:
 
 
 def port_problem(given: Given) -> str:
-    """Return a sentence about the first port on this machine that another program holds; empty when all are free."""
+    """Return a sentence about the first port on this machine that another program holds, or about a broker that cannot start on
+    its own; empty when all are free, and it can.
+    """
     port, listeners = given.get("broker_port", ""), []
     if is_true(given, "broker"):
         listeners = _listeners(given.get("broker_config", ""))
@@ -325,6 +327,11 @@ def port_problem(given: Given) -> str:
             f"broker_port:={port}: TCP port {port} on 127.0.0.1 is taken, probably by another MQTT broker; use it with "
             f"broker:=false, or give a free one, e.g. broker_port:={int(port) + 10}"
         )
+    # once it has started, roslaunch starts it again whenever it ends: what can never work is refused here
+    if is_true(given, "broker") and given.get("broker_config"):
+        cause = trial(given["broker_config"], int(port or DEFAULT_PORT))
+        if cause:
+            return f"broker_config:={given['broker_config']}: {cause}"
     if given.get("arm") == "none" or not has_gateway_here(given) or "ethernet_xml" not in given:
         return ""
     port = given.get("rsi_port", "0")
