@@ -13,11 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PPoly
-from toppra.constraint.linear_constraint import LinearConstraint, canlinear_colloc_to_interpolate
-from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.planning.curves import JointCurve
+from construction_twin.planning.toppra_passes import (
+    LinearConstraint,
+    canlinear_colloc_to_interpolate,
+    seidelWrapper,
+)
 from construction_twin.robot.description import RobotModel
 
 #: Stages of toppra along the whole curve, and the fewest on each of its pieces.
