@@ -37,6 +37,7 @@ from construction_twin.robot.plan import Plan
 
 #: What is done where one segment ends and the next begins.
 _AT_BOUNDARIES = (Action.ARRIVE, Action.ENTER, Action.VOID, Action.REARM)
+_BY_GATE = (ExecutorEvent.GATE_HOLDS, ExecutorEvent.GATE_ENDS)
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
 #: A plan may start this far from the present pose [rad]; rounding, not motion.
@@ -112,6 +113,8 @@ class Executor:
         self._stopping: list[tuple[float, ...]] = []
         self._events: list[Verdict | Ending] = []
         self._sync = SyncState.WAITING
+        # the part of the reason for IDLE that says that the gate holds: when it opens, that is over
+        self._closed = ""
         self._agreed = False
         self._policy, self._passed = "", 0
         self._unarmed = ""
@@ -164,6 +167,8 @@ class Executor:
             Nominal stamp of the last setpoint that passed the gate [ns]: there the plan waits, and goes on by itself.
         """
         self._sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
+        if self._closed and state is SyncState.IN_SYNC:
+            self._enter(self.state, self.cause.replace(self._closed, "the gate held, and is open again"))
         if self.state not in ACTIVE:
             return
         reason = f"the gate holds ({state.name})"
@@ -568,6 +573,8 @@ class Executor:
         # a restart is told although the state stays
         if row.target is not row.state or action is Action.FORGET_TWIN:
             self._enter(row.target or row.state, sentence)
+        if row.event in _BY_GATE and self.state is ExecutorState.IDLE:
+            self._closed = reason
 
     def _go_through_boundary(self, action: Action) -> None:
         work = self.work
@@ -627,7 +634,7 @@ class Executor:
         return reason
 
     def _enter(self, state: ExecutorState, reason: str) -> None:
-        self.state, self.cause, self.limit.standing = state, reason, False
+        self.state, self.cause, self.limit.standing, self._closed = state, reason, False, ""
         self._say()
 
     def _say(self) -> None:

@@ -113,6 +113,28 @@ class TestPlaying:
         assert bench.step() in (ahead[-1], held)
         assert set(bench.run(500)) == {held}
 
+    def test_a_gate_that_is_open_again_is_no_reason_any_more(self, bench):
+        bench.approve(make_plan())
+        bench.run(200)
+        bench.executor.on_sync(SyncState.REPLANNING, False)
+        assert bench.executor.reason == "the gate holds (REPLANNING)"
+        bench.executor.on_sync(SyncState.HOLDING, False)
+        assert bench.executor.reason == "the gate holds (REPLANNING)"
+        bench.executor.on_sync(SyncState.IN_SYNC, True)
+        assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "held")
+        assert bench.executor.reason == "the gate held, and is open again"
+
+    def test_what_else_was_said_of_a_hold_stays_when_the_gate_opens(self, bench):
+        bench.approve(make_plan())
+        bench.run(200)
+        bench.executor.stop(bench.stamp)
+        bench.run(2)
+        bench.executor.on_sync(SyncState.HOLDING, False, "resume", bench.stamp)
+        before = bench.executor.reason
+        bench.executor.on_sync(SyncState.IN_SYNC, True)
+        assert bench.executor.reason == before.replace("the gate holds (HOLDING)", "the gate held, and is open again")
+        assert bench.executor.reason.startswith("stop requested") and before != bench.executor.reason
+
     def test_a_hold_while_braking_drops_the_rest_too(self, bench):
         bench.approve(make_plan())
         bench.run(200)
