@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import enum
 import math
+import re
+from collections.abc import Sequence
 
 import shtab
 
@@ -33,6 +35,9 @@ twin() { rosrun construction_twin twin "$@"; }
 }
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
+#: Options whose values may be a list with commas, and a word of such a list.
+_LISTS = ("--joints", "--pose")
+_NUMBERS = re.compile(r"[-+.,\d][-+.,\deE ]*")
 
 
 class Exit(enum.IntEnum):
@@ -112,6 +117,30 @@ def parser(robot: str) -> argparse.ArgumentParser:
     return root
 
 
+def split_lists(words: Sequence[str]) -> list[str]:
+    """Return a command line whose lists of numbers are words of their own: ``--joints 30,-75,70`` as ``--joints 30 -75 70``.
+
+    A comma at the end of a number, or between the numbers of one word, separates them. A word with a comma inside beside other
+    numbers stays as it is and is refused later: 30,5 may be 30 and 5, or thirty and a half.
+    """
+    result: list[str] = []
+    words = list(words)
+    while words:
+        word = words.pop(0)
+        name, equals, value = word.partition("=")
+        if name not in _LISTS:
+            result.append(word)
+            continue
+        result.append(name)
+        numbers = [value] if equals else []
+        while words and _NUMBERS.fullmatch(words[0]):
+            numbers.append(words.pop(0))
+        if len(numbers) == 1:
+            numbers = numbers[0].replace(",", " ").split()
+        result += [number.removesuffix(",") for number in numbers if number != ","]
+    return result
+
+
 def _add_plan(plan: argparse.ArgumentParser) -> None:
     goal = plan.add_mutually_exclusive_group(required=True)
     goal.add_argument(
@@ -119,7 +148,7 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
         type=_finite,
         nargs="+",
         metavar="VALUE",
-        help="joint values, A1 first [deg; mm for a prismatic joint]",
+        help="joint values, A1 first, with spaces or commas between them [deg; mm for a prismatic joint]",
     )
     goal.add_argument(
         "--pose",
@@ -256,6 +285,10 @@ def check(options: argparse.Namespace) -> str:
 
 
 def _finite(text: str) -> float:
+    if "," in text:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} holds a comma: write decimals with a point, and separate numbers by spaces"
+        )
     value = float(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is no finite number")

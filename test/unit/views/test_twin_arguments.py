@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import subprocess
 
 import numpy as np
@@ -16,7 +17,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_abc
 from construction_twin.scene.objects import Scene, SceneObject
-from construction_twin.views.arguments import Exit, check, parser
+from construction_twin.views.arguments import Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
 from construction_twin.views.texts import joint_value, plan_lines, range_sentence, scene_lines, status_lines
@@ -25,7 +26,7 @@ ANGLES = st.floats(-89.0, 89.0)
 
 
 def parsed(text: str):
-    return parser("kr120").parse_args(text.split())
+    return parser("kr120").parse_args(split_lists(shlex.split(text)))
 
 
 def snapshot(**changes) -> Snapshot:
@@ -266,3 +267,30 @@ def test_a_scene_is_listed_in_mm_with_what_carries_and_what_may_touch():
 
 def test_the_scene_s_options():
     assert parsed("scene").moveit is None and parsed("scene --moveit a.scene").moveit == "a.scene"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "-30,-75,70,20,70,-40",
+        "-30, -75, 70, 20, 70, -40",
+        "'-30, -75, 70, 20, 70, -40'",
+        "-30 -75 70 20 70 -40",
+        "'-30 -75 70 20 70 -40'",
+        "-30.0,-75,+70,2e1,70.,-40",
+        "-30 , -75 , 70 , 20 , 70 , -40",
+    ],
+)
+def test_a_list_of_values_may_have_commas(words):
+    values = [-30.0, -75.0, 70.0, 20.0, 70.0, -40.0]
+    assert parsed(f"plan --joints {words}").joints == values
+    assert parsed(f"plan --joints={words}").joints == values
+    assert parsed(f"plan --pose {words} --speed 20").pose == values
+    assert parsed(f"work measured --pose {words} element").element == "element"
+
+
+def test_a_decimal_comma_is_refused_and_not_taken_for_two_values(capsys):
+    for words in ("30,5 -75,0 70,5", "30,5 -75 70 20 70 -40"):
+        with pytest.raises(SystemExit):
+            parsed(f"plan --joints {words}")
+        assert "'30,5' holds a comma: write decimals with a point" in capsys.readouterr().err

@@ -30,7 +30,7 @@ from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.planner_scene import planner_scene, scene_text
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.views.arguments import Exit, check, parser
+from construction_twin.views.arguments import Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import plan_lines, scene_lines, status_lines
 
@@ -270,7 +270,7 @@ def main(arguments: list[str] | None = None) -> int:
         Default: the process's, without ROS's remappings.
     """
     command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
-    options = command_line.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+    options = command_line.parse_args(split_lists(rospy.myargv()[1:] if arguments is None else arguments))
     problem = check(options)
     if problem:
         command_line.error(problem)
