@@ -87,11 +87,21 @@ def wrong_value(error: Invalid, schema: Schema) -> WrongValue:
         JSON Schema of what was expected.
     """
     problems = error.errors()
-    first = problems[0]
+    first = _mistyped(problems) or problems[0]
     keys, place, parent = _walk(schema, first["loc"])
     value = None if first["type"] == "missing" else first.get("input")
     more = f" ({len(problems)} keys are wrong)" if len(problems) > 1 else ""
     return WrongValue("/".join(keys), value, _expected(first, place, parent, keys, schema) + more)
+
+
+def _mistyped(problems: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """Return the unknown key beside the first problem, a key that is missing: whoever mistypes a key looks for what he wrote."""
+    first = problems[0]
+    if first["type"] != "missing":
+        return None
+    beside = first["loc"][:-1]
+    strange = (problem for problem in problems if problem["type"] == "extra_forbidden")
+    return next((problem for problem in strange if problem["loc"][:-1] == beside), None)
 
 
 def configuration_error(error: Invalid, model: Model, where: str = "") -> ConfigurationError:
@@ -139,10 +149,25 @@ def _walk(schema: Schema, loc: Sequence[str | int]) -> tuple[list[str], Schema |
         if inner is not None:
             keys.append(str(step))
             parent, place = place, _resolved(inner, schema)
-        elif step == loc[-1] and isinstance(step, str) and place.get("properties") and "[" not in step:
-            keys.append(step)
-            return keys, None, place
+            continue
+        ways = _alternatives(place, schema)
+        named = [way for way in ways if _is_named(step, way, place)]
+        if named:
+            place = named[0]
+        elif (
+            step == loc[-1] and isinstance(step, str) and "[" not in step and any(way.get("properties") for way in ways)
+        ):
+            known = {name: node for way in ways for name, node in way.get("properties", {}).items()}
+            return [*keys, step], None, {"properties": known}
     return keys, place, parent
+
+
+def _is_named(step: str | int, way: Schema, union: Schema) -> bool:
+    """Return whether a step names an alternative of a union: by its model, or by the value that tells the alternatives apart."""
+    if way is union:
+        return False
+    reference = union.get("discriminator", {}).get("mapping", {}).get(step, "")
+    return way.get("title") in {step, reference.rpartition("/")[2]}
 
 
 def _resolved(node: Schema, root: Schema) -> Schema:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -106,6 +107,25 @@ def _of(model: type[pydantic.BaseModel], launched: Values) -> Callable[[Values, 
     return check
 
 
+def _joint_state_publisher(values: Values, _given: Given, _robot: RobotModel) -> None:
+    _model(_JointStatePublisher, values)
+
+
+class _JointStatePublisher(pydantic.BaseModel, extra="forbid"):
+    """The parameters that Debian's joint_state_publisher reads; one that it does not know it would ignore."""
+
+    source_list: list[str] = []
+    rate: float = 10.0
+    delta: float = 0.0
+    zeros: dict[str, float] = {}
+    dependent_joints: dict[str, Any] = {}
+    use_mimic_tags: bool = True
+    use_smallest_joint_limits: bool = True
+    publish_default_positions: bool = True
+    publish_default_velocities: bool = False
+    publish_default_efforts: bool = False
+
+
 def _always(_given: Given) -> bool:
     return True
 
@@ -122,15 +142,14 @@ class NodeFile:
     ----------
     name : str
         Without .yaml.
-    check : callable or None
-        Takes its content, the launch arguments and the robot; raises a ConstructionTwinError. None: the node is not this package's,
-        and its file must be YAML.
+    check : callable
+        Takes its content, the launch arguments and the robot; raises a ConstructionTwinError.
     loaded : callable
         Returns whether bringup.launch loads it, with these arguments.
     """
 
     name: str
-    check: Callable[[Values, Given, RobotModel], None] | None
+    check: Callable[[Values, Given, RobotModel], None]
     loaded: Callable[[Given], bool] = field(default=_always)
 
 
@@ -144,7 +163,7 @@ NODE_FILES = (
         lambda given: is_true(given, "follow_joint_trajectory", "true"),
     ),
     NodeFile("joint_velocities", _of(joint_velocities.Settings, {})),
-    NodeFile("joint_state_publisher", None),
+    NodeFile("joint_state_publisher", _joint_state_publisher),
     NodeFile("gateway", _gateway, _has_link),
     NodeFile("mqtt_bridge", _of(mqtt_bridge.Settings, _BROKER), _has_link),
     NodeFile("mqtt_review", _of(mqtt_review.Settings, _BROKER), _has_link),
@@ -181,18 +200,23 @@ def node_files_problem(given: Given, robot: RobotModel, folder: Path) -> str:
         The package's config/.
     """
     changes = read_mapping(given["scenario"], "a scenario") if given.get("scenario") else {}
+    nodes = [file.name for file in NODE_FILES]
+    strange = next((name for name in changes if name not in ("scenario", *nodes)), None)
+    if strange is not None:
+        near = difflib.get_close_matches(str(strange), nodes, n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        return f"scenario:={given['scenario']}: {strange}: expected `scenario`, or the name of a node that it changes{meant}"
     for file in NODE_FILES:
         if not file.loaded(given):
             continue
         where = path = str(folder / f"{file.name}.yaml")
         try:
             values = read_mapping(path, f"the settings of {file.name}")
-            if file.check is not None:
-                file.check(values, given, robot)
-                changed = changes.get(file.name)
-                if isinstance(changed, dict):
-                    where = f"scenario:={given['scenario']}: {file.name}"
-                    file.check(values | changed, given, robot)
+            file.check(values, given, robot)
+            changed = changes.get(file.name)
+            if isinstance(changed, dict):
+                where = f"scenario:={given['scenario']}: {file.name}"
+                file.check(values | changed, given, robot)
         except ConstructionTwinError as error:
-            return f"{where}: {str(error).removeprefix(path).lstrip(': ')}"
+            return f"{where}: {str(error).removeprefix(path).lstrip(':/ ')}"
     return ""

@@ -249,7 +249,7 @@ def contents_problem(given: Given) -> str:
         except ConstructionTwinError as error:
             path = given[name]
             # most of these sentences begin with the file
-            return f"{name}:={path}: {str(error).removeprefix(path).lstrip(': ')}"
+            return f"{name}:={path}: {str(error).removeprefix(path).lstrip(':/ ')}"
     return node_files_problem(given, robot, _package() / "config")
 
 
