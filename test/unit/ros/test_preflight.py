@@ -334,7 +334,7 @@ def test_a_taken_port_of_a_site_s_broker_is_refused_too(tmp_path):
         )
         assert preflight.port_problem(given | {"broker": "false"}) == ""
         # the file's own listeners take the place of broker_port
-        file.write_text("listener 0\n")
+        file.write_text(f"listener 0 {tmp_path}/socket\n")
         assert preflight.port_problem(given | {"broker_port": str(taken)}) == ""
 
 
