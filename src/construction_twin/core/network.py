@@ -38,6 +38,30 @@ def port_is_free(kind: socket.SocketKind, port: int, host: str = "127.0.0.1") ->
     return True
 
 
+def reaches_itself(host: str, timeout: float) -> str:
+    """Return why no program of this machine is reached by an IPv4 address or name; empty when one is.
+
+    Parameters
+    ----------
+    host : str
+        What this machine's programs give to others as their own address.
+    timeout : float
+        Longest time for the connection [s].
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
+        server.bind(("", 0))
+        server.listen(1)
+        try:
+            address = socket.getaddrinfo(host, server.getsockname()[1], socket.AF_INET, socket.SOCK_STREAM)[0][4]
+        except (OSError, UnicodeError) as error:
+            return f"it has no IPv4 address ({getattr(error, 'strerror', None) or error})"
+        try:
+            socket.create_connection(address[:2], timeout).close()
+        except OSError as error:
+            return f"nothing of this machine answers at {address[0]} ({error.strerror or error})"
+    return ""
+
+
 def listening_ports(pid: int) -> set[int]:
     """Return the TCP ports on which a process of this machine listens; empty for one that has ended, or is another user's."""
     try:

@@ -368,6 +368,61 @@ def test_the_broker_on_trial_leaves_nothing_behind():
     assert preflight.port_problem(given) == ""
 
 
+# -- the address that nodes give to each other
+
+
+@pytest.mark.parametrize("variable", ["ROS_IP", "ROS_HOSTNAME"])
+def test_an_address_that_is_nobody_s_is_refused_before_anything_starts(monkeypatch, variable):
+    monkeypatch.setenv(variable, "192.0.2.77")  # of a network for documents
+    monkeypatch.setattr(preflight, "ADDRESS_TIME", 0.3)
+    said = preflight.refusal(KR120, None, "http://127.0.0.1:1")
+    assert said.startswith(f"{variable}=192.0.2.77: nothing of this machine answers at 192.0.2.77 (")
+    assert said.endswith("; give it an address of this machine, or unset it")
+    monkeypatch.setenv(variable, "127.0.0.1")
+    assert preflight.address_problem(os.environ) == ""
+    monkeypatch.setenv(variable, "")
+    assert preflight.address_problem(os.environ).startswith(f"{variable} is set and empty: ")
+
+
+def test_a_name_without_an_address_is_refused(monkeypatch):
+    monkeypatch.setenv("ROS_HOSTNAME", "nobody.invalid")
+    said = preflight.address_problem(os.environ)
+    assert said.startswith("ROS_HOSTNAME=nobody.invalid: it has no IPv4 address (")
+
+
+def resolving(monkeypatch, *, without: str):
+    """Resolve names as a machine does whose /etc/hosts lacks IPv4 for a name."""
+    ask = socket.getaddrinfo
+
+    def answer(host, *arguments):
+        if host == without:
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return ask(host, *arguments)
+
+    monkeypatch.setattr(socket, "getaddrinfo", answer)
+
+
+def test_a_localhost_without_ipv4_is_refused(monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:11311")
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    assert preflight.address_problem(os.environ) == ""
+    resolving(monkeypatch, without="localhost")
+    assert preflight.address_problem(os.environ) == (
+        "localhost: it has no IPv4 address (Name or service not known); write the line `127.0.0.1 localhost` into /etc/hosts"
+    )
+    monkeypatch.setenv("ROS_IPV6", "on")
+    assert preflight.address_problem(os.environ) == ""
+
+
+def test_a_machine_that_does_not_know_its_own_name_is_refused(monkeypatch):
+    for variable in ("ROS_IP", "ROS_HOSTNAME"):
+        monkeypatch.delenv(variable, raising=False)
+    own = rosgraph.network.get_host_name()
+    assert preflight.address_problem(os.environ) == ""
+    resolving(monkeypatch, without=own)
+    assert preflight.address_problem(os.environ).startswith(f"this machine's name {own!r}: it has no IPv4 address (")
+
+
 # -- arguments that nothing reads
 
 

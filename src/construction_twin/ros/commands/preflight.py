@@ -11,6 +11,7 @@ import importlib.util
 import os
 import socket
 import sys
+import urllib.parse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -21,7 +22,7 @@ import rospkg
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import check_writable
-from construction_twin.core.network import port_is_free
+from construction_twin.core.network import port_is_free, reaches_itself
 from construction_twin.core.validation import configuration_error
 from construction_twin.mqtt.account import load_account
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
@@ -56,6 +57,9 @@ ROBOT_NODES = (
 )  # fmt: skip
 #: What parses launch files without the master that ROS_MASTER_URI names.
 _WITHOUT_MASTER = ("rostest", "roslaunch-check")
+
+#: How long a connection of this machine to itself may take [s].
+ADDRESS_TIME = 2.0
 
 Given = Mapping[str, str]
 
@@ -287,6 +291,31 @@ def running_problem(given: Given, uri: str) -> str:
     return ""
 
 
+def address_problem(environ: Mapping[str, str]) -> str:
+    """Return a sentence when nodes of this machine would not reach each other, or the master; empty when they do.
+
+    Each node tells the master an address of its own: `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name. With one that leads
+    nowhere every node starts, and none hears another.
+    """
+    if environ.get("ROS_IPV6") == "on":
+        return ""
+    variable = next((name for name in ("ROS_HOSTNAME", "ROS_IP") if name in environ), "")
+    if variable and not environ[variable]:
+        return f"{variable} is set and empty: give it an address of this machine, or unset it"
+    own = environ[variable] if variable else rosgraph.network.get_host_name()
+    why = reaches_itself(own, ADDRESS_TIME)
+    if why and variable:
+        return f"{variable}={own}: {why}; give it an address of this machine, or unset it"
+    if why:
+        return (
+            f"this machine's name {own!r}: {why}; write it into /etc/hosts beside 127.0.1.1, or set ROS_IP to an address of this "
+            "machine"
+        )
+    master = urllib.parse.urlsplit(rosgraph.get_master_uri()).hostname or ""
+    why = reaches_itself(master, ADDRESS_TIME) if master == "localhost" else ""
+    return f"localhost: {why}; write the line `127.0.0.1 localhost` into /etc/hosts" if why else ""
+
+
 def claim_problem(given: Given, uri: str, pid: int) -> str:
     """Claim the robot for the roslaunch of a number; return a sentence when another start has claimed it, empty when it has not.
 
@@ -394,7 +423,8 @@ def refusal(given: Given, call: RoslaunchCall | None, uri: str) -> str:
     sentence = sentence or problem(given, readable, lets_in_everybody) or contents_problem(given)
     if sentence or not uri:
         return sentence
-    return running_problem(given, uri) or (port_problem(given) if call is not None else "")
+    sentence = address_problem(os.environ)
+    return sentence or running_problem(given, uri) or (port_problem(given) if call is not None else "")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
