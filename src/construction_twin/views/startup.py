@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from construction_twin.link.status_values import without_counts
@@ -172,7 +173,26 @@ class Missing:
         return self.kind, without_counts(self.reason)
 
     def __str__(self) -> str:
-        return f"waiting for {self.what}{f' ({self.reason})' if self.reason else ''}: {self.action}"
+        reason = self.reason
+        for repeated in _REPEATED:
+            reason = repeated.sub("", reason)
+        # what is wrong with a connection comes with what helps against just that
+        action = "" if self.kind == "broker" and "; " in reason else self.action
+        return f"waiting for {self.what}: {'; '.join(filter(None, (reason, action)))}"
+
+
+#: Of a reason: what says once more what is waited for, or what to do about it.
+_REPEATED = tuple(
+    re.compile(pattern)
+    for pattern in (
+        r"^not connected to the broker( yet)?(: )?",
+        r"^broker \S+:\d+:? ",
+        r"^no gateway answers on the broker; start rsi_gateway on the cell PC$",
+        r"^gateway has no RSI session( to command)?: ",
+        r"^gateway was stopped and is ",
+        r"; (restart rsi_gateway, then )?call reset$",
+    )
+)
 
 
 class StartUp:

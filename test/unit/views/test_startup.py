@@ -163,7 +163,7 @@ def test_each_line_is_said_once_and_ready_at_the_end():
     waiting = Seen(link=Word("DISCONNECTED", "nobody listens there"))
     assert startup.update(waiting, 10.0) == []
     (line,) = startup.update(waiting, 10.0 + PATIENCE)
-    assert line.startswith("waiting for the MQTT broker 10.0.0.5:8883 (nobody listens there): start it")
+    assert line.startswith("waiting for the MQTT broker 10.0.0.5:8883: nobody listens there; start it")
     assert startup.update(waiting, 60.0) == []
     (line,) = startup.update(GOOD, 61.0)
     assert line.startswith("ready; plan with") and "--robot kr120" in line and startup.missing is None
@@ -171,8 +171,42 @@ def test_each_line_is_said_once_and_ready_at_the_end():
     lost = replace(GOOD, link=Word("NO_CONTROLLER", "RSI stopped"))
     assert startup.update(lost, 100.0) == []
     (line,) = startup.update(lost, 100.0 + PATIENCE)
-    assert line.startswith("not ready any more, waiting for the controller (RSI) (RSI stopped)")
+    assert line.startswith("not ready any more, waiting for the controller (RSI): RSI stopped; ")
     assert len(startup.update(GOOD, 102.0)) == 1
+
+
+@pytest.mark.parametrize(
+    "state, reason, line",
+    [
+        (
+            "DISCONNECTED",
+            "not connected to the broker: broker 10.0.0.5:8883: nobody listens there; start the broker, or check host and port",
+            "waiting for the MQTT broker 10.0.0.5:8883: nobody listens there; start the broker, or check host and port",
+        ),
+        (
+            "DISCONNECTED",
+            "not connected to the broker yet",
+            "waiting for the MQTT broker 10.0.0.5:8883: start it, or give broker_host and broker_port",
+        ),
+        (
+            "GATEWAY_OFFLINE",
+            "no gateway answers on the broker; start rsi_gateway on the cell PC",
+            "waiting for the gateway: start rsi_gateway on the cell PC with --broker 10.0.0.5:8883",
+        ),
+        (
+            "NEEDS_RESET",
+            "gateway was stopped and is holding: stop: ada stopped it; call reset",
+            "waiting for a reset: holding: stop: ada stopped it; remove the cause, then on the robot's PC: "
+            "rosrun construction_twin twin --robot kr120 reset",
+        ),
+    ],
+)
+def test_nothing_is_said_twice_in_a_line(state, reason, line):
+    startup = StartUp(CELL)
+    assert startup.update(Seen(link=Word(state, reason), feedback=True, twin=True, scene=True), 10.0) == []
+    assert startup.update(Seen(link=Word(state, reason), feedback=True, twin=True, scene=True), 10.0 + PATIENCE) == [
+        line
+    ]
 
 
 def test_what_comes_up_by_itself_is_no_news():
