@@ -243,6 +243,9 @@ class ByHandTest(RobotTest):
         self.assertIn("cartesian", self.done("plan", *pose, "--line", "--tool-speed", 100))
         self.assertGreater(self.client.plans[-1].duration, 1.5)
         self.done("reject", "--reason", "a test")
+        # each a process of its own: it must have heard of the verdict before it says that a plan waits
+        for _ in range(3):
+            self.assertIn("review     no plan waits", self.done("status"))
 
     def test_command_line_refuses_in_one_sentence(self):
         for words, code, sentence in (

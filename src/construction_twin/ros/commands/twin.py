@@ -22,7 +22,7 @@ from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.commands.twin_work import WorkCommand
 from construction_twin.ros.commands.watch import watch
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher
+from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher, publishing_nodes
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
@@ -211,13 +211,16 @@ class Command:
     def _await_latched(self, listener: RobotListener) -> None:
         """Wait for the latched messages that were published before this process began, where they are published.
 
-        No plan has been published yet if none was made since the start. A latched plan arrives within a moment; its verdict, if
-        there is one, may arrive shortly after it.
+        What is latched comes with the connection, and the connection comes a moment after this process began: on a busy machine
+        after seconds. Without a plan there is no verdict to wait for.
         """
         patience = min(LATCHED, self._options.timeout)
-        for name, limit in (("link", patience), ("plan", patience), ("review", patience / 2)):
-            if listener.publishers(name) > 0 or name == "plan":
-                listener.wait(partial(self._reported, listener, name), limit)
+        for name in ("link", "plan", "review"):
+            if name == "review" and listener.newest("plan") is None:
+                return
+            if publishing_nodes(f"{self._namespace}/{name}"):
+                listener.wait(partial(listener.publishers, name), self._options.timeout)
+                listener.wait(partial(self._reported, listener, name), patience / 2 if name == "review" else patience)
 
     @staticmethod
     def _reported(listener: RobotListener, name: str) -> bool:

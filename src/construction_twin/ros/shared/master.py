@@ -132,6 +132,16 @@ def wait_for_master(name: str) -> None:
         time.sleep(_POLL)
 
 
+def publishing_nodes(topic: str) -> list[str]:
+    """Return the nodes that the master knows to publish a topic, given as an absolute name; SilenceError without a master."""
+    uri = rosgraph.get_master_uri()
+    try:
+        _, (publishers, _, _) = ask(uri, TIMEOUT, "getSystemState")
+    except FAILURES as error:
+        raise SilenceError(uri, f"no ROS master answers ({error})", TO_DO) from error
+    return [name for published, nodes in publishers if published == topic for name in nodes]
+
+
 def expect_publisher(topic: str, patience: float = ANSWER) -> None:
     """Return when a node that publishes a topic answers; to tell a node that is down from one that has nothing to say yet.
 
@@ -147,13 +157,8 @@ def expect_publisher(topic: str, patience: float = ANSWER) -> None:
     SilenceError
         When none is registered, or those that are do not answer.
     """
-    uri = rosgraph.get_master_uri()
-    try:
-        _, (publishers, _, _) = ask(uri, TIMEOUT, "getSystemState")
-    except FAILURES as error:
-        raise SilenceError(uri, f"no ROS master answers ({error})", TO_DO) from error
-    names = [name for published, nodes in publishers if published == topic for name in nodes]
-    answers = (node.pid for _ in range(2) for node in running(names, uri, patience))
+    names = publishing_nodes(topic)
+    answers = (node.pid for _ in range(2) for node in running(names, rosgraph.get_master_uri(), patience))
     if not any(answers):
         who = " and ".join(names)
         problem = f"{who} has ended, or does not answer" if names else "no node publishes it"
