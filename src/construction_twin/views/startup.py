@@ -44,7 +44,7 @@ class Deployment:
         if not self.gateway:
             return "the address given to rsi_gateway --listen"
         host, _, port = self.rsi.rpartition(":")
-        return f"{host}, PORT of the Ethernet XML" if port == "0" else f"port {self.rsi}"
+        return f"{host}, PORT of the Ethernet XML" if port == "0" else self.rsi
 
     @property
     def values(self) -> dict[str, str]:
@@ -115,6 +115,7 @@ KINDS: dict[str, Words] = {
     "plc_pose": Words("the PLC's pose", "let it send joint strings on its `state` topic, without user properties"),
     "measuring": Words("the controller (RSI)", "nothing to do, it goes on by itself within seconds"),
     "cycle": Words("the controller (RSI)", "correct RSI_ON in the program, and start it again"),
+    "no_clock": Words("the controller (RSI)", "see what sends to {rsi}: a controller's IPOC counts milliseconds of real time"),
     "cycle_mock": Words("the controller (RSI)", "give gateway and mock_rsi one rsi_cycle"),
     "running": Words("the controller (RSI)", "start the RSI program again once RSI has timed out"),
     "running_mock": Words("the controller (RSI)", "it starts again by itself"),
@@ -296,6 +297,9 @@ _CONTROLLER = {
     "joined_running": ("running", "running_mock"),
 }
 
+#: What the gateway says of a clock that no setting of the program can mend.
+_NOT_IN_REAL_TIME = "what sends is no controller in real time"
+
 #: Kind of what is missing, and the system's own reason.
 _Found = tuple[str, str] | None
 
@@ -315,6 +319,8 @@ def _link(seen: Seen, deployment: Deployment) -> _Found:
     if state == "MISMATCH":
         return "configuration", reason
     if state == "NO_CONTROLLER":
+        if word.gateway == "other_cycle" and _NOT_IN_REAL_TIME in reason:
+            return "no_clock", reason
         real, mock = _CONTROLLER.get(word.gateway, ("controller", "controller_mock"))
         return real if deployment.arm == "real" else mock, reason
     return None if seen.feedback else ("pose", reason)

@@ -214,6 +214,7 @@ STARTING = {
     "cycle": OPERATOR,
     "running": OPERATOR,
     "controller": OPERATOR,
+    "no_clock": OPERATOR,
     "cycle_mock": OPERATOR,
     "controller_mock": OPERATOR,
     "plc": OPERATOR,

@@ -209,6 +209,15 @@ def test_nothing_is_said_twice_in_a_line(state, reason, line):
     ]
 
 
+def test_a_clock_that_is_no_controller_s_is_not_mended_in_the_program():
+    reason = "the controller's clock runs 0.25 times as fast as real time: what sends is no controller in real time"
+    missing = first_missing(replace(GOOD, link=Word("NO_CONTROLLER", reason, "other_cycle")), CELL)
+    assert missing.kind == "no_clock" and "RSI_ON" not in missing.action and "milliseconds" in missing.action
+    reason = "the controller's cycle is 12 ms (IPOC steps of 12); expected 4"
+    missing = first_missing(replace(GOOD, link=Word("NO_CONTROLLER", reason, "other_cycle")), CELL)
+    assert missing.kind == "cycle"
+
+
 def test_what_comes_up_by_itself_is_no_news():
     startup = StartUp(CELL)
     assert startup.update(Seen(), 1.0) == []

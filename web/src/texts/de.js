@@ -211,6 +211,8 @@ export default {
   "line.startup.measuring.todo": "nichts zu tun, es geht in Sekunden von selbst weiter",
   "line.startup.cycle.waits": "die Steuerung (RSI)",
   "line.startup.cycle.todo": "RSI_ON im Programm berichtigen und es neu starten",
+  "line.startup.no_clock.waits": "die Steuerung (RSI)",
+  "line.startup.no_clock.todo": "nachsehen, was an {rsi} sendet: die IPOC einer Steuerung zählt Millisekunden in Echtzeit",
   "line.startup.cycle_mock.waits": "die Steuerung (RSI)",
   "line.startup.cycle_mock.todo": "Gateway und mock_rsi denselben rsi_cycle geben",
   "line.startup.running.waits": "die Steuerung (RSI)",
