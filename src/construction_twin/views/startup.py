@@ -115,7 +115,9 @@ KINDS: dict[str, Words] = {
     "plc_pose": Words("the PLC's pose", "let it send joint strings on its `state` topic, without user properties"),
     "measuring": Words("the controller (RSI)", "nothing to do, it goes on by itself within seconds"),
     "cycle": Words("the controller (RSI)", "correct RSI_ON in the program, and start it again"),
-    "no_clock": Words("the controller (RSI)", "see what sends to {rsi}: a controller's IPOC counts milliseconds of real time"),
+    "no_clock": Words(
+        "the controller (RSI)", "see what sends to {rsi}: a controller's IPOC counts milliseconds of real time"
+    ),
     "cycle_mock": Words("the controller (RSI)", "give gateway and mock_rsi one rsi_cycle"),
     "running": Words("the controller (RSI)", "start the RSI program again once RSI has timed out"),
     "running_mock": Words("the controller (RSI)", "it starts again by itself"),
