@@ -1,7 +1,8 @@
 """What runs beside an act that must not fail: a report, a record, a forecast. Standard library only.
 
-A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails. `Beside.do` is the one place where
-an unexpected exception ends neither the act nor the node: it is counted, and told after the answer. The act itself never runs here.
+A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails. `Beside.do` is the one place
+where an unexpected exception ends neither the act nor the node: it is counted, and told after the answer. The act itself never runs
+here.
 """
 
 from __future__ import annotations

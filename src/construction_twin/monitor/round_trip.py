@@ -29,8 +29,8 @@ class RoundTrips:
     def since(self, stamp: int, now: int) -> float:
         """Return how long ago at `now` [ns] the path had come to this stamp [s]; nan when no setpoint nearby is known.
 
-        A stamp between two setpoints is one of the gateway's playout. Where a message waited in a queue the time of its reception is
-        an estimate, and may lie a moment before the setpoint passed: 0 then.
+        A stamp between two setpoints is one of the gateway's playout. Where a message waited in a queue the time of its reception
+        is an estimate, and may lie a moment before the setpoint passed: 0 then.
         """
         place = stamp // CYCLE_NS % KEPT
         between = stamp - self._stamps[place]
