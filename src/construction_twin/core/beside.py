@@ -91,7 +91,12 @@ class Beside:
             self._untold.clear()
         return failures
 
-    def tell(self, write: Callable[[str, str], object]) -> None:
+    @property
+    def untold(self) -> bool:
+        """Whether something has failed since the last `take`."""
+        return bool(self._untold)
+
+    def tell(self, write: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
         """Write what has failed since the last call; not for a thread that must not wait.
 
         Parameters
@@ -99,8 +104,10 @@ class Beside:
         write : callable
             Takes ``"%s"`` and a text, as `rospy.logerr`. When it fails itself, that is counted and the text is lost: what failed is
             still in `report`.
+        failures : list of Failure, optional
+            What to write; by default what `take` returns.
         """
-        failures = self.take()
+        failures = self.take() if failures is None else failures
         for failure in failures:
             self.do("the log", write, "%s", f"{failure.sentence}\n{failure.trace}")
         if failures:
@@ -115,10 +122,13 @@ class Beside:
             total, last = self._counts.total(), self._last
         return f"{last} ({total} so far); restart this node when the arm is at rest, and report it" if total else ""
 
-    def counts(self) -> dict[str, int]:
-        """Return how often each part failed, by its name."""
+    def counts(self, prefix: str = "") -> dict[str, int]:
+        """Return how often each part failed, by its name; with a prefix in one word, as a counter of the gateway's status."""
         with self._lock:
-            return dict(sorted(self._counts.items()))
+            counts = sorted(self._counts.items())
+        if not prefix:
+            return dict(counts)
+        return {f"{prefix}_{what.replace(' ', '_')}": count for what, count in counts}
 
     def report(self) -> dict[str, object]:
         """Return the values for `/diagnostics`; empty while nothing has failed."""
