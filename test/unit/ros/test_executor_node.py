@@ -162,6 +162,30 @@ class TestPlansThatAreTurnedDown:
         ((plan_id, approved, reason),) = self.offered(world, make_plan("late", created_ns=asked))
         assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
 
+    @pytest.mark.parametrize("step", [-0.05, -1.0, -10.0, -29.0, -60.0, -600.0, 10.0])
+    @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
+    def test_one_that_was_asked_for_before_a_stop_on_a_clock_that_was_set_since(self, world, step, stop):
+        asked = world.playing().wall - CYCLE_NS
+        world.node.work_off(True)
+        world.wall += round(step * NANOSECONDS)
+        world.run(10)
+        getattr(world.node, stop)(None)
+        world.run(150)
+        # a stop voids, a pause also
+        said = self.offered(world, make_plan("late", created_ns=asked))
+        assert [(plan_id, approved) for plan_id, approved, _ in said if plan_id == "late"] == [("late", False)]
+
+    def test_and_a_minute_after_the_clock_was_set_back_a_stop_is_nothing_special(self, world):
+        world.playing().node.work_off(True)
+        world.wall -= 600 * NANOSECONDS
+        for _ in range(70):
+            world.wall, world.steady = world.wall + NANOSECONDS, world.steady + NANOSECONDS
+            world.node.work_off(True)
+        world.node.on_stop(None)
+        before, after = (make_plan(name, created_ns=world.wall + k) for name, k in (("before", -1), ("after", 1)))
+        assert [plan_id for plan_id, *_ in self.offered(world, before)] == ["before"]
+        assert self.offered(world, after) == []
+
     def test_one_from_before_this_executor(self, world):
         ((plan_id, _, reason),) = self.offered(world, make_plan("old", created_ns=world.wall - NANOSECONDS))
         assert plan_id == "old" and "older than this executor" in reason

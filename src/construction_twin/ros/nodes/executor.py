@@ -25,6 +25,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.newest_reading import AHEAD, NewestReading
 from construction_twin.execution.playback import Braking
 from construction_twin.execution.speed_limit import LimitState, SpeedLimit
 from construction_twin.execution.states import ACTIVE
@@ -203,7 +204,9 @@ class ExecutorNode:
         self._beside = executor.beside
         # safety acts, and how many of them were told of: until then, and while the arm brakes, what tells cannot end this node
         self._acts = self._acts_told = 0
-        self._started = rospy.Time.now()
+        # by the wall clock, and by the one that nobody sets [ns]
+        self._started, self._started_steady = now_ns(), time.monotonic_ns()
+        self._readings = NewestReading(self._started, self._started_steady)
         self._lock = threading.Lock()
         self._approval = Approval(executor, log.append, self._lock)
         self._without_person = without_person
@@ -303,10 +306,19 @@ class ExecutorNode:
                 check_way_back(plan, way_back)
             except ReviewError as error:
                 problem = str(error)
+        now, asked = now_ns(), message.header.stamp.to_nsec()
+        # on a clock that was set back the start lies further back, too: else every plan was older until the clock has caught up
+        started = min(self._started, now - (time.monotonic_ns() - self._started_steady))
         with self._lock:
             try:
-                if message.header.stamp < self._started:
+                if asked < started:
                     raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
+                ahead = asked - now
+                if ahead > AHEAD:
+                    raise ReviewError(
+                        f"plan {plan.id} was asked for {ahead / NANOSECONDS:.1f} s from now, expected before now: the clock was set "
+                        "back since, or the planner runs on a PC with another clock; plan again"
+                    )
                 if problem:
                     raise ReviewError(problem)
                 self._executor.offer(plan, way_back)
@@ -330,7 +342,7 @@ class ExecutorNode:
         with self._lock:
             if message.session and message.session != self._session:
                 if self._session is not None:
-                    self._executor.restart("new command session", now_ns())
+                    self._executor.restart("new command session", self._asked_until())
                 self._session = message.session
             self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
         before, now = self._log.responsibility, None
@@ -369,7 +381,7 @@ class ExecutorNode:
         """Brake on the path and drop the plan."""
         with self._lock:
             self._note_act()
-            sentence = self._executor.stop(now_ns())
+            sentence = self._executor.stop(self._asked_until())
             braking = self._beside.do("the forecast of a stop", self._executor.braking)
         # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
@@ -435,7 +447,10 @@ class ExecutorNode:
 
     def _pause(self) -> str:
         self._note_act()
-        return self._executor.pause(now_ns())
+        return self._executor.pause(self._asked_until())
+
+    def _asked_until(self) -> int:
+        return self._readings.asked_until(now_ns(), time.monotonic_ns())
 
     def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
         try:
@@ -465,6 +480,7 @@ class ExecutorNode:
         told = self._acts == self._acts_told
         (_tell if told else self._beside.do)("the engagement", self.keep_engagement)
         with self._lock:
+            self._readings.note(now_ns(), time.monotonic_ns())
             self._executor.queue.scene_alive = scene_alive
         if self._without_person == WithoutPerson():
             return
