@@ -1,7 +1,7 @@
 """Until when a plan counts as asked for before a stop, on a wall clock that may have been set back.
 
-A plan carries the time at which it was asked for. When the clock is set back while a plan is in the making, that time lies ahead of the
-stop that came after it. Pure; times in ns.
+A plan carries the time at which it was asked for. When the clock is set back while a plan is in the making, that time lies ahead
+of the stop that came after it. Pure; times in ns.
 """
 
 from __future__ import annotations

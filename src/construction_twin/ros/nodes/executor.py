@@ -316,8 +316,8 @@ class ExecutorNode:
                 ahead = asked - now
                 if ahead > AHEAD:
                     raise ReviewError(
-                        f"plan {plan.id} was asked for {ahead / NANOSECONDS:.1f} s from now, expected before now: the clock was set "
-                        "back since, or the planner runs on a PC with another clock; plan again"
+                        f"plan {plan.id} was asked for {ahead / NANOSECONDS:.1f} s from now, expected before now: the clock was "
+                        "set back since, or the planner runs on a PC with another clock; plan again"
                     )
                 if problem:
                     raise ReviewError(problem)
