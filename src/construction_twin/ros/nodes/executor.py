@@ -576,7 +576,6 @@ class ExecutorNode:
     def _snapshot(self) -> Snapshot:
         """Return what there is to be told; to be called under the lock."""
         executor, limit, work = self._executor, self._limit, self._executor.work
-        active = work is not None and executor.state in ACTIVE
         said = Said(
             executor.state,
             executor.reason,
@@ -585,8 +584,8 @@ class ExecutorNode:
             executor.steady,
             round(limit.limit, 2),
             work.number if work is not None else -1,
-            active and work.at_boundary,
-            work.expected_scene if active else "",
+            work is not None and work.at_boundary and executor.state in ACTIVE,
+            work.expected_scene if work is not None and executor.state in ACTIVE else "",
             executor.engagement.engaged,
         )
         told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome

@@ -275,7 +275,7 @@ class MqttReview:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         with self._lock:
-            values = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
+            values: dict[str, object] = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
         values |= self._malformed.report() | self._interventions.report() | self._beside.report()
         if failed := self._beside.sentence:
             return Report(WARN, failed, values)
