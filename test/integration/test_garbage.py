@@ -2,6 +2,7 @@
 """Garbage on MQTT, on the RSI port and from a bag moves nothing, is counted, and disturbs neither link nor motion."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -19,6 +20,7 @@ from construction_twin.msg import Engagement, ToolCommand, ToolState
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from played_bag import excerpt, play, subscribers, write
+from rosgraph_msgs.msg import Log
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient
 
 from construction_twin.core.units import radians
@@ -52,7 +54,12 @@ HEARD_BY = {
     "sync": {"executor", "mqtt_bridge"},
     "link": {"pca_monitor", "executor", "virtual_robot"},
     "scene": {"executor", "planner"},
+    "plan_outcome": set(),
+    "transitions": set(),
+    "velocities/joint_states": set(),
 }
+#: Who of them acts on tf.
+FRAMES = {"planner", "scene"}
 #: What an arm without a tool does not publish while it moves.
 MADE = {"tool_command": ToolCommand(verb=ToolCommand.VOID), "tool": ToolState(), "engagement": Engagement()}
 #: Cycles over which an arm that must not move is watched.
@@ -73,6 +80,8 @@ class GarbageTest(RobotTest):
         cls.mqtt.on_message = cls.listen
         cls.mqtt.connect("127.0.0.1", rospy.get_param("mqtt_bridge/port"))
         cls.mqtt.loop_start()
+        cls.log = []
+        rospy.Subscriber("/rosout", Log, cls.log.append)
         cls.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         cls.gateway = ("127.0.0.1", rospy.get_param("mock_rsi/gateway_port"))
 
@@ -143,6 +152,7 @@ class GarbageTest(RobotTest):
             with Stream("mock_rsi/joint_states") as arm:
                 for topic in HEARD_BY:
                     self.assert_refused(bag, topic)
+                self.assert_frames_are_refused(bag)
                 positions = arm.positions()
                 np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
         self.assertEqual(self.client.diagnostics("pca_monitor")["violations"], violations)
@@ -161,6 +171,27 @@ class GarbageTest(RobotTest):
         for node in heard_by:
             self.client.wait(lambda: self.refused(node) > before[node], f"{node} to count what a bag holds of {topic}")
             self.assertRegex(self.client.diagnostics(node)["last refused publisher"], expected, node)
+            self.assert_named_once(node, rf"only /kr120/{PUBLISHERS[topic]} may publish {name}$")
+
+    def assert_frames_are_refused(self, bag: Path) -> None:
+        """Play the frames of a motion: who acts on tf refuses those of the robot's own trees."""
+        before = {node: self.refused(node) for node in FRAMES}
+        self.assertLessEqual({f"/kr120/{node}" for node in FRAMES}, subscribers("/tf"))
+        play(excerpt(bag, "/tf"))
+        for node in FRAMES:
+            self.client.wait(lambda: self.refused(node) > before[node], f"{node} to count the frames of a bag")
+            allowed = "/kr120/robot_state_publisher and /kr120/static_frames"
+            self.assert_named_once(node, rf"only {allowed} may publish frames of kr120/twin on /tf$")
+
+    def assert_named_once(self, node: str, what: str) -> None:
+        """Each stream of a bag is one line in the log of a node, with the names of both."""
+        line = re.compile(rf"^/kr120/{node} refused \(publisher\): message from \S*/play_\d+; {what}")
+
+        def written() -> list[str]:
+            return [entry.msg for entry in list(self.log) if entry.name == f"/kr120/{node}" and line.search(entry.msg)]
+
+        self.client.wait(written, f"{node} to name the sender: {what}")
+        self.assertEqual(len(written()), 1, (node, what, written()))
 
     def refused(self, node: str) -> int:
         """The messages of another publisher that a node has counted."""
@@ -168,7 +199,7 @@ class GarbageTest(RobotTest):
 
     def record_motion(self, bag: Path) -> None:
         """Record a motion to another pose."""
-        topics = [rospy.resolve_name(topic) for topic in HEARD_BY if topic not in MADE]
+        topics = [rospy.resolve_name(topic) for topic in HEARD_BY if topic not in MADE] + ["/tf"]
         recorder = subprocess.Popen(["rosbag", "record", "--quiet", "-O", bag, *topics])
         try:
             for topic in topics:

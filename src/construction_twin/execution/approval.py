@@ -1,4 +1,5 @@
-"""How a verdict is taken: examined, recorded, and only then carried out. Pure; recording is an argument."""
+"""How a verdict is taken. An approval is examined, recorded, and only then carried out; a rejection is carried out at once, and its
+record follows: no disk stands before a person's no. Pure; recording is an argument."""
 
 from __future__ import annotations
 
@@ -59,7 +60,7 @@ class Taken:
 
 
 class Approval:
-    """The only way to start an execution: a verdict is carried out only after it was recorded.
+    """The only way to start an execution: an approval is carried out only after it was recorded.
 
     Recording waits for a disk, so it happens outside of the lock that the executor's loop takes every 4 ms.
 
@@ -67,8 +68,9 @@ class Approval:
     ----------
     executor : Executor
     record : callable
-        Called with each Verdict before it is carried out, and with the Ending of an execution that could then not begin; raises
-        RecordError when it cannot be kept.
+        Called with each approval before it is carried out, with one that is refused, and with the Ending of an execution that could
+        then not begin; raises RecordError when it cannot be kept. A rejection goes the way of what the executor decides by itself
+        (`Executor.take_events`).
     lock : context manager
         Held around every use of the executor.
     """
@@ -83,23 +85,28 @@ class Approval:
         self._waiting, self._waits_since = "", 0
 
     def review(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "") -> Taken:
-        """Record a verdict and carry it out.
+        """Carry out a verdict: an approval after it was recorded, a rejection at once.
 
         Raises
         ------
         ReviewError
             When it cannot be taken; a refused approval is recorded too.
         RecordError
-            When it cannot be recorded; then nothing happens.
+            When an approval cannot be recorded; then nothing happens.
         """
+        if not approve:
+            # never behind an approval whose record waits for a disk: that one is void then
+            with self._lock:
+                verdict = self._examine(plan_id, plan_hash, False, reviewer, reason)
+                self._executor.reject(verdict)
+            return Taken(verdict, f"plan {plan_id} rejected by {reviewer}")
         with self._verdict:
             try:
-                if approve:
-                    self._prove(plan_id)
+                self._prove(plan_id)
                 with self._lock:
-                    verdict = self._examine(plan_id, plan_hash, approve, reviewer, reason)
+                    verdict = self._examine(plan_id, plan_hash, True, reviewer, reason)
             except ReviewError as error:
-                self._refuse(plan_id, plan_hash, approve, reviewer, str(error))
+                self._refuse(plan_id, plan_hash, reviewer, str(error))
                 raise
             self._record(verdict)
             try:
@@ -107,10 +114,8 @@ class Approval:
                     return Taken(verdict, self._carry_out(verdict))
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
-                if verdict.approved and verdict.plan is not None:
+                if verdict.plan is not None:
                     self._record(Ending(verdict.plan, "dropped", f"not started: {error}"))
-                else:
-                    self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, f"not rejected: {error}", verdict.plan))
                 raise
 
     def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Taken | None:
@@ -156,11 +161,9 @@ class Approval:
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan)
 
     def _carry_out(self, verdict: Verdict) -> str:
-        """Apply a verdict that was recorded, if it still can be; return a sentence."""
-        self._examine(verdict.plan_id, verdict.plan_hash, verdict.approved, verdict.reviewer)
+        """Begin what an approval that was recorded is for, if it still may; return a sentence."""
+        self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer)
         plan = self._executor.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
-        if not verdict.approved:
-            return f"plan {plan.id} rejected by {verdict.reviewer}"
         self._executor.begin(plan, f"approved by {verdict.reviewer}")
         return f"plan {plan.id} approved by {verdict.reviewer}; it takes {plan.trajectory.duration:.3f} s"
 
@@ -177,9 +180,7 @@ class Approval:
         if plan is not None and plan.id == plan_id:
             prove_hash(plan)
 
-    def _refuse(self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str) -> None:
-        if not approve:
-            return
+    def _refuse(self, plan_id: str, plan_hash: str, reviewer: str, reason: str) -> None:
         with self._lock:
             plan = self._executor.queue.plan
         known = plan if plan is not None and plan.id == plan_id else None

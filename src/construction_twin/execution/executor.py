@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from construction_twin.core.beside import Beside
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS, for_people
@@ -90,10 +91,13 @@ class Executor:
         The present or last execution of a work plan; None when the plan played last is none.
     cause, reason : str
         Why the state was entered; and the same with what the speed limit makes of it now.
+    beside : Beside
+        Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
 
     def __init__(self, robot: RobotModel):
         self._robot = robot
+        self.beside = Beside()
         self.lag = 0.0
         self.neighbour = ConflictVerdicts()
         self.queue = ReviewQueue()
@@ -342,6 +346,17 @@ class Executor:
             return False
         return not self.neighbour.problem(plan.id)
 
+    def reject(self, verdict: Verdict) -> None:
+        """Take a plan out of review because a person said no; the verdict is told and recorded with the next `take_events`.
+
+        Raises
+        ------
+        ReviewError
+            When it is not under review, or was decided already.
+        """
+        self.queue.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
+        self._events.append(verdict)
+
     def begin(self, plan: Plan, reason: str) -> None:
         """Play a plan that was approved, from the next cycle on; `Approval` has checked and recorded it."""
         self._approved = plan
@@ -353,7 +368,7 @@ class Executor:
             self._events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
     def take_events(self) -> list[Verdict | Ending]:
-        """Return what happened by itself since the last call: plans withdrawn, executions ended."""
+        """Return what is to be told and recorded since the last call: plans withdrawn or rejected, executions ended."""
         events, self._events = self._events, []
         return events
 
@@ -364,10 +379,11 @@ class Executor:
 
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
-        self.turn_down(self.queue.void(now), "stop requested")
-        if self.state not in ACTIVE:
-            return f"nothing is playing ({self.state.name})"
-        return self._stop("stop requested")
+        reason = "stop requested"
+        waiting = self.queue.void(now)
+        sentence = self._stop(reason) if self.state in ACTIVE else f"nothing is playing ({self.state.name})"
+        self.beside.do("the verdict on a waiting plan", self.turn_down, waiting, reason)
+        return sentence
 
     def stop_plan(self, plan_id: str, reason: str) -> str:
         """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence.
@@ -417,10 +433,10 @@ class Executor:
         before = self.state
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
             self.queue.void_coming(now)
-        where = f" {self.work.where}" if self.work is not None and before is ExecutorState.AT_BOUNDARY else ""
         self._on(ExecutorEvent.PAUSE, "pause requested")
-        if where:
-            return f"plan {self._run.plan.id} rests{where}; resume goes on"
+        if self.work is not None and before is ExecutorState.AT_BOUNDARY:
+            where = self.beside.do("where a pause rests", lambda work: work.where, self.work) or "at a boundary"
+            return f"plan {self._run.plan.id} rests {where}; resume goes on"
         if before is ExecutorState.HELD:
             return (
                 f"plan {self._run.plan.id} is HELD; when twin and arm agree again it stays at rest, and resume goes on"
@@ -565,7 +581,8 @@ class Executor:
             self._paused = True
         elif action in _AT_BOUNDARIES:
             self._go_through_boundary(action)
-        sentence = self._sentence(row, reason)
+        # what a state is entered for is said of a change that takes place: the arm brakes without the sentence, too
+        sentence = self.beside.do("the executor's sentence", self._sentence, row, reason) or reason
         if action in OUTCOMES:
             self.outcome = OUTCOMES[action]
             sentence = self._end_work(action, sentence)
@@ -599,12 +616,16 @@ class Executor:
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._run.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:
-            self.turn_down(self.queue.clear(), f"not the way back: {self.engaged()}")
+            waiting = self.queue.clear()
+            self.beside.do("the verdict on a waiting plan", self._turn_down_other, waiting)
         if action is Action.FINISH:
             return sentence
         if self.engagement.engaged:
             return f"{sentence}; the arm is engaged: plan the way back, or free it by hand and call release_engagement"
         return f"{sentence}: look at arm and tool, then plan the task again from where things are"
+
+    def _turn_down_other(self, plan: Plan | None) -> None:
+        self.turn_down(plan, f"not the way back: {self.engaged()}")
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from construction_twin.core.errors import ExecutionError
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.path_progress import Progress
 from construction_twin.execution.stopping import StoppingForecast, distance_along
@@ -116,7 +117,14 @@ class Playback:
         ----------
         lag : float
             How long the arm trails the setpoints [s]; 0 when there is none, or it is not known.
+
+        Raises
+        ------
+        ExecutionError
+            When the lag is negative: an arm is never ahead of its setpoints.
         """
+        if lag < 0.0:
+            raise ExecutionError(f"a lag of {lag:.3f} s, expected 0 or more: it was measured on a clock that was set")
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
         in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
         return Braking(self._progress.copy(), in_flight, lag)

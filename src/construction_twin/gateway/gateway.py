@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from construction_twin.core.beside import Beside
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.units import NANOSECONDS
@@ -94,6 +95,8 @@ class Gateway:
         self.refusals = Refusals(self.counters)
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
         self.fault = False
+        #: What tells of a stop, and cannot fail it.
+        self.beside = Beside()
         #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), and
         #: position [rad], which is origin plus correction. None costs nothing.
         self.trace: Callable[[int, int, State, int, tuple[float, ...]], None] | None = None
@@ -423,7 +426,7 @@ class Gateway:
             return position
         if machine.state is State.BRAKING:
             position = follower.brake()
-            self._stopping.advance(follower, elapsed)
+            self.beside.do("the way to rest", self._stopping.advance, follower, elapsed)
             if follower.at_rest:
                 machine.on(Event.AT_REST, Occasion(machine.reason))
             return position
@@ -440,7 +443,8 @@ class Gateway:
             # command
             begun = self._player.braking if cause == "silence" else None
             follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
-            self._stopping.begin(cause, follower, self._controller.measured if follows else (), begun, occasion.account)
+            measured = self._controller.measured if follows else ()
+            self.beside.do("the way to rest", self._stopping.begin, cause, follower, measured, begun, occasion.account)
         self._disarm(occasion.reason)
 
     def _on_brake_to_fault(self, event: Event, occasion: Occasion) -> None:
@@ -537,7 +541,7 @@ class Gateway:
         }
         if control.verb not in verbs:
             return self._refuse("verb", f"unknown verb {control.verb!r}")
-        if self._owners.is_repeated(control) and control.verb != "stop":
+        if control.verb != "stop" and self._owners.is_repeated(control):
             why = f"message {control.id!r} of session {control.session!r} was answered before"
             return self._refuse("repeated", why)
         answer = verbs[control.verb](control)
@@ -668,7 +672,8 @@ class Gateway:
         It is never refused. One that can change nothing any more, because the arm is stopped until a `reset` and the same account
         was just answered several times, is only counted (``stops_repeated``): its answer has no reason.
         """
-        if not self._stop_pace.take(stop.account, now) and self.fault:
+        # what cannot tell how often an account was answered must not refuse its stop
+        if self.beside.do("the pace of answers", self._stop_pace.take, stop.account, now) is False and self.fault:
             self.counters["stops_repeated"] += 1
             return Answer(True, "")
         self.stop(f"asked for by account {stop.account}", stop.account)
@@ -763,6 +768,6 @@ class Gateway:
                 intruder={"session": owners.intruder, "count": owners.intrusions},
                 last_refusal=self.refusals.last,
                 later_refusal=self.refusals.later,
-                counters=dict(self.counters),
+                counters=dict(self.counters) | self.beside.counts("failed_beside"),
             ).to_dict()
         )

@@ -276,6 +276,10 @@ class GatewayService:
             self._publish_status()
         elif self._status.is_due(now, answered):
             self._publish_status()
+        if self.gateway.beside.untold:
+            # a thread of its own, as of a failure: a traceback is formatted from source files
+            told = log.error, self.gateway.beside.take()
+            threading.Thread(target=self.gateway.beside.tell, args=told, daemon=True).start()
 
     def _is_readable(self, events: list) -> bool:
         return any(key.data is self._mqtt and mask & selectors.EVENT_READ for key, mask in events)
@@ -402,14 +406,20 @@ class GatewayService:
                 return
         verb = control.verb if control.verb in VERBS else "unknown verb"
         kind = verb if ok else f"refused {verb}"
-        self._log(logging.INFO if ok else logging.WARNING, kind, f"session {control.session}: {reason}")
+        beside = self.gateway.beside
         # the status first: a reader of the answer must not act on an older status
-        self._publish_status()
+        beside.do("the status", self._publish_status)
         answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
-        self._mqtt.client.publish(self._topics.control_ack, json.dumps(answer), qos=1)
+        beside.do("the answer", self._publish_answer, self._topics.control_ack, json.dumps(answer))
+        level = logging.INFO if ok else logging.WARNING
+        beside.do("the log", self._log, level, kind, f"session {control.session}: {reason}")
+
+    def _publish_answer(self, topic: str, answer: str | bytes) -> None:
+        self._mqtt.client.publish(topic, answer, qos=1)
 
     def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
         now, account, id_ = time.monotonic_ns(), "", ""
+        beside = self.gateway.beside
         try:
             account = account_of(message.topic)
             if not account:
@@ -418,16 +428,16 @@ class GatewayService:
             stop = parse_intervention(STOP, account, bytes(message.payload), message.retain)
         except PayloadError as error:
             done = self.gateway.refuse_stop(account, error, now)
-            self._log(logging.WARNING, f"refused on {error.reason}", str(error))
+            line = logging.WARNING, f"refused on {error.reason}", str(error)
         else:
             done, id_ = self.gateway.on_stop(stop, now), stop.id
-            self._log(logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}")
-        if not done.reason:
-            return
-        # the status first: a reader of the answer must not act on an older status
-        self._publish_status()
-        answer = intervention_answer(id_, account, GATEWAY, done.ok, done.reason)
-        self._mqtt.client.publish(self._topics.stop_ack, answer, qos=1)
+            line = logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}"
+        if done.reason:
+            # the status first: a reader of the answer must not act on an older status
+            beside.do("the status", self._publish_status)
+            answer = intervention_answer(id_, account, GATEWAY, done.ok, done.reason)
+            beside.do("the answer", self._publish_answer, self._topics.stop_ack, answer)
+        beside.do("the log", self._log, *line)
 
     def _publish_state(self) -> None:
         if not self._mqtt.connected:

@@ -53,8 +53,8 @@ class SyncView:
 class LinkView:
     """What the bridge says; see Link.msg.
 
-    `round_trip_ms` is the time from a setpoint's stamp to the arm's answer to it, nan when unknown; `late` is how many replies came
-    too late at the controller, None when the gateway has not said.
+    `round_trip_ms` is the time from a setpoint's passing of the gate to the arm's answer to it, nan when unknown; `late` is how
+    many replies came too late at the controller, None when the gateway has not said.
     """
 
     state: str

@@ -107,7 +107,7 @@ class Comparison:
     theta_virtual, theta_physical, threshold : tuple, shape (n,)
         [rad]; [m] for prismatic joints.
     round_trip : float
-        Reception minus command stamp [s]; nan when unknown.
+        From the setpoint with the command stamp to the arm's answer, on the monotonic clock of who compares [s]; nan when unknown.
     servo_lag : float
         How long the arm trails what it is compared with [s]; nan until it has moved.
     """
@@ -209,7 +209,9 @@ class PoseComparison:
         for lag in self._lags.values():
             lag.most = settings.lag_allowance
 
-    def compare(self, q: tuple[float, ...], command_stamp: int, now: int) -> Comparison | None:
+    def compare(
+        self, q: tuple[float, ...], command_stamp: int, now: int, round_trip: float = math.nan
+    ) -> Comparison | None:
         """Compare a physical pose.
 
         Parameters
@@ -219,7 +221,9 @@ class PoseComparison:
         command_stamp : int
             Stamp of the command it answers to [ns]; 0 compares with the twin's present pose.
         now : int
-            Time of reception, on the clock of the stamps [ns].
+            Time of reception, on the clock of the stamps [ns]: for the report alone.
+        round_trip : float, optional
+            See `Comparison`.
 
         Returns
         -------
@@ -235,7 +239,6 @@ class PoseComparison:
         virtual, velocity = reference
         allowance = settings.lag_margin if lag.known else settings.lag_allowance
         threshold = tuple(limit + allowance * abs(v) for limit, v in zip(settings.threshold, velocity))
-        round_trip = (now - command_stamp) / NANOSECONDS if command_stamp else math.nan
         self.last = Comparison(now, mode, virtual, q, threshold, round_trip, lag.seconds)
         if self.last.agrees:
             # what disagrees is not lag

@@ -15,6 +15,7 @@ from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
+from construction_twin.monitor.round_trip import RoundTrips
 from construction_twin.monitor.states import HELD_STATES, Action, Guard, SyncEvent, SyncMachine, SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 
@@ -147,6 +148,7 @@ class Gate:
         #: Stamp of the setpoint before the next one to pass.
         self._before = 0
         self._travel = TravelTime()
+        self._round_trips = RoundTrips()
         #: When a pose that could be compared was received last.
         self._heard: int | None = None
         self._obstacle = ""
@@ -274,7 +276,7 @@ class Gate:
         now : int
             [ns]
         received : int, optional
-            Time of reception on the clock of the stamps [ns], for the round trip and the report alone; by default `now`.
+            Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
 
         Returns
         -------
@@ -282,7 +284,8 @@ class Gate:
             None when the twin's pose for that stamp is not known.
         """
         continued = self._fresh(now)
-        comparison = self.comparison.compare(q, command_stamp, now if received is None else received)
+        round_trip = self._round_trips.since(command_stamp, now)
+        comparison = self.comparison.compare(q, command_stamp, now if received is None else received, round_trip)
         if comparison is None:
             return None
         self._heard = now
@@ -334,6 +337,7 @@ class Gate:
             self.refused += 1
             return None
         self._stamp = stamp
+        self._round_trips.note(stamp, now)
         late = self._travel.take(stamp, now)
         if self.mirrored:
             return None

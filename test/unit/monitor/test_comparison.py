@@ -91,12 +91,11 @@ class TestPoseComparison:
 
     def test_a_delayed_pose_meets_the_twin_s_pose_for_the_same_command(self):
         now = T0 + 99 * CYCLE_NS
-        result = self.moving().compare((0.2, 0.0), T0 + 50 * CYCLE_NS, now)
+        result = self.moving().compare((0.2, 0.0), T0 + 50 * CYCLE_NS, now, 0.196)
         assert result.mode == "aligned"
         assert result.theta_virtual == pytest.approx((0.2, 0.0))
         assert result.error == pytest.approx((0.0, 0.0), abs=1e-12) and result.agrees
-        assert result.round_trip == pytest.approx(49 * 0.004)
-        assert result.at == now
+        assert result.round_trip == 0.196 and result.at == now
 
     @pytest.mark.parametrize("speed", [1.0, -1.0])
     def test_threshold_grows_with_the_commanded_velocity_of_that_joint_alone(self, speed):
@@ -159,9 +158,9 @@ class TestPoseComparison:
     def test_instant_compares_with_the_present_pose_whatever_the_stamp_says(self):
         comparison = self.moving()
         comparison.configure(ComparisonSettings((0.01, 0.01), 0.05, 0.02, aligned=False))
-        result = comparison.compare((0.396, 0.0), T0 + 50 * CYCLE_NS, T0 + 99 * CYCLE_NS)
+        result = comparison.compare((0.396, 0.0), T0 + 50 * CYCLE_NS, T0 + 99 * CYCLE_NS, 0.196)
         assert result.mode == "instant" and result.theta_virtual == pytest.approx((0.396, 0.0))
-        assert result.round_trip == pytest.approx(49 * 0.004)
+        assert result.round_trip == 0.196
 
 
 class TestLag:

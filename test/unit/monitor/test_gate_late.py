@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from gate_bench import CODEC, SETTINGS, START, Bench, moved, states
 
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import GateSettings
+from construction_twin.monitor.round_trip import KEPT, RoundTrips
 from construction_twin.monitor.states import SyncEvent, SyncState
 
 
@@ -91,13 +94,36 @@ class TestClocks:
         # the stamps' clock goes back by 10 s: the next pose, and the setpoints of an executor on its own grid
         gate.on_physical(START, last - CYCLE_NS, now, last - 10 * NANOSECONDS)
         assert gate.comparison.last.at == last - 10 * NANOSECONDS
-        assert gate.comparison.last.round_trip == pytest.approx(-9.996)
         gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS))
         assert gate.state is SyncState.IN_SYNC
         gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS) + 1)
         assert gate.state is SyncState.STALE and not gate.agreed(now + NANOSECONDS)
         gate.watch(now + NANOSECONDS)
         assert gate.state is SyncState.STOPPED
+
+    @pytest.mark.parametrize("step", [-10.0, -0.03, 10.0])
+    @pytest.mark.parametrize("between", [0, CYCLE_NS // 3])
+    def test_the_round_trip_is_measured_on_one_clock(self, step, between):
+        cell = bench()
+        for _ in range(20):
+            cell.cycle()
+        at = cell.stamp
+        for _ in range(8):
+            cell.cycle()
+        gate = cell.gate
+        set_clock = cell.stamp + round(step * NANOSECONDS)
+        comparison = gate.on_physical(START, at - CYCLE_NS + between, cell.stamp, set_clock)
+        assert comparison.round_trip == pytest.approx(9 * CYCLE - between / NANOSECONDS) and comparison.at == set_clock
+
+    def test_of_a_setpoint_that_nobody_has_seen_pass_no_round_trip_is_known(self):
+        trips = RoundTrips()
+        trips.note(5 * CYCLE_NS, 100)
+        assert trips.since(5 * CYCLE_NS, 100 + CYCLE_NS) == CYCLE
+        assert trips.since(5 * CYCLE_NS, 90) == 0.0
+        for unknown in (0, 4 * CYCLE_NS, 6 * CYCLE_NS, (5 + KEPT) * CYCLE_NS):
+            assert math.isnan(trips.since(unknown, 100 + CYCLE_NS))
+        trips.note((5 + KEPT) * CYCLE_NS, 200)
+        assert math.isnan(trips.since(5 * CYCLE_NS, 300))
 
     def test_agreement_takes_its_time_whatever_the_stamps_say(self):
         cell = Bench(GateSettings())

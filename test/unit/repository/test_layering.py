@@ -151,7 +151,11 @@ def test_every_public_name_has_a_docstring(path):
 #:   would end the answers, and the controller would stop the arm dead from full speed.
 #: - The subscriber's: rospy would log what a callback did not foresee and go on with the next message, in a node whose state nobody
 #:   knows. The handler hands every exception to `threading.excepthook`, which ends the process; it swallows nothing.
+#: - Beside's: what reports, records or predicts a stop, a pause, a halt or a rejection must not be able to fail it, and a node that
+#:   ends while the arm brakes along its path would fail it. It counts, keeps the exception until it is in the log, and shows it on
+#:   `/diagnostics`; it runs no act.
 BROAD = {
+    "src/construction_twin/core/beside.py": "do",
     "src/construction_twin/gateway/service.py": "guarded",
     "src/construction_twin/ros/transport/subscriber.py": "_receive",
 }
@@ -181,14 +185,21 @@ def test_nothing_is_swallowed_and_nothing_imported_by_star(path):
 
 #: Where a node may use rospy's own `Subscriber` or `Service`, and how often.
 #: - RobotListener hears `/diagnostics`, which has many publishers, and counts messages of any kind, whose content it does not read.
+#: - ScenarioDriver hears the true pose of the mock arm, which may be any node's.
 #: - `Service` of ros/shared/node.py is rospy's, with an end of the process after a handler that raised.
 BARE = {
     "src/construction_twin/ros/shared/robot_listener.py": {"Subscriber": 2},
     "src/construction_twin/ros/shared/node.py": {"Service": 1},
+    "src/construction_twin/ros/commands/scenario.py": {"Subscriber": 1},
 }
 GUARDED = [
     path
-    for folder in ("src/construction_twin/ros/nodes", "src/construction_twin/ros/shared", "examples")
+    for folder in (
+        "src/construction_twin/ros/nodes",
+        "src/construction_twin/ros/shared",
+        "src/construction_twin/ros/commands",
+        "examples",
+    )
     for path in sorted((ROOT / folder).rglob("*.py"))
 ]
 

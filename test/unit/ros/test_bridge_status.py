@@ -11,6 +11,7 @@ import pytest
 import rospy
 from bridge_bench import BridgeBench, Clocks
 from gateway_cell import following
+from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import NOT_CHECKED
@@ -248,7 +249,8 @@ def test_mirror_mode_is_kept_where_the_next_process_finds_it(bench, monkeypatch)
     assert bench.bridge.on_mirror(SimpleNamespace(data=True)).success and kept == {MIRROR_MODE: True}
     bench.step()
     assert bench.bridge.link is LinkState.MIRROR
-    assert bench.bridge.on_halt(None).success and kept == {MIRROR_MODE: False}
+    assert bench.bridge.on_halt(None).success
+    wait_until(lambda: kept == {MIRROR_MODE: False}, what="what the next process finds")
     assert not bench.bridge.on_mirror(SimpleNamespace(data=False)).success and kept == {MIRROR_MODE: False}
 
 
@@ -280,8 +282,10 @@ def test_halt_is_published_before_it_is_logged_or_anything_else_is_done(bench, m
         bench.client, "publish", lambda topic, *rest, **more: happened.append(topic) or publish(topic, *rest, **more)
     )
     assert bench.bridge.on_halt(None).success
-    assert happened == ["twin/arm/control", "log"] and bench.client.controls[-1].verb == "stop"
+    assert happened == ["twin/arm/control"] and bench.client.controls[-1].verb == "stop"
     assert bench.bridge.link is LinkState.NEEDS_RESET
+    bench.bridge.poll()
+    assert happened.count("log") == 2 and happened[1] == "twin/arm/bridge/status"
 
 
 def test_halt_without_a_broker_says_that_the_gateway_brakes_by_itself(bench):

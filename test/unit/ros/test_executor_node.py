@@ -3,102 +3,26 @@
 from __future__ import annotations
 
 import json
-import threading
-from types import SimpleNamespace
 
 import numpy as np
 import pydantic
 import pytest
 import rospy
-from construction_twin.msg import Conflict, Execution, Link, Scene, SpeedLimit, Sync, ToolCommand, ToolState
+from construction_twin.msg import Conflict, Execution, Link, Scene, SpeedLimit, ToolCommand, ToolState
 from construction_twin.srv import ReleaseEngagementRequest, ReviewPlanRequest, StopPlanRequest
 from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
+from executor_world import World, records
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
-from construction_twin.execution.executor import Executor, ExecutorState
-from construction_twin.execution.speed_limit import SpeedLimit as SpeedLimitState
-from construction_twin.review.record import ReviewLog
+from construction_twin.execution.executor import ExecutorState
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR
-from construction_twin.ros.shared.engagement_file import EngagementFile
 from construction_twin.ros.transport.joint_stream import to_time
-
-
-class World:
-    """What the node finds around itself: clocks, topics, services, its log."""
-
-    def __init__(self, monkeypatch, tmp_path):
-        self.wall, self.steady = 1000 * NANOSECONDS, 50 * NANOSECONDS
-        self.said: list[tuple[str, object]] = []
-        self.logged: list[tuple[str, str]] = []
-        self.refused: list[tuple[str, str]] = []
-        self.cycles = 0
-        patch = monkeypatch.setattr
-        patch(module, "now_ns", lambda: self.wall)
-        patch(module.time, "monotonic_ns", lambda: self.steady)
-        patch(module, "Cycles", self.grid)
-        patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
-        patch(rospy.Time, "now", lambda: to_time(self.wall))
-        for level in ("loginfo", "logwarn", "logerr"):
-            patch(rospy, level, self.logger(level))
-        self.executor, self.limit = Executor(ROBOT), SpeedLimitState(0.5, 0.1, False)
-        self.executor.on_link(False, "no report of the link yet")
-        self.log = ReviewLog(tmp_path / "reviews.jsonl", lambda: self.wall)
-        self.node = module.ExecutorNode(
-            ROBOT,
-            self.executor,
-            self.limit,
-            self.log,
-            module.Outputs(
-                *map(self.topic, ("next/joint_states", "execution", "review", "tool_command", "engagement"))
-            ),
-            EngagementFile(tmp_path / "engagement.json", ROBOT.joint_names),
-            lambda _: SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
-        )
-
-    def logger(self, level: str):
-        """Return a log function that says which thread called it."""
-        return lambda *words: self.logged.append((threading.current_thread().name, words[0] % words[1:]))
-
-    def topic(self, name: str):
-        """Return a publisher."""
-        return SimpleNamespace(publish=lambda *message: self.said.append((name, message)))
-
-    def grid(self):
-        """Let both clocks run; the twin follows at once and the monitor is content."""
-        for _ in range(self.cycles):
-            self.wall, self.steady = self.wall + CYCLE_NS, self.steady + CYCLE_NS
-            if self.speaks:
-                self.node.on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan"))
-            yield self.wall, 0
-            setpoints = [message for name, message in self.said if name == "next/joint_states"]
-            self.node.on_twin(*(setpoints[-1] if setpoints else (self.wall, ROBOT.home)))
-
-    def run(self, cycles: int, speaks: bool = True) -> World:
-        """Run some cycles, while the monitor speaks or not."""
-        self.cycles, self.speaks = cycles, speaks
-        self.node.run()
-        return self
-
-    def playing(self) -> World:
-        """Play a plan."""
-        node = self.node
-        node.on_link(Link(state=Link.ARMED, session="s"))
-        node.on_scene(Scene(hash=SCENE))
-        self.run(5)
-        plan = make_plan(created_ns=self.wall)
-        self.executor.offer(plan)
-        assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")).success
-        return self.run(50)
-
-    def states(self) -> list[str]:
-        """Return what was published on `execution`."""
-        return [message[0].text for name, message in self.said if name == "execution"]
 
 
 @pytest.fixture
@@ -123,10 +47,6 @@ def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age,
     world.node.on_conflict(message)
     assert [reason for reason, _ in world.refused] == ["conflict_age"] * refused
     np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
-
-
-def records(tmp_path) -> list[dict]:
-    return [json.loads(line) for line in (tmp_path / "reviews.jsonl").read_text().splitlines()]
 
 
 def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, tmp_path):
@@ -241,6 +161,30 @@ class TestPlansThatAreTurnedDown:
         world.run(100)
         ((plan_id, approved, reason),) = self.offered(world, make_plan("late", created_ns=asked))
         assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
+
+    @pytest.mark.parametrize("step", [-0.05, -1.0, -10.0, -29.0, -60.0, -600.0, 10.0])
+    @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
+    def test_one_that_was_asked_for_before_a_stop_on_a_clock_that_was_set_since(self, world, step, stop):
+        asked = world.playing().wall - CYCLE_NS
+        world.node.work_off(True)
+        world.wall += round(step * NANOSECONDS)
+        world.run(10)
+        getattr(world.node, stop)(None)
+        world.run(150)
+        # a stop voids, a pause also
+        said = self.offered(world, make_plan("late", created_ns=asked))
+        assert [(plan_id, approved) for plan_id, approved, _ in said if plan_id == "late"] == [("late", False)]
+
+    def test_and_a_minute_after_the_clock_was_set_back_a_stop_is_nothing_special(self, world):
+        world.playing().node.work_off(True)
+        world.wall -= 600 * NANOSECONDS
+        for _ in range(70):
+            world.wall, world.steady = world.wall + NANOSECONDS, world.steady + NANOSECONDS
+            world.node.work_off(True)
+        world.node.on_stop(None)
+        before, after = (make_plan(name, created_ns=world.wall + k) for name, k in (("before", -1), ("after", 1)))
+        assert [plan_id for plan_id, *_ in self.offered(world, before)] == ["before"]
+        assert self.offered(world, after) == []
 
     def test_one_from_before_this_executor(self, world):
         ((plan_id, _, reason),) = self.offered(world, make_plan("old", created_ns=world.wall - NANOSECONDS))

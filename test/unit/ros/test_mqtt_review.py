@@ -18,6 +18,7 @@ from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP
 from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.nodes.mqtt_review import WAITING, MqttReview, Settings
 from construction_twin.ros.shared import remote_interventions
+from construction_twin.ros.shared.diagnostics import WARN
 from construction_twin.ros.shared.remote_interventions import RemoteInterventions
 
 
@@ -55,21 +56,31 @@ class Bench:
         settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
         self.pressed = []
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, RESUME)}
-        self.interventions = RemoteInterventions(Topics("twin", "kr120"), self.services, self.client.publish)
+        self.interventions = RemoteInterventions(
+            Topics("twin", "kr120"), self.services, lambda topic, payload: self.client.publish(topic, payload)
+        )
         self.node = MqttReview(settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.interventions, make)
 
     resolved_name = "/kr120/review_plan"
 
     error: Exception | None = None
 
+    #: What the executor has been asked, and what an approval waits for there.
+    asked: list[tuple] = []
+    disk: threading.Event | None = None
+
     def __call__(self, *request):
         if self.error is not None:
             raise self.error
-        return SimpleNamespace(success=True, message="approved")
+        approves = request[2]
+        if approves and self.disk is not None:
+            assert self.disk.wait(10.0)
+        self.asked = [*self.asked, request]
+        return SimpleNamespace(success=True, message="approved" if approves else "rejected")
 
-    def verdict(self, plan="p1"):
+    def verdict(self, plan="p1", verdict="approved"):
         """A verdict on `review`."""
-        content = {"plan_id": plan, "plan_hash": "cafe", "verdict": "approved", "reviewer": "Ann"}
+        content = {"plan_id": plan, "plan_hash": "cafe", "verdict": verdict, "reviewer": "Ann"}
         self.node.on_review("", json.dumps(content).encode(), False)
 
 
@@ -138,6 +149,42 @@ def test_on_a_site_a_verdict_in_no_name_is_answered_as_often_as_it_comes(monkeyp
     assert len(site.client.published) == 100 and site.made.refused == {"sender": 100}
 
 
+def reviews(bench):
+    """Return the answers on review/ack."""
+    return [json.loads(payload) for topic, payload in list(bench.client.published) if topic.endswith("review/ack")]
+
+
+def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_disk(bench, monkeypatch):
+    ended, bench.disk = threading.Event(), threading.Event()
+    bench.client.disconnect = bench.client.loop_stop = lambda: None
+    monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
+    threads = [threading.Thread(target=each) for each in (bench.node.run, bench.node.run_rejections)]
+    for thread in threads:
+        thread.start()
+    bench.verdict("p1")
+    bench.verdict("p1", "rejected")
+    wait_until(lambda: [answer["reason"] for answer in reviews(bench)] == ["rejected"], what="the rejection's answer")
+    bench.disk.set()
+    wait_until(lambda: len(reviews(bench)) == 2, what="the approval's answer")
+    ended.set()
+    for thread in threads:
+        thread.join(10.0)
+
+
+def fail(*_given, **_named):
+    raise RuntimeError("nobody foresaw this")
+
+
+@pytest.mark.parametrize("verdict", ["rejected", "approved"])
+def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdict):
+    monkeypatch.setattr(rospy, "loginfo", fail)
+    bench.node.carry_out(RemoteReview("p1", "cafe", verdict, "Ann", ""))
+    assert reviews(bench)[-1]["ok"]
+    report = bench.node.report()
+    assert report.level == WARN and "RuntimeError: nobody foresaw this" in report.sentence
+    assert report.values["failed beside an act: the log"] == 1 and report.values["verdicts taken"] == 1
+
+
 # -- stop, pause, resume
 
 
@@ -184,6 +231,38 @@ def test_a_stop_waits_for_nothing_else(pressing):
     assert pressing.pressed == ["stop"]
     pause.free.set()
     wait_until(lambda: acks(pressing, "pause"), what="the answer to the pause")
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE])
+def test_a_stop_asks_no_master_while_the_connection_to_the_executor_stands(pressing, monkeypatch, verb):
+    def no_master(name, timeout):
+        raise rospy.ROSException(f"timeout exceeded while waiting for service {name}")
+
+    monkeypatch.setattr(rospy, "wait_for_service", no_master)
+    press(pressing, verb)
+    wait_until(lambda: acks(pressing, verb), what="an answer")
+    assert acks(pressing, verb)[0]["ok"] and pressing.pressed == [verb]
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE])
+def test_a_press_is_answered_although_the_log_fails_and_the_next_one_is_taken(pressing, monkeypatch, verb):
+    monkeypatch.setattr(rospy, "loginfo", fail)
+    for number in range(2):
+        press(pressing, verb, str(number))
+        wait_until(lambda: len(acks(pressing, verb)) > number, what="an answer")
+    assert [answer["ok"] for answer in acks(pressing, verb)] == [True, True]
+    wait_until(lambda: pressing.interventions.beside.counts() == {"the log": 2}, what="the count")
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE])
+def test_a_press_whose_answer_cannot_be_sent_is_carried_out_and_so_is_the_next_one(pressing, monkeypatch, verb):
+    with monkeypatch.context() as broken:
+        broken.setattr(pressing.client, "publish", fail)
+        press(pressing, verb, "1")
+        wait_until(lambda: pressing.interventions.beside.counts() == {"the answer": 1}, what="the count")
+    press(pressing, verb, "2")
+    wait_until(lambda: acks(pressing, verb), what="an answer")
+    assert pressing.pressed == [verb] * 2 and acks(pressing, verb)[0]["id"] == "2"
 
 
 def test_a_resume_that_came_before_starts_nothing_again(pressing):

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,6 +26,8 @@ from construction_twin.ros.commands.experiment import point_latest
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import read_parameters
+from construction_twin.ros.shared.refusal_log import warn_of_refusals
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide, WorkPlanTask, WorkPlanTaskResponse
 from construction_twin.work.build_report import HEADS, TaskResult, rows, write_report
 
@@ -100,8 +103,9 @@ class Builder:
             "plan": Plan,
             "tool": ToolState,
         }
+        refuse = warn_of_refusals()
         for topic, kind in (*reports.items(), ("scene", SceneMsg)):
-            rospy.Subscriber(topic, kind, self._receive, topic, queue_size=5)
+            Subscriber(topic, kind, partial(self._receive, topic), refuse, queue_size=5)
 
     def run(self) -> tuple[Path, ...]:
         """Build, and write the report; return its files.
@@ -276,7 +280,7 @@ class Builder:
             with self._news:
                 self._news.wait(_POLL)
 
-    def _receive(self, message, topic: str) -> None:
+    def _receive(self, topic: str, message) -> None:
         with self._news:
             if topic == "execution" and message.state == Execution.HELD != self._execution.state:
                 self._held += 1

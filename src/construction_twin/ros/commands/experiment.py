@@ -26,7 +26,9 @@ from construction_twin.ros.commands.experiment_settings import ExperimentSetting
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PlanToJoints
 
 _POLL = 0.05
@@ -78,8 +80,9 @@ class Experiment:
         self._execution = Execution()
         self._sync = Sync()
         self._link = Link()
-        rospy.Subscriber("execution", Execution, self._on_execution)
-        rospy.Subscriber("link", Link, self._on_link)
+        self._refuse = warn_of_refusals()
+        Subscriber("execution", Execution, self._on_execution, self._refuse, queue_size=50)
+        Subscriber("link", Link, self._on_link, self._refuse, queue_size=5)
 
     def run(self) -> Report:
         """Run everything; see the module.
@@ -162,14 +165,18 @@ class Experiment:
 
     def _wait_until_ready(self) -> None:
         # 250 Hz streams are only listened to while they matter: the machine's cores belong to the control path.
-        subscriber = rospy.Subscriber("sync", Sync, self._on_sync, queue_size=1)
+        subscriber = Subscriber("sync", Sync, self._on_sync, self._refuse, queue_size=1)
         self._wait(self._not_ready, "the system did not get ready")
         subscriber.unregister()
 
     def _wait_for_rest(self) -> None:
         rest = RestDetector(self._settings.rest_tolerance, self._settings.rest_time)
-        subscriber = rospy.Subscriber(
-            "physical/feedback", Feedback, lambda message: rest.update(message.header.stamp.to_sec(), message.position)
+        subscriber = Subscriber(
+            "physical/feedback",
+            Feedback,
+            lambda message: rest.update(message.header.stamp.to_sec(), message.position),
+            self._refuse,
+            queue_size=250,
         )
         self._wait(lambda: "" if rest.at_rest else "the physical arm to be at rest", "the arm does not come to rest")
         subscriber.unregister()

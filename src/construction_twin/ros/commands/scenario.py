@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,8 +33,10 @@ from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.roslaunch_above import roslaunch_above, say_below
 from construction_twin.ros.transport.persistent_service import PersistentService
+from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
 from construction_twin.scenario.judge import Verdict, judge
 from construction_twin.scenario.table import markdown_table, print_verdict, put_into, read_verdicts
@@ -80,11 +83,12 @@ class ScenarioDriver:
         self._execution = Execution()
         self._since = 0
         self._moved = 0
+        refuse = warn_of_refusals()
         for topic, kind in zip(STATES, (Sync, Link, Execution)):
-            rospy.Subscriber(topic, kind, self._on_state, callback_args=topic, queue_size=50)
-        rospy.Subscriber("transitions", Transition, self._on_transition, queue_size=50)
-        rospy.Subscriber("execution", Execution, self._on_execution)
-        rospy.Subscriber("plan", Plan, self._on_plan)
+            Subscriber(topic, kind, partial(self._on_state, topic), refuse, queue_size=50)
+        Subscriber("transitions", Transition, self._on_transition, refuse, queue_size=50)
+        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=50)
+        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=5)
         self._rest = RestDetector(_REST_BAND, _REST_TIME)
         self._stop = PersistentService("stop", Trigger)
 
@@ -227,7 +231,7 @@ class ScenarioDriver:
 
     # -- subscriptions
 
-    def _on_state(self, message, topic: str) -> None:
+    def _on_state(self, topic: str, message) -> None:
         if message.text != self.now(topic):
             self.seen.append(Change(message.header.stamp.to_nsec(), topic, message.text, message.reason))
 

@@ -13,17 +13,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import pydantic
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
+from construction_twin.core.beside import Beside
 from construction_twin.core.errors import ConstructionTwinError, ExecutionError, PayloadError, RecordError, ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.newest_reading import AHEAD, NewestReading
+from construction_twin.execution.playback import Braking
 from construction_twin.execution.speed_limit import LimitState, SpeedLimit
 from construction_twin.execution.states import ACTIVE
 from construction_twin.execution.tool_report import NO_ARM, ToolReport
@@ -77,6 +80,12 @@ BACKGROUND_PERIOD = 0.05
 TWIN_PAUSE = 0.02
 #: How long the forecast of a stop leaves the processor to the cycle, every few setpoints [s].
 PAUSE = 0.0005
+
+
+#: States in which an act of a person is under way.
+BRAKING = (ExecutorState.STOPPING, ExecutorState.PAUSING)
+
+Told = TypeVar("Told")
 
 
 class Settings(NodeSettings):
@@ -134,6 +143,24 @@ class Outputs:
     engagement: Sink
 
 
+class Snapshot(NamedTuple):
+    """The executor in one cycle, as far as there is something to tell; `told` is what is worth a line in the log."""
+
+    said: Said
+    told: tuple
+    plan: PlanContent | None
+    rate: float
+    limit: float
+    limit_state: LimitState
+    limit_reason: str
+    stamp: int
+
+
+def _tell(_what: str, part: Callable[..., Told], *arguments: object) -> Told:
+    """Call a part whose failure ends the node, as everywhere else."""
+    return part(*arguments)
+
+
 class ExecutorNode:
     """ROS around an Executor; `start` gives it parameters, topics and services.
 
@@ -174,7 +201,12 @@ class ExecutorNode:
         self._record_problem = ""
         self._engagement_problem = ""
         self._said = DeferredLog()
-        self._started = rospy.Time.now()
+        self._beside = executor.beside
+        # safety acts, and how many of them were told of: until then, and while the arm brakes, what tells cannot end this node
+        self._acts = self._acts_told = 0
+        # by the wall clock, and by the one that nobody sets [ns]
+        self._started, self._started_steady = now_ns(), time.monotonic_ns()
+        self._readings = NewestReading(self._started, self._started_steady)
         self._lock = threading.Lock()
         self._approval = Approval(executor, log.append, self._lock)
         self._without_person = without_person
@@ -187,6 +219,11 @@ class ExecutorNode:
         if found is not None:
             executor.engagement.found(found if found.reason else replace(found, reason=ENDED))
             rospy.logwarn("%s", executor.engaged())
+
+    @property
+    def beside(self) -> Beside:
+        """What tells of a stop, a pause or a rejection, and cannot fail it."""
+        return self._beside
 
     @property
     def refuse(self) -> Callable[[str, str], None]:
@@ -269,10 +306,19 @@ class ExecutorNode:
                 check_way_back(plan, way_back)
             except ReviewError as error:
                 problem = str(error)
+        now, asked = now_ns(), message.header.stamp.to_nsec()
+        # on a clock that was set back the start lies further back, too: else every plan was older until the clock has caught up
+        started = min(self._started, now - (time.monotonic_ns() - self._started_steady))
         with self._lock:
             try:
-                if message.header.stamp < self._started:
+                if asked < started:
                     raise ReviewError(f"plan {plan.id} is older than this executor; plan again")
+                ahead = asked - now
+                if ahead > AHEAD:
+                    raise ReviewError(
+                        f"plan {plan.id} was asked for {ahead / NANOSECONDS:.1f} s from now, expected before now: the clock was "
+                        "set back since, or the planner runs on a PC with another clock; plan again"
+                    )
                 if problem:
                     raise ReviewError(problem)
                 self._executor.offer(plan, way_back)
@@ -296,7 +342,7 @@ class ExecutorNode:
         with self._lock:
             if message.session and message.session != self._session:
                 if self._session is not None:
-                    self._executor.restart("new command session", now_ns())
+                    self._executor.restart("new command session", self._asked_until())
                 self._session = message.session
             self._executor.on_link(message.state == Link.ARMED, f"{message.text}: {message.reason}")
         before, now = self._log.responsibility, None
@@ -308,6 +354,8 @@ class ExecutorNode:
 
     # -- services
 
+    # A stop, a pause, a rejection: first the act, under the lock; then, beside it, what tells of it (docs/architecture.md).
+
     def on_review(self, request: ReviewPlanRequest) -> ReviewPlanResponse:
         """Approve or reject a plan in a person's name."""
         try:
@@ -315,36 +363,55 @@ class ExecutorNode:
                 raise ReviewError(
                     f"{request.reviewer!r} is what the executor calls itself; expected the name of a person"
                 )
+            if not request.approve:
+                with self._lock:
+                    self._note_act()
             taken = self._approval.review(
                 request.plan_id, request.plan_hash, request.approve, request.reviewer, request.reason
             )
         except ConstructionTwinError as error:
-            rospy.logwarn("review refused: %s", error)
+            self._say(rospy.logwarn, "review refused: %s", error)
             return ReviewPlanResponse(False, str(error))
-        self._publish_verdict(taken.verdict)
+        if taken.verdict.approved:
+            # a rejection is told with what the executor decides by itself
+            self._publish_verdict(taken.verdict)
         return ReviewPlanResponse(True, taken.sentence)
 
     def on_stop(self, _request) -> TriggerResponse:
         """Brake on the path and drop the plan."""
         with self._lock:
-            sentence = self._executor.stop(now_ns())
-            braking = self._executor.braking()
+            self._note_act()
+            sentence = self._executor.stop(self._asked_until())
+            braking = self._beside.do("the forecast of a stop", self._executor.braking)
         # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
         if braking is not None:
-            sentence = f"{sentence}; {braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)}"
-        self._said.add(rospy.logwarn, "stop: %s", sentence)
+            forecast = self._beside.do("the forecast of a stop", self._forecast, braking)
+            sentence = f"{sentence}; {forecast or 'how far it goes on is not known'}"
+        self._say(rospy.logwarn, "stop: %s", sentence)
         return TriggerResponse(True, sentence)
+
+    def _forecast(self, braking: Braking) -> str:
+        return braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
 
     def on_stop_plan(self, request: StopPlanRequest) -> StopPlanResponse:
         """Brake one plan on its path; what waits is left alone."""
+        caller = self._beside.do("the name of a caller", caller_of, request)
         try:
             with self._lock:
-                sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller_of(request)}")
+                self._note_act()
+                sentence = self._executor.stop_plan(request.plan_id, f"stop requested by {caller or 'a client'}")
         except ExecutionError as error:
-            self._said.add(rospy.logwarn, "stop_plan refused: %s", error)
+            self._say(rospy.logwarn, "stop_plan refused: %s", error)
             return StopPlanResponse(False, str(error))
-        self._said.add(rospy.logwarn, "stop_plan: %s", sentence)
+        self._say(rospy.logwarn, "stop_plan: %s", sentence)
         return StopPlanResponse(True, sentence)
+
+    def _note_act(self) -> None:
+        self._acts += 1
+
+    def _say(self, write: Callable[..., None], *words) -> None:
+        """Have a line written after the answer."""
+        self._beside.do("the log", self._said.add, write, *words)
 
     def on_release(self, request: ReleaseEngagementRequest) -> ReleaseEngagementResponse:
         """Take a person's word that the arm was freed; recorded before it counts."""
@@ -372,20 +439,27 @@ class ExecutorNode:
 
     def on_pause(self, _request) -> TriggerResponse:
         """Brake on the path and keep the plan."""
-        return self._on_trigger("pause", lambda: self._executor.pause(now_ns()))
+        return self._on_trigger("pause", self._pause)
 
     def on_resume(self, _request) -> TriggerResponse:
         """Go on after a pause."""
         return self._on_trigger("resume", self._executor.resume)
+
+    def _pause(self) -> str:
+        self._note_act()
+        return self._executor.pause(self._asked_until())
+
+    def _asked_until(self) -> int:
+        return self._readings.asked_until(now_ns(), time.monotonic_ns())
 
     def _on_trigger(self, name: str, action: Callable[[], str]) -> TriggerResponse:
         try:
             with self._lock:
                 sentence = action()
         except ConstructionTwinError as error:
-            rospy.logwarn("%s refused: %s", name, error)
+            self._say(rospy.logwarn, "%s refused: %s", name, error)
             return TriggerResponse(False, str(error))
-        rospy.loginfo("%s: %s", name, sentence)
+        self._say(rospy.loginfo, "%s: %s", name, sentence)
         return TriggerResponse(True, sentence)
 
     # -- in the background
@@ -402,8 +476,11 @@ class ExecutorNode:
             Whether there is a node that says which scene is the present one.
         """
         self.write_records()
-        self.keep_engagement()
+        # where a stop leaves the arm is written down here
+        told = self._acts == self._acts_told
+        (_tell if told else self._beside.do)("the engagement", self.keep_engagement)
         with self._lock:
+            self._readings.note(now_ns(), time.monotonic_ns())
             self._executor.queue.scene_alive = scene_alive
         if self._without_person == WithoutPerson():
             return
@@ -417,7 +494,12 @@ class ExecutorNode:
 
     def write_records(self) -> None:
         """Write what is kept to log and record; not for the path of the setpoints."""
-        self._said.flush()
+        # the lines of a stop are among these
+        self._beside.do("the log", self._said.flush)
+        self._beside.tell(rospy.logerr)
+        self._beside.do("the record", self._flush_record)
+
+    def _flush_record(self) -> None:
         try:
             self._log.flush()
         except RecordError as error:
@@ -465,45 +547,63 @@ class ExecutorNode:
         self._outputs.review.publish(message)
 
     def _publish_changes(self) -> None:
-        """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal."""
+        """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal.
+
+        From a safety act until it has been told, and the arm rests, no part of this can end the node.
+        """
         executor = self._executor
         with self._lock:
-            events, orders, work = executor.take_events(), executor.take_orders(), executor.work
-            said = Said(
-                executor.state,
-                executor.reason,
-                executor.plan_start,
-                executor.outcome,
-                executor.steady,
-                round(self._limit.limit, 2),
-                work.number if work is not None else -1,
-                work is not None and work.at_boundary and executor.state in ACTIVE,
-                work.expected_scene if work is not None and executor.state in ACTIVE else "",
-                executor.engagement.engaged,
-            )
-            told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
-            limit, limit_state, limit_reason = self._limit.limit, self._limit.state, self._limit.reason
-            plan, rate = executor.plan, executor.rate
-            # with the state: a stop that comes after this stamp is not known to the report
-            stamp = now_ns()
+            acts, brakes = self._acts, executor.state in BRAKING
+            tell = _tell if acts == self._acts_told else self._beside.do
+            events, orders = executor.take_events(), executor.take_orders()
+            now = tell("the executor's state", self._snapshot)
         for order in orders:
             command = order_to_msg(order)
-            command.header.stamp = to_time(stamp)
+            command.header.stamp = rospy.Time.now()
             self._outputs.tool_command.publish(command)
-        if said != self._reported:
-            self._reported = said
-            self._outputs.execution.publish(_execution(said, plan, rate, limit, stamp))
+        if now is not None and now.said != self._reported:
+            self._reported = now.said
+            tell("the topic execution", self._publish_execution, now)
         for event in events:
-            self._log.defer(event)
+            tell("the record", self._log.defer, event)
             if isinstance(event, Verdict):
-                self._publish_verdict(event)
-        if limit_state is not self._limit_state:
-            self._limit_state = limit_state
-            warns = limit_state in (LimitState.SILENT, LimitState.MISSING)
-            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", limit_reason)
-        if told != self._told:
-            self._told = told
-            self._said.add(rospy.loginfo, "%s: %s", said.state.name, said.reason)
+                tell("the topic review", self._publish_verdict, event)
+        if now is not None:
+            tell("the log", self._note_changes, now)
+        if not brakes:
+            self._acts_told = acts
+
+    def _snapshot(self) -> Snapshot:
+        """Return what there is to be told; to be called under the lock."""
+        executor, limit, work = self._executor, self._limit, self._executor.work
+        said = Said(
+            executor.state,
+            executor.reason,
+            executor.plan_start,
+            executor.outcome,
+            executor.steady,
+            round(limit.limit, 2),
+            work.number if work is not None else -1,
+            work is not None and work.at_boundary and executor.state in ACTIVE,
+            work.expected_scene if work is not None and executor.state in ACTIVE else "",
+            executor.engagement.engaged,
+        )
+        told = executor.state, executor.cause, executor.limit.standing, executor.plan_start, executor.outcome
+        # with the state: a stop that comes after this stamp is not known to the report
+        stamp = now_ns()
+        return Snapshot(said, told, executor.plan, executor.rate, limit.limit, limit.state, limit.reason, stamp)
+
+    def _note_changes(self, now: Snapshot) -> None:
+        if now.limit_state is not self._limit_state:
+            self._limit_state = now.limit_state
+            warns = now.limit_state in (LimitState.SILENT, LimitState.MISSING)
+            self._said.add(rospy.logwarn if warns else rospy.loginfo, "%s", now.limit_reason)
+        if now.told != self._told:
+            self._told = now.told
+            self._said.add(rospy.loginfo, "%s: %s", now.said.state.name, now.said.reason)
+
+    def _publish_execution(self, now: Snapshot) -> None:
+        self._outputs.execution.publish(_execution(now.said, now.plan, now.rate, now.limit, now.stamp))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
@@ -516,13 +616,15 @@ class ExecutorNode:
             "records": log.state.lines,
             "records lost": log.lost,
             "SHA-256 of the last record": log.state.head,
-        }
+        } | self._beside.report()
         if problem := self._record_problem or self._engagement_problem:
             return Report(ERROR, problem, values)
         with self._lock:
             engaged = executor.engaged() if executor.engagement.engaged else ""
         if engaged:
             return Report(WARN, engaged, values)
+        if failed := self._beside.sentence:
+            return Report(WARN, failed, values)
         slow = self._limit.state in (LimitState.SILENT, LimitState.MISSING)
         level = WARN if slow or executor.state in (ExecutorState.WAITING, ExecutorState.HELD) else OK
         return Report(level, f"{executor.state.name}: {executor.reason}", values)

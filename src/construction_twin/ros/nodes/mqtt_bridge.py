@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import http.client
 import json
 import sys
@@ -12,6 +11,7 @@ import uuid
 import xmlrpc.client
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import pydantic
@@ -19,6 +19,7 @@ import rospy
 from diagnostic_msgs.msg import KeyValue
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
+from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError, ReviewError
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
@@ -43,6 +44,7 @@ from construction_twin.mqtt.messages import (
 )
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimit, Sync, ToolCommand, ToolState
+from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
@@ -141,6 +143,7 @@ class MqttBridge:
         self._tool = ToolLink(lambda: uuid.uuid4().hex)
         # orders what is published on `tool`: it comes from several threads
         self._tool_lock = threading.Lock()
+        self._mirror_lock = threading.Lock()
         self._tool_told: ToolReport | None = None
         #: Id of the plan that the executor plays, or has played last.
         self._played = ""
@@ -155,6 +158,8 @@ class MqttBridge:
         self._broker = broker
         self._client = client
         self._connection = report_of(broker)
+        # what tells of a halt, and cannot fail it
+        self._beside, self._said = Beside(), DeferredLog()
         self._diagnostics = diagnostics(self.report)
 
     def connect(self) -> None:
@@ -202,6 +207,8 @@ class MqttBridge:
             self._publish_control(Control(str(self._speed.number), armed, "speed_limit", limit))
         self._publish_link()
         self._publish_tool()
+        self._beside.do("the log", self._said.flush)
+        self._beside.tell(rospy.logerr)
 
     # -- ROS to MQTT
 
@@ -224,7 +231,7 @@ class MqttBridge:
     def _send_control(self, control: Control) -> None:
         # the log may wait for a disk or for rosout; what is to stop the arm does not
         self._publish_control(control)
-        rospy.loginfo("%s, session %s", control.verb, control.session)
+        self._said.add(rospy.loginfo, "%s, session %s", control.verb, control.session)
 
     def on_speed_limit(self, message: SpeedLimit) -> None:
         """Take a speed limit; it is sent with the next poll."""
@@ -293,8 +300,9 @@ class MqttBridge:
             return f"the link is {state.name}: {self._supervisor.reason}"
         return ""
 
-    def _publish_control(self, control: Control) -> None:
+    def _publish_control(self, control: Control) -> bool:
         self._client.publish(self._topics.control, control.to_json(), qos=1)
+        return True
 
     # -- MQTT to ROS
 
@@ -450,22 +458,36 @@ class MqttBridge:
     def on_halt(self, _request) -> TriggerResponse:
         """Stop executor and gateway: the gateway brakes the arm within its limits, and the executor drops its plan."""
         with self._lock:
-            control, mirrored = Control(uuid.uuid4().hex, self._supervisor.session, "stop"), self._supervisor.mirrors
+            session, mirrored = self._supervisor.session, self._supervisor.mirrors
             tells = self._supervisor.sends_control
-            # the link is not armed from here on: the executor drops its plan, and no command is sent
+            # the link is not armed from here on: the executor drops its plan, no command is sent, and the gateway brakes on silence
             self._supervisor.halt("stopped at the gateway on request; call reset" if tells else HALTED_PLC)
-        if tells:
-            self._send_control(control)
+        sent = tells and self._beside.do("the stop for the gateway", self._send_stop, session)
         if mirrored:
-            self._remember_mirror(False)
+            # in a thread of its own: a master that hangs must not hold up the answer
+            remember = partial(self._beside.do, "what outlasts this node", self._remember_mirror)
+            threading.Thread(target=remember, daemon=True).start()
         if not tells:
             return TriggerResponse(True, HALTED_PLC)
+        if not sent:
+            return TriggerResponse(
+                False,
+                "the stop could not be sent to the gateway, which brakes by itself, because no more commands come; the cause is on "
+                "/diagnostics; call reset to go on",
+            )
         if not self._client.is_connected():
             return TriggerResponse(
                 False,
                 "no connection to the broker: the gateway brakes by itself, because no more commands come; call reset to go on",
             )
         return TriggerResponse(True, "stop sent to the gateway, plan dropped; call reset to go on")
+
+    def _send_stop(self, session: str) -> bool:
+        control = Control(uuid.uuid4().hex, session, "stop")
+        sent = self._publish_control(control)
+        # after the answer: it waits for a disk, or for rosout
+        self._beside.do("the log", self._said.add, rospy.loginfo, "%s, session %s", control.verb, control.session)
+        return sent
 
     def on_mirror(self, request) -> SetBoolResponse:
         """Begin or end mirror mode."""
@@ -475,12 +497,14 @@ class MqttBridge:
                 sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
         except ReviewError as error:
             return SetBoolResponse(False, str(error))
-        return SetBoolResponse(True, sentence + self._remember_mirror(request.data))
+        return SetBoolResponse(True, sentence + self._remember_mirror())
 
-    def _remember_mirror(self, active: bool) -> str:
+    def _remember_mirror(self) -> str:
         """Keep the mode beyond this process; return what is to be added to the answer when the master does not take it."""
         try:
-            rospy.set_param(MIRROR_MODE, active)
+            # one after the other, and each what is the case then: several threads write
+            with self._mirror_lock:
+                rospy.set_param(MIRROR_MODE, self._supervisor.mirrors)
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
             rospy.logwarn("mirror mode would not outlast this node: %s was not written (%s)", MIRROR_MODE, error)
             return f"; it would not outlast this node, because the master did not take it ({error})"
@@ -514,7 +538,7 @@ class MqttBridge:
         self._outputs.link.publish(self._link_message(*state, status, values))
         if changed:
             self._client.publish(self._topics.bridge_status, self._status_report(), qos=1, retain=True)
-            rospy.loginfo("%s: %s", state[0].name, state[1])
+            self._said.add(rospy.loginfo, "%s: %s", state[0].name, state[1])
 
     def _reason(self) -> str:
         """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
@@ -563,6 +587,9 @@ class MqttBridge:
             values |= {f"not checked: {topic}": what for topic, _, what in parts}
         if not self._properties:
             values["comparison"] = "instant: the link carries no MQTT 5 properties"
+        values |= self._beside.report()
+        if failed := self._beside.sentence:
+            return Report(WARN, f"{state.name}: {reason}; {failed}", values)
         level = OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN
         return Report(level, f"{state.name}: {reason}", values)
 
@@ -600,7 +627,7 @@ def start() -> MqttBridge:
             Publisher("link", Link, queue_size=10, latch=True),
             Publisher("tool", ToolState, queue_size=50, latch=True),
         ),
-        functools.partial(NodeDiagnostics, robot.name),
+        partial(NodeDiagnostics, robot.name),
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
         mirrors=rospy.get_param(MIRROR_MODE, False) is True,
     )

@@ -104,6 +104,8 @@ class MqttReview:
         self._seen = b""
         self._checked_at = 0.0
         self._reviews: queue.Queue[RemoteReview] = queue.Queue(WAITING)
+        # not behind an approval, whose record may wait for a disk
+        self._rejections: queue.Queue[RemoteReview] = queue.Queue(WAITING)
         self._verdicts: Counter[str] = Counter()
         self._malformed = MalformedAnswers("verdicts")
         self._topics = Topics(settings.prefix, robot)
@@ -113,6 +115,7 @@ class MqttReview:
         self._connection = report_of(broker)
         self._diagnostics = diagnostics(self.report)
         self._interventions = interventions
+        self._beside = interventions.beside
         interventions.refuse = self._diagnostics.refuse
 
     def connect(self) -> None:
@@ -124,6 +127,7 @@ class MqttReview:
             **self._interventions.on_message,
         }
         self._interventions.start()
+        threading.Thread(target=self.run_rejections, name="reject", daemon=True).start()
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
@@ -132,15 +136,24 @@ class MqttReview:
         return self._diagnostics.refuse
 
     def run(self) -> None:
-        """Carry out verdicts until shutdown."""
+        """Carry out approvals until shutdown."""
         while not rospy.is_shutdown():
             try:
                 self.carry_out(self._reviews.get(timeout=0.2))
             except queue.Empty:
                 self._check_plan()
+            self._beside.tell(rospy.logerr)
         self._client.publish(self._topics.plan, b"", qos=1, retain=True)
         self._client.disconnect()
         self._client.loop_stop()
+
+    def run_rejections(self) -> None:
+        """Carry out rejections until shutdown, in a thread of its own."""
+        while not rospy.is_shutdown():
+            try:
+                self.carry_out(self._rejections.get(timeout=0.2))
+            except queue.Empty:
+                continue
 
     # -- ROS to MQTT
 
@@ -216,7 +229,7 @@ class MqttReview:
             self.on_review(account, bytes(message.payload), message.retain)
 
     def on_review(self, account: str, payload: bytes, retained: bool) -> None:
-        """Take a verdict from `review/<account>`, or with "" from `review`; it is carried out in the main thread."""
+        """Take a verdict from `review/<account>`, or with "" from `review`; an approval is carried out in the main thread."""
         try:
             review = parse_review(payload, retained, account)
         except PayloadError as error:
@@ -227,7 +240,7 @@ class MqttReview:
             self._answer(review, False, _NAMELESS)
             return
         try:
-            self._reviews.put_nowait(review)
+            (self._reviews if review.approves else self._rejections).put_nowait(review)
         except queue.Full:
             sentence = f"{WAITING} verdicts are waiting already; try again"
             self._diagnostics.refuse("busy", sentence)
@@ -248,10 +261,11 @@ class MqttReview:
             ok, sentence = answer.success, answer.message
         except (rospy.ROSException, *NO_ANSWER) as error:
             ok, sentence = False, f"{self._review_plan.resolved_name} does not answer: {error}; does the executor run?"
+        self._beside.do("the answer", self._answer, review, ok, sentence)
         with self._lock:
             self._verdicts["taken" if ok else "not taken"] += 1
-        rospy.loginfo("%s of plan %s by %s: %s", review.verdict, review.plan_id, review.reviewer, sentence)
-        self._answer(review, ok, sentence)
+        said = review.verdict, review.plan_id, review.reviewer, sentence
+        self._beside.do("the log", rospy.loginfo, "%s of plan %s by %s: %s", *said)
 
     def _answer(self, review: RemoteReview | None, ok: bool, sentence: str, account: str = "") -> None:
         self._client.publish(self._topics.review_ack, review_answer(review, ok, sentence, account), qos=1)
@@ -261,8 +275,10 @@ class MqttReview:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         with self._lock:
-            values = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
-        values |= self._malformed.report() | self._interventions.report()
+            values: dict[str, object] = {f"verdicts {name}": count for name, count in sorted(self._verdicts.items())}
+        values |= self._malformed.report() | self._interventions.report() | self._beside.report()
+        if failed := self._beside.sentence:
+            return Report(WARN, failed, values)
         if not self._client.is_connected():
             return Report(WARN, self._connection.sentence or "connecting to the broker", values)
         return Report(OK, "a plan is shown" if self._board.payload else "no plan to review", values)
@@ -374,9 +390,9 @@ def start() -> MqttReview:
     topics = Topics(settings.prefix, robot)
     client = make_client(broker, unique_id(robot, "review"), topics.plan, will="")
     review_plan = rospy.ServiceProxy("review_plan", ReviewPlan)
-    # only `stop` may be called twice
-    services = {name: rospy.ServiceProxy(name, Trigger) for name in (PAUSE, RESUME)}
-    services[STOP] = PersistentService(STOP, Trigger)
+    # `stop` and `pause` may be called twice
+    services = {name: PersistentService(name, Trigger) for name in (STOP, PAUSE)}
+    services[RESUME] = rospy.ServiceProxy(RESUME, Trigger)
     interventions = RemoteInterventions(topics, services, lambda topic, payload: client.publish(topic, payload, qos=1))
     diagnostics = functools.partial(NodeDiagnostics, robot)
     node = MqttReview(settings, robot, broker, client, review_plan, interventions, diagnostics)

@@ -44,6 +44,7 @@ from construction_twin.ros.messages.plan_requests import (
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.frame_listener import FrameListener
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
@@ -117,8 +118,7 @@ class PlannerNode:
             beside, refuse = self._beside, self._diagnostics.refuse
             other = listen_to_other_arm(self._robot.name, beside, refuse, streams=False)
             self._space = OccupiedSpace(other, beside.name, beside.max_pose_age, beside.padding)
-        self._tf = tf2_ros.Buffer()
-        self._tf_listener = tf2_ros.TransformListener(self._tf)
+        self._frames = FrameListener(self._diagnostics.refuse)
         self._publisher = Publisher("plan", PlanMsg, queue_size=1, latch=True)
         self._outcome_publisher = Publisher("plan_outcome", PlanOutcome, queue_size=1, latch=True)
         refuse = self._diagnostics.refuse
@@ -303,7 +303,7 @@ class PlannerNode:
             return Pose(np.zeros(3), np.eye(3))
         timeout = rospy.Duration(self._settings.tf_timeout)
         try:
-            transform = self._tf.lookup_transform(self._base_frame, frame, stamp, timeout)
+            transform = self._frames.buffer.lookup_transform(self._base_frame, frame, stamp, timeout)
         except tf2_ros.TransformException as error:
             raise PlanningError(f"no transform from goal frame {frame!r} to {self._base_frame!r}: {error}") from error
         return pose_from_transform_msg(transform.transform)

@@ -22,6 +22,7 @@ from construction_twin.ros.messages.convert import pose_from_msg, pose_from_tran
 from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.frame_listener import FrameListener
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.shared.planning_scene import PlanningScenePublisher
@@ -100,8 +101,7 @@ class SceneNode:
         self._state = Report(WARN, "the twin's present pose is not known yet")
         self._edits = 0
         self._diagnostics = NodeDiagnostics(self._robot.name, lambda: self._state)
-        self._tf = tf2_ros.Buffer()
-        self._tf_listener = tf2_ros.TransformListener(self._tf)
+        self._frames = FrameListener(self._diagnostics.refuse)
         self._scene_publisher = Publisher("scene", SceneMsg, queue_size=1, latch=True)
         self._marker_publisher = Publisher("scene_markers", MarkerArray, queue_size=1, latch=True)
         self._planning_scene = self._for_moveit()
@@ -204,7 +204,8 @@ class SceneNode:
     def _base_T(self, frame: str) -> Pose:
         """Return the latest pose of a tf frame in the base_link."""
         try:
-            transform = self._tf.lookup_transform(self._base_frame, frame, rospy.Time(0), rospy.Duration(_PATIENCE))
+            patience = rospy.Duration(_PATIENCE)
+            transform = self._frames.buffer.lookup_transform(self._base_frame, frame, rospy.Time(0), patience)
         except tf2_ros.TransformException as error:
             expected = f"a tf frame connected to {self._base_frame!r} ({error})"
             raise SceneError("frame_id", frame, expected) from error

@@ -36,6 +36,7 @@ from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.messages.work_convert import task_to_msg, work_segment_to_msg
 from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.frame_listener import FrameListener
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.params import read_parameters, robot_from_parameters, ros_home
 from construction_twin.ros.shared.private_files import PrivateFiles
@@ -555,12 +556,12 @@ def start() -> WorkNode:
     markers = Publisher("work/markers", MarkerArray, queue_size=2, latch=True)
     measured = "physical/joint_states" if settings.arm != "none" else "twin/joint_states"
     twin, arm = (LatestPose(topic, robot.joint_names, refuse) for topic in ("twin/joint_states", measured))
-    tf = tf2_ros.TransformListener(tf2_ros.Buffer())
+    frames = FrameListener(refuse)
     base_frame = tf_frame(settings.tf_prefix, robot.base_link)
     age, timeout = settings.max_pose_age, settings.service_timeout
 
     def transform(frame: str, stamp: rospy.Time) -> TransformStamped:
-        return tf.buffer.lookup_transform(base_frame, frame, stamp, rospy.Duration(timeout))
+        return frames.buffer.lookup_transform(base_frame, frame, stamp, rospy.Duration(timeout))
 
     subscribers: dict[str, Subscriber] = {}
     heard = WorkListener(

@@ -11,6 +11,7 @@ import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from construction_twin.ros.shared.refusal_log import RefusalLog
 from construction_twin.ros.transport.publisher import Publisher
 
 
@@ -48,6 +49,7 @@ class NodeDiagnostics:
         self._refused: Counter[str] = Counter()
         #: The last sentence of each reason.
         self._sentences: dict[str, str] = {}
+        self._log = RefusalLog()
         self._report = report
         self._updater = diagnostic_updater.Updater()
         # quiet at shutdown, as every publisher of ours
@@ -64,9 +66,10 @@ class NodeDiagnostics:
             return Counter(self._refused)
 
     def refuse(self, reason: str, sentence: str) -> None:
-        """Count a rejected input; the operator hears of it at most every 5 s, `/diagnostics` shows the last sentence."""
+        """Count a rejected input, and say it in the log with this node's name (`RefusalLog`); `/diagnostics` shows the last one."""
         self.count(reason, sentence)
-        rospy.logwarn_throttle(5.0, "refused (%s): %s", reason, sentence)
+        if self._log.take(reason, sentence):
+            rospy.logwarn("%s refused (%s): %s", rospy.get_name(), reason, sentence)
 
     def count(self, reason: str, sentence: str) -> None:
         """Count a rejected input that the node itself writes to its log."""
@@ -84,6 +87,8 @@ class NodeDiagnostics:
         for reason, count in refused:
             stat.add(f"refused {reason}", str(count))
             stat.add(f"last refused {reason}", sentences[reason])
+        for sentence, count in self._log.strangers().items():
+            stat.add(f"refused: {sentence}", str(count))
         return stat
 
 

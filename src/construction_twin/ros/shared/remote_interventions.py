@@ -2,6 +2,8 @@
 
 A stop has a thread of its own: nothing else that was asked for is waited for. The gateway reads the same stops itself, so this one
 brakes along the path what the gateway brakes within its limits, and voids the plans that wait.
+
+What was asked for is carried out first and answered next; counts and log lines come after that (`Beside`).
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from functools import partial
 import rospy
 from paho.mqtt.client import MQTTMessage
 
+from construction_twin.core.beside import Beside
 from construction_twin.core.errors import PayloadError
 from construction_twin.mqtt.interventions import (
     EXECUTOR,
@@ -47,6 +50,11 @@ class RemoteInterventions:
         The executor's service per verb, as `rospy.ServiceProxy`.
     publish : callable
         Takes topic and payload.
+
+    Attributes
+    ----------
+    beside : Beside
+        What tells of an intervention, and cannot fail it.
     """
 
     def __init__(
@@ -55,6 +63,7 @@ class RemoteInterventions:
         services: Mapping[str, rospy.ServiceProxy],
         publish: Callable[[str, bytes], object],
     ):
+        self.beside = Beside()
         self._services = services
         self._publish = publish
         self._acks = {STOP: topics.stop_ack, PAUSE: topics.pause_ack, RESUME: topics.pause_ack}
@@ -107,8 +116,8 @@ class RemoteInterventions:
                 self._answer(verb, id_, account, False, str(error))
         except queue.Full:
             sentence = f"{WAITING} are waiting already; try again"
-            self.refuse("busy", f"{verb}: {sentence}")
             self._answer(verb, id_, account, False, sentence)
+            self.beside.do("the count of refusals", self.refuse, "busy", f"{verb}: {sentence}")
 
     def _check_new(self, wanted: Intervention) -> None:
         """Refuse one that came before (PayloadError): a `resume` must not start again what was paused since."""
@@ -126,15 +135,26 @@ class RemoteInterventions:
     def _carry_out(self, wanted: Intervention) -> None:
         service = self._services[wanted.verb]
         try:
-            rospy.wait_for_service(service.resolved_name, SERVICE_TIMEOUT)
-            answer = service()
+            answer = self._call(service, wanted.verb)
             ok, sentence = answer.success, answer.message
         except (rospy.ROSException, *NO_ANSWER) as error:
             ok, sentence = False, f"{service.resolved_name} does not answer: {error}; does the executor run?"
+        self.beside.do("the answer", self._answer, wanted.verb, wanted.id, wanted.account, ok, sentence)
         with self._lock:
             self._counts["taken" if ok else "not taken"] += 1
-        rospy.loginfo("%s by MQTT account %s: %s", wanted.verb, wanted.account, sentence)
-        self._answer(wanted.verb, wanted.id, wanted.account, ok, sentence)
+        self.beside.do("the log", rospy.loginfo, "%s by MQTT account %s: %s", wanted.verb, wanted.account, sentence)
+
+    @staticmethod
+    def _call(service: rospy.ServiceProxy, verb: str):
+        if verb != RESUME:
+            # over the connection that is open: no master is asked before a stop or a pause, which may come twice
+            try:
+                return service()
+            except NO_ANSWER:
+                # the executor may just be starting
+                pass
+        rospy.wait_for_service(service.resolved_name, SERVICE_TIMEOUT)
+        return service()
 
     def _answer(self, verb: str, id_: str, account: str, ok: bool, sentence: str) -> None:
         self._publish(self._acks[verb], intervention_answer(id_, account, EXECUTOR, ok, sentence))

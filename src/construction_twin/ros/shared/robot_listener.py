@@ -18,6 +18,7 @@ from construction_twin.msg import Execution, Link, Plan, Review, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
+from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.snapshot import ExecutionFacts, LinkFacts, NodeFacts, Snapshot, SyncFacts
@@ -54,9 +55,9 @@ class RobotListener:
         namespace: str,
         robot: RobotModel,
         rates: bool = False,
-        refuse: Callable[[str, str], None] = lambda _, sentence: rospy.logwarn_throttle(5.0, sentence),
+        refuse: Callable[[str, str], None] | None = None,
     ):
-        self._refuse = refuse
+        self._refuse = refuse or warn_of_refusals()
         self._namespace = namespace.rstrip("/")
         self._robot = robot
         self._news = threading.Condition()

@@ -33,9 +33,14 @@ PUBLISHERS = {
     "review": "executor",
     "work/tasks": "work",
     "conflict": "neighbour",
+    "plan_outcome": "planner",
+    "transitions": "pca_monitor",
+    "velocities/joint_states": "joint_velocities",
 }
 #: Requests that other programs may make: heard from everybody, unless `publishers` names one node.
 FOR_ANYBODY = ("joint_trajectory", "speed_limit")
+#: Reason under which a message from another node than a stream's publisher is refused.
+PUBLISHER = "publisher"
 
 
 def publisher_of(topic: str) -> str | None:
@@ -123,6 +128,10 @@ class Subscriber:
             return self._subscriber.get_num_connections()
         return sum(connection.callerid_pub == self.publisher for connection in self._subscriber.impl.connections)
 
+    def hears(self, name: str) -> bool:
+        """Return whether the node of this resolved name is connected now."""
+        return any(connection.callerid_pub == name for connection in self._subscriber.impl.connections)
+
     def unregister(self) -> None:
         """Hear no more."""
         self._subscriber.unregister()
@@ -135,6 +144,6 @@ class Subscriber:
             else:
                 caller = caller_of(message) or "a node without a name"
                 sentence = f"message from {caller}; only {self.publisher} may publish {self.resolved_name}"
-                self._refused("publisher", sentence)
+                self._refused(PUBLISHER, sentence)
         except Exception:
             hand_on_error()

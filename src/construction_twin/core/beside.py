@@ -1,0 +1,140 @@
+"""What runs beside an act that must not fail: a report, a record, a forecast. Standard library only.
+
+A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails. `Beside.do` is the one place
+where an unexpected exception ends neither the act nor the node: it is counted, and told after the answer. The act itself never runs
+here.
+"""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+#: Failures that wait to be told; of more the oldest are dropped. All of them are counted.
+KEPT = 20
+#: What is quoted of an exception [characters].
+_LONGEST = 300
+
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What failed beside an act.
+
+    Attributes
+    ----------
+    what : str
+        The part, in a word or two.
+    error : Exception
+    """
+
+    what: str
+    error: Exception
+
+    @property
+    def sentence(self) -> str:
+        """What failed, where and how, in one sentence; reads no source file."""
+        frame = self.error.__traceback__
+        while frame is not None and frame.tb_next is not None:
+            frame = frame.tb_next
+        where = f" in {frame.tb_frame.f_code.co_name}, line {frame.tb_lineno}" if frame is not None else ""
+        # unlike str(), this does not fail with the exception's own text
+        text = traceback.format_exception_only(self.error)[-1].strip()[:_LONGEST]
+        return f"{self.what} failed beside an act that was carried out{where}: {text}"
+
+    @property
+    def trace(self) -> str:
+        """The traceback. It reads source files: not for a thread that must not wait for a disk."""
+        return "".join(traceback.format_exception(self.error))
+
+
+class Beside:
+    """Runs what may fail beside an act, and keeps count of what did. Used by several threads; waits for none of them."""
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()
+        self._untold: deque[Failure] = deque(maxlen=KEPT)
+        self._last = ""
+
+    def do(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
+        """Return what a part returns; None after an unexpected exception, which is counted and kept until it is told.
+
+        Parameters
+        ----------
+        what : str
+            The part, in a word or two of few: each is counted by itself.
+        part : callable
+            It tells, records or predicts. An act, or what an act depends on, does not belong here.
+        arguments
+            Of the part.
+        """
+        try:
+            return part(*arguments)
+        except Exception as error:
+            failure = Failure(what, error)
+            with self._lock:
+                self._counts[what] += 1
+                self._untold.append(failure)
+                self._last = failure.sentence
+            return None
+
+    def take(self) -> list[Failure]:
+        """Return what has failed since the last call, oldest first, to be written to a log."""
+        with self._lock:
+            failures = list(self._untold)
+            self._untold.clear()
+        return failures
+
+    @property
+    def untold(self) -> bool:
+        """Whether something has failed since the last `take`."""
+        return bool(self._untold)
+
+    def tell(self, write: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
+        """Write what has failed since the last call; not for a thread that must not wait.
+
+        Parameters
+        ----------
+        write : callable
+            Takes ``"%s"`` and a text, as `rospy.logerr`. When it fails itself, that is counted and the text is lost: what failed is
+            still in `report`.
+        failures : list of Failure, optional
+            What to write; by default what `take` returns.
+        """
+        failures = self.take() if failures is None else failures
+        for failure in failures:
+            self.do("the log", write, "%s", f"{failure.sentence}\n{failure.trace}")
+        if failures:
+            with self._lock:
+                # otherwise a log that fails would be told of in the log, again and again
+                self._untold = deque((each for each in self._untold if each.what != "the log"), maxlen=KEPT)
+
+    @property
+    def sentence(self) -> str:
+        """The last failure, with how many there were, and what to do; "" while there was none."""
+        with self._lock:
+            total, last = self._counts.total(), self._last
+        return f"{last} ({total} so far); restart this node when the arm is at rest, and report it" if total else ""
+
+    def counts(self, prefix: str = "") -> dict[str, int]:
+        """Return how often each part failed, by its name; with a prefix in one word, as a counter of the gateway's status."""
+        with self._lock:
+            counts = sorted(self._counts.items())
+        if not prefix:
+            return dict(counts)
+        return {f"{prefix}_{what.replace(' ', '_')}": count for what, count in counts}
+
+    def report(self) -> dict[str, object]:
+        """Return the values for `/diagnostics`; empty while nothing has failed."""
+        counts = self.counts()
+        if not counts:
+            return {}
+        return {f"failed beside an act: {what}": count for what, count in counts.items()} | {
+            "last failure beside an act": self._last
+        }

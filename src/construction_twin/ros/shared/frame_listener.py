@@ -1,0 +1,92 @@
+"""tf for nodes that act on it: each frame is believed from one node.
+
+Frames of a robot's three trees (``<robot>/twin``, ``physical``, ``preview``) come from the nodes of its bringup. Any other frame,
+of a table or a building model, may come from anybody, but from one node at a time: the first one, until it is gone. What a second
+one says is refused and counted. So a bag that is played into a live system moves no frame that is there.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import partial
+
+import rospy
+import tf2_ros
+from tf2_msgs.msg import TFMessage
+
+from construction_twin.ros.transport.subscriber import PUBLISHER, Subscriber, caller_of
+
+#: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
+PUBLISHERS = {
+    "twin": ("robot_state_publisher", "static_frames"),
+    "physical": ("physical_state_publisher", "static_frames"),
+    "preview": ("preview_state_publisher", "static_frames"),
+}
+#: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.
+_QUEUE = 100
+
+
+class FrameListener:
+    """Fills a buffer with what is heard of frames.
+
+    Parameters
+    ----------
+    refused : callable
+        Called as ``refused(reason, sentence)`` for a transform of a node that may not publish its frame.
+
+    Attributes
+    ----------
+    buffer : tf2_ros.Buffer
+        To look up transforms in.
+    """
+
+    def __init__(self, refused: Callable[[str, str], None]):
+        self.buffer = tf2_ros.Buffer()
+        self._refused = refused
+        self._lock = threading.Lock()
+        self._last = rospy.Time.now()
+        #: Of each frame that is of no robot's tree: the node that publishes it.
+        self._owners: dict[str, str] = {}
+        self._subscribers = [
+            Subscriber("/tf", TFMessage, partial(self._take, self.buffer.set_transform), refused, _QUEUE),
+            Subscriber("/tf_static", TFMessage, partial(self._take, self.buffer.set_transform_static), refused, _QUEUE),
+        ]
+
+    def _take(self, put: Callable, message: TFMessage) -> None:
+        caller = caller_of(message)
+        problems = []
+        with self._lock:
+            self._forget_what_lies_ahead()
+            for transform in message.transforms:
+                problem = self._problem(transform.child_frame_id.lstrip("/"), caller)
+                if problem:
+                    problems.append(problem)
+                else:
+                    put(transform, caller)
+        # each once per message: a bag holds whole trees
+        for problem in dict.fromkeys(problems):
+            self._refused(PUBLISHER, problem)
+
+    def _forget_what_lies_ahead(self) -> None:
+        """Empty the buffer when the clock was set back: tf takes nothing that is older than what it has."""
+        now = rospy.Time.now()
+        if now < self._last:
+            self.buffer.clear()
+        self._last = now
+
+    def _problem(self, frame: str, caller: str) -> str:
+        """Return why a node may not publish a frame; "" when it may."""
+        who = caller or "a node without a name"
+        robot, _, rest = frame.partition("/")
+        tree = rest.partition("/")[0] if "/" in rest else ""
+        if tree in PUBLISHERS:
+            expected = [f"/{robot}/{name}" for name in PUBLISHERS[tree]]
+            if caller in expected:
+                return ""
+            return f"message from {who}; only {' and '.join(expected)} may publish frames of {robot}/{tree} on /tf"
+        owner = self._owners.get(frame)
+        if owner in (None, caller) or not any(subscriber.hears(owner) for subscriber in self._subscribers):
+            self._owners[frame] = caller
+            return ""
+        return f"message from {who}; {owner} publishes the frame {frame} on /tf: end one of the two"

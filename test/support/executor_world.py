@@ -1,0 +1,101 @@
+"""The executor's node without ROS around it: clocks that a test sets, and lists in place of topics and of the log."""
+
+from __future__ import annotations
+
+import json
+import threading
+from types import SimpleNamespace
+
+import rospy
+from construction_twin.msg import Link, Scene, Sync
+from construction_twin.srv import ReviewPlanRequest
+from executor_bench import ROBOT, SCENE, make_plan
+
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.execution.executor import Executor
+from construction_twin.execution.speed_limit import SpeedLimit as SpeedLimitState
+from construction_twin.review.record import ReviewLog
+from construction_twin.ros.nodes import executor as module
+from construction_twin.ros.shared.engagement_file import EngagementFile
+from construction_twin.ros.transport.joint_stream import to_time
+
+
+class World:
+    """What the node finds around itself: clocks, topics, services, its log."""
+
+    def __init__(self, monkeypatch, tmp_path):
+        self.wall, self.steady = 1000 * NANOSECONDS, 50 * NANOSECONDS
+        self.said: list[tuple[str, object]] = []
+        self.logged: list[tuple[str, str]] = []
+        self.refused: list[tuple[str, str]] = []
+        self.cycles = 0
+        patch = monkeypatch.setattr
+        patch(module, "now_ns", lambda: self.wall)
+        patch(module.time, "monotonic_ns", lambda: self.steady)
+        patch(module, "Cycles", self.grid)
+        patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
+        patch(rospy.Time, "now", lambda: to_time(self.wall))
+        for level in ("loginfo", "logwarn", "logerr"):
+            patch(rospy, level, self.logger(level))
+        self.executor, self.limit = Executor(ROBOT), SpeedLimitState(0.5, 0.1, False)
+        self.executor.on_link(False, "no report of the link yet")
+        self.log = ReviewLog(tmp_path / "reviews.jsonl", lambda: self.wall)
+        self.node = module.ExecutorNode(
+            ROBOT,
+            self.executor,
+            self.limit,
+            self.log,
+            module.Outputs(
+                *map(self.topic, ("next/joint_states", "execution", "review", "tool_command", "engagement"))
+            ),
+            EngagementFile(tmp_path / "engagement.json", ROBOT.joint_names),
+            lambda _: SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
+        )
+
+    def logger(self, level: str):
+        """Return a log function that says which thread called it."""
+        return lambda *words: self.logged.append((threading.current_thread().name, words[0] % words[1:]))
+
+    def topic(self, name: str):
+        """Return a publisher."""
+        return SimpleNamespace(publish=lambda *message: self.publish(name, message))
+
+    def publish(self, name: str, message: tuple) -> None:
+        """Take what is published on a topic."""
+        self.said.append((name, message))
+
+    def grid(self):
+        """Let both clocks run; the twin follows at once and the monitor is content."""
+        for _ in range(self.cycles):
+            self.wall, self.steady = self.wall + CYCLE_NS, self.steady + CYCLE_NS
+            if self.speaks:
+                self.node.on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan"))
+            yield self.wall, 0
+            setpoints = [message for name, message in self.said if name == "next/joint_states"]
+            self.node.on_twin(*(setpoints[-1] if setpoints else (self.wall, ROBOT.home)))
+
+    def run(self, cycles: int, speaks: bool = True) -> World:
+        """Run some cycles, while the monitor speaks or not."""
+        self.cycles, self.speaks = cycles, speaks
+        self.node.run()
+        return self
+
+    def playing(self) -> World:
+        """Play a plan."""
+        node = self.node
+        node.on_link(Link(state=Link.ARMED, session="s"))
+        node.on_scene(Scene(hash=SCENE))
+        self.run(5)
+        plan = make_plan(created_ns=self.wall)
+        self.executor.offer(plan)
+        assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "")).success
+        return self.run(50)
+
+    def states(self) -> list[str]:
+        """Return what was published on `execution`."""
+        return [message[0].text for name, message in self.said if name == "execution"]
+
+
+def records(folder) -> list[dict]:
+    """Return the lines of the review record in a folder."""
+    return [json.loads(line) for line in (folder / "reviews.jsonl").read_text().splitlines()]

@@ -1,0 +1,159 @@
+"""The gateway's stop, by `control` and by `stop/<account>`, is carried out and answered whatever fails beside it."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+
+import pytest
+from gateway_cell import Cell, following
+from processes import wait_until
+from service_cell import PATIENT, START, assert_still, cell, motion, stream
+
+from construction_twin.gateway import service as module
+from construction_twin.gateway.gateway import State
+from construction_twin.gateway.log import LineLimiter
+from construction_twin.gateway.ownership import Ownership
+from construction_twin.gateway.stop_report import StopReport
+from construction_twin.mqtt.fast_client import FastClient
+from construction_twin.mqtt.interventions import STOP, AnswerPace, Intervention
+
+WAYS = ("control", "account")
+
+
+def fail(*_given, **_named):
+    raise RuntimeError("nobody foresaw this")
+
+
+def stop(gateway_cell: Cell, way: str) -> tuple[bool, str]:
+    """Have the arm stopped; return whether it was, and the answer's words."""
+    if way == "control":
+        return gateway_cell.control("stop")
+    answer = gateway_cell.gateway.on_stop(Intervention(STOP, "arm-stopper-bob", "1"), gateway_cell.now)
+    return answer.ok, answer.reason
+
+
+@pytest.mark.parametrize(
+    "owner, name, ways",
+    [
+        (StopReport, "begin", WAYS),
+        (StopReport, "advance", WAYS),
+        (AnswerPace, "take", ("account",)),
+        (Ownership, "is_repeated", ("control",)),
+    ],
+)
+def test_what_predicts_or_counts_a_stop_cannot_fail_it(monkeypatch, owner, name, ways):
+    for way in ways:
+        arm = following()
+        before = arm.measured
+        with monkeypatch.context() as broken:
+            broken.setattr(owner, name, fail)
+            assert stop(arm, way) == (True, "gateway is braking")
+            arm.cycle(400)
+        assert arm.state is State.HOLDING and arm.gateway.fault and arm.measured != before
+        status = arm.gateway.status()
+        failed = {key: count for key, count in status["counters"].items() if key.startswith("failed_beside_")}
+        # a stop asks nobody whether it came before
+        assert (sum(failed.values()) > 0) is (owner is not Ownership)
+        assert arm.control("reset", "s2")[0] and arm.arm("s2")[0]
+
+
+def test_it_brakes_the_same_way_without_a_forecast(monkeypatch):
+    whole, blind = following(), following()
+    stop(whole, "account")
+    with monkeypatch.context() as broken:
+        broken.setattr(StopReport, "begin", fail)
+        stop(blind, "account")
+    whole.cycle(400)
+    blind.cycle(400)
+    assert whole.replies == blind.replies
+
+
+def press(client, topics, way: str) -> dict:
+    """Stop by the control topic or as a person; return the answer."""
+    if way == "control":
+        return client.control("stop")
+    count = len(client.on(topics.stop_ack))
+    client.paho.publish(topics.stop_by("arm-stopper-bob"), b'{"id": "7"}', qos=1)
+    wait_until(lambda: len(client.on(topics.stop_ack)) > count, what="an answer on stop/ack")
+    return json.loads(client.on(topics.stop_ack)[count].payload)
+
+
+class Set:
+    """`time` of a machine whose wall clock was set."""
+
+    monotonic, monotonic_ns, sleep = time.monotonic, time.monotonic_ns, time.sleep
+
+    def __init__(self, step: float):
+        self._step = round(step * 1e9)
+
+    def time_ns(self) -> int:
+        """Return the wall clock, as it was set."""
+        return time.time_ns() + self._step
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("step", [-10.0, -0.05, 10.0])
+def test_with_a_wall_clock_that_was_set(broker, topics, monkeypatch, way, step):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(60)))
+        monkeypatch.setattr(module, "time", Set(step))
+        assert press(client, topics, way)["ok"]
+        client.wait_for_status(state="holding", fault=True)
+        assert controller.measured != START and not service.failure
+        assert_still(controller)
+
+
+def failing_log(note):
+    """Return a limiter of lines that fails for those of a stop."""
+    return lambda self, kind, now: fail() if kind.startswith("stop") else note(self, kind, now)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    "what, owner, name, broken",
+    [
+        ("the_log", LineLimiter, "note", failing_log(LineLimiter.note)),
+        ("the_way_to_rest", StopReport, "begin", fail),
+        ("the_way_to_rest", StopReport, "advance", fail),
+    ],
+)
+def test_a_running_gateway_answers_counts_and_says_it(
+    broker, topics, monkeypatch, caplog, way, what, owner, name, broken
+):
+    with (
+        caplog.at_level(logging.ERROR, "rsi_gateway"),
+        cell(broker, topics, config=PATIENT) as (service, controller, client),
+    ):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(60)))
+        monkeypatch.setattr(owner, name, broken)
+        assert press(client, topics, way)["ok"]
+        client.wait_for_status(state="holding", fault=True)
+        wait_until(lambda: client.status()["counters"].get(f"failed_beside_{what}"), what="the count")
+        wait_until(lambda: any("nobody foresaw this" in line for line in caplog.messages), what="the line")
+        assert not service.failure
+        assert_still(controller)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_status_that_cannot_be_sent_keeps_no_answer_back(broker, topics, monkeypatch, way):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(60)))
+        publish, failed = FastClient.publish, []
+
+        def publish_once_not(self, topic, *rest, **more):
+            # the first status after the stop goes with its answer
+            if topic == topics.status and service.gateway.fault and not failed:
+                failed.append(topic)
+                fail()
+            return publish(self, topic, *rest, **more)
+
+        monkeypatch.setattr(FastClient, "publish", publish_once_not)
+        assert press(client, topics, way)["ok"] and failed
+        client.wait_for_status(state="holding", fault=True)
+        wait_until(lambda: client.status()["counters"].get("failed_beside_the_status") == 1, what="the count")
+        assert not service.failure

@@ -1,0 +1,106 @@
+"""`halt` is carried out and answered whatever fails beside it: the log, the master, the connection to the broker, a clock."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+import rospy
+from bridge_bench import BridgeBench, Clocks
+from processes import wait_until
+
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.states import LinkState
+from construction_twin.ros.nodes import mqtt_bridge
+from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.diagnostics import WARN
+
+
+def fail(*_given, **_named):
+    raise RuntimeError("nobody foresaw this")
+
+
+@pytest.fixture
+def clocks(monkeypatch):
+    monkeypatch.setattr(rospy, "set_param", lambda name, value: None)
+    rospy.rostime.set_rostime_initialized(True)
+    yield Clocks(monkeypatch, mqtt_bridge)
+    rospy.rostime.set_rostime_initialized(False)
+
+
+@pytest.fixture
+def armed(clocks) -> BridgeBench:
+    bench = BridgeBench(clocks)
+    bench.arm_and_rest()
+    return bench
+
+
+def assert_halted(bench: BridgeBench) -> None:
+    """Check that the link is not armed, that no command goes out, and that the bridge lives on and says so."""
+    assert bench.bridge.link is LinkState.NEEDS_RESET
+    before = len(bench.client.streamed)
+    for _ in range(50):
+        bench.step()
+    assert len(bench.client.streamed) == before
+    assert bench.links[-1][0].text == "NEEDS_RESET"
+
+
+@pytest.mark.parametrize("step", [-10.0, -1.0, -0.05, 0.0, 0.05, 1.0, 10.0])
+def test_with_a_wall_clock_that_was_set(armed, clocks, step):
+    clocks.wall += round(step * NANOSECONDS)
+    assert armed.bridge.on_halt(None).success and armed.client.controls[-1].verb == "stop"
+    assert_halted(armed)
+
+
+@pytest.mark.parametrize(
+    "place, name", [(rospy, "loginfo"), (rospy, "logerr"), (DeferredLog, "add"), (DeferredLog, "flush")]
+)
+def test_with_a_log_that_fails(armed, monkeypatch, place, name):
+    with monkeypatch.context() as broken:
+        broken.setattr(place, name, fail)
+        if name == "logerr":
+            broken.setattr(rospy, "loginfo", fail)
+        assert armed.bridge.on_halt(None).success and armed.client.controls[-1].verb == "stop"
+        if name == "add":
+            # of a halt alone; what the link's own changes say may end the node as ever
+            broken.undo()
+        assert_halted(armed)
+    report = armed.bridge.report()
+    assert report.level == WARN and "nobody foresaw this" in report.sentence
+    assert report.values["failed beside an act: the log"] > 0
+
+
+def test_with_a_stop_that_cannot_be_sent_the_commands_end_and_the_person_is_told(armed, monkeypatch):
+    with monkeypatch.context() as broken:
+        broken.setattr(armed.client, "publish", fail)
+        answer = armed.bridge.on_halt(None)
+    assert not answer.success and "could not be sent to the gateway, which brakes by itself" in answer.message
+    assert_halted(armed)
+    assert armed.bridge.report().values["failed beside an act: the stop for the gateway"] == 1
+
+
+@pytest.mark.parametrize("error", [RuntimeError, OSError])
+def test_in_mirror_mode_with_a_master_that_hangs_and_then_fails(clocks, monkeypatch, error):
+    bench = BridgeBench(clocks, mirrors=True)
+    bench.connect()
+    for _ in range(20):
+        bench.step()
+    hangs, asked = threading.Event(), threading.Event()
+
+    def set_param(name, value):
+        asked.set()
+        assert hangs.wait(10.0)
+        raise error("nobody foresaw this")
+
+    monkeypatch.setattr(rospy, "set_param", set_param)
+    said = []
+    monkeypatch.setattr(rospy, "logwarn", lambda *words: said.append(words[0] % words[1:]))
+    assert bench.bridge.on_halt(None).success
+    assert bench.bridge.link is LinkState.NEEDS_RESET
+    assert asked.wait(10.0) and not hangs.is_set()
+    hangs.set()
+    if error is OSError:
+        wait_until(lambda: any("would not outlast this node" in line for line in said), what="the warning")
+    else:
+        key = "failed beside an act: what outlasts this node"
+        wait_until(lambda: bench.bridge.report().values.get(key) == 1, what="the count")

@@ -1,0 +1,236 @@
+"""stop, stop_plan, pause and reject are carried out and answered whatever fails beside them, and whatever the wall clock does.
+
+Each act on the executor's node, with everything that reports, records or predicts failing in turn; halt is in test_bridge_halt, the
+gateway's own stop in test_gateway_stop_beside, the way over MQTT in test_mqtt_review.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rospy
+from construction_twin.msg import Sync
+from construction_twin.srv import ReviewPlanRequest, StopPlanRequest
+from executor_bench import make_plan
+from executor_world import World, records
+
+from construction_twin.core.beside import Beside
+from construction_twin.core.errors import RecordError
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution import executor as library
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.playback import Braking, Playback
+from construction_twin.execution.stopping import StoppingForecast
+from construction_twin.review.record import ReviewLog
+from construction_twin.ros.nodes import executor as module
+from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.diagnostics import WARN
+
+STEPS = (-10.0, -1.0, -0.05, -0.021, 0.0, 0.021, 1.0, 10.0)
+ACTS = ("stop", "stop_plan", "pause", "reject")
+
+
+class Unforeseen(Exception):
+    """What no handler names."""
+
+
+def fail(*_given, **_named):
+    raise Unforeseen("nobody foresaw this")
+
+
+def full_disk(*_given):
+    raise RecordError("/full/reviews.jsonl", "no space left on device")
+
+
+@pytest.fixture
+def world(monkeypatch, tmp_path):
+    return World(monkeypatch, tmp_path)
+
+
+def act(world: World, which: str):
+    """Have an act carried out while a plan is played, or for a rejection while one waits; return the answer."""
+    node = world.node
+    if which == "stop":
+        return node.on_stop(None)
+    if which == "pause":
+        return node.on_pause(None)
+    if which == "stop_plan":
+        request = StopPlanRequest(plan_id="p")
+        request._connection_header = {"callerid": "/client"}
+        return node.on_stop_plan(request)
+    plan = world.executor.queue.plan
+    return node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "too close to the wall"))
+
+
+def prepared(world: World, which: str) -> World:
+    """Play a plan; for a rejection another one waits for review."""
+    world.playing()
+    if which == "reject":
+        world.executor.offer(make_plan("q", created_ns=world.wall))
+    return world
+
+
+def is_carried_out(world: World, which: str) -> None:
+    """Check that the act has had its effect, to its end."""
+    executor = world.executor
+    if which == "reject":
+        assert executor.queue.plan is None and executor.state is ExecutorState.PLAYING
+        return
+    assert executor.state in (ExecutorState.STOPPING, ExecutorState.PAUSING)
+    begin = len(setpoints(world))
+    world.run(150)
+    poses = setpoints(world)
+    # every cycle had its setpoint, and the last ones rest
+    assert len(poses) == begin + 150
+    np.testing.assert_array_equal(poses[-1], poses[-20])
+    assert executor.state is (ExecutorState.PAUSED if which == "pause" else ExecutorState.IDLE)
+    assert (executor.outcome == "stopped") is (which != "pause")
+
+
+def setpoints(world: World) -> list[tuple[float, ...]]:
+    return [message[1] for name, message in world.said if name == "next/joint_states"]
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("which", ACTS)
+def test_with_a_wall_clock_that_was_set(world, which, step):
+    prepared(world, which)
+    world.wall += round(step * NANOSECONDS)
+    # a round trip between two clocks, as a recording or an old monitor tells it
+    world.node.on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan", round_trip=0.02 + step, servo_lag=0.0))
+    assert act(world, which).success
+    is_carried_out(world, which)
+
+
+#: What reports, records or predicts: where it is, and the acts that come by it.
+HELPERS = {
+    "the forecast's beginning": (Playback, "braking", ("stop",)),
+    "the forecast": (Braking, "forecast", ("stop",)),
+    "its sentence": (StoppingForecast, "text", ("stop",)),
+    "how far it went": (library, "distance_along", ("stop", "stop_plan")),
+    "the name of the caller": (module, "caller_of", ("stop_plan",)),
+    "the verdict on a waiting plan": (library.Executor, "turn_down", ("stop",)),
+    "the record's queue": (ReviewLog, "defer", ("stop", "stop_plan", "reject")),
+    "the record": (ReviewLog, "flush", ACTS),
+    "the log's queue": (DeferredLog, "add", ACTS),
+    "the log": (rospy, "logwarn", ("stop", "stop_plan")),
+    "the log of a pause": (rospy, "loginfo", ("pause",)),
+    "the topic's message": (module, "Execution", ("stop", "stop_plan", "pause")),
+    "the verdict's message": (module, "Review", ("reject",)),
+}
+
+
+@pytest.mark.parametrize("which, helper", [(each, name) for name, (*_, acts) in HELPERS.items() for each in acts])
+def test_with_a_helper_that_fails_as_nobody_foresaw(world, monkeypatch, which, helper):
+    prepared(world, which)
+    place, name, _ = HELPERS[helper]
+    with monkeypatch.context() as broken:
+        broken.setattr(place, name, fail)
+        assert act(world, which).success
+        is_carried_out(world, which)
+        world.run(1)
+        world.node.work_off(True)
+    # counted, said, and shown
+    assert sum(world.node.beside.counts().values()) > 0
+    world.node.work_off(True)
+    assert any("Unforeseen" in line and "Traceback" in line for _, line in world.logged) or place is rospy
+    report = world.node.report()
+    assert report.level == WARN and "nobody foresaw this" in report.sentence
+    assert any(key.startswith("failed beside an act") for key in report.values)
+
+
+@pytest.mark.parametrize("topic", ["execution", "review"])
+@pytest.mark.parametrize("which", ACTS)
+def test_with_a_topic_that_cannot_be_published(world, monkeypatch, which, topic):
+    prepared(world, which)
+
+    def publish(name, message):
+        if name == topic:
+            fail()
+        world.said.append((name, message))
+
+    world.publish = publish
+    assert act(world, which).success
+    is_carried_out(world, which)
+    world.run(1)
+
+
+@pytest.mark.parametrize("which", ACTS)
+def test_with_a_full_disk_the_record_comes_later(world, monkeypatch, tmp_path, which):
+    prepared(world, which)
+    with monkeypatch.context() as full:
+        full.setattr(ReviewLog, "flush", full_disk)
+        full.setattr(ReviewLog, "append", full_disk)
+        assert act(world, which).success
+        is_carried_out(world, which)
+        world.run(1).node.work_off(True)
+        assert "no space left on device" in world.node.report().sentence
+    world.node.work_off(True)
+    written = [line.get("outcome", line.get("verdict")) for line in records(tmp_path)]
+    assert (
+        written
+        == {
+            "stop": ["approved", "stopped"],
+            "stop_plan": ["approved", "stopped"],
+            "pause": ["approved"],
+            "reject": ["approved", "rejected"],
+        }[which]
+    )
+
+
+def test_a_rejection_is_on_record_and_told(world, tmp_path):
+    prepared(world, "reject")
+    assert act(world, "reject").message == "plan q rejected by Ada"
+    world.run(1).node.work_off(True)
+    assert [(line["verdict"], line["plan"], line["reason"]) for line in records(tmp_path)[1:]] == [
+        ("rejected", "q", "too close to the wall")
+    ]
+    told = [message[0] for name, message in world.said if name == "review"]
+    assert [(each.plan_id, each.approved, each.reviewer) for each in told[1:]] == [("q", False, "Ada")]
+
+
+def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world, monkeypatch):
+    world.playing()
+    monkeypatch.setattr(module, "Said", fail)
+    with pytest.raises(Unforeseen):
+        world.run(1)
+
+
+@pytest.mark.parametrize("which", ["stop", "stop_plan", "pause"])
+def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkeypatch, which):
+    prepared(world, which)
+    monkeypatch.setattr(module, "Said", fail)
+    assert act(world, which).success
+    begin = len(setpoints(world))
+    with pytest.raises(Unforeseen):
+        world.run(150)
+    assert world.executor.state is (ExecutorState.PAUSED if which == "pause" else ExecutorState.IDLE)
+    assert len(setpoints(world)) > begin + 3
+    assert world.node.beside.counts() == {"the executor's state": len(setpoints(world)) - begin - 1}
+
+
+def test_a_log_that_fails_while_it_is_told_of_is_counted_and_not_told_of_again():
+    beside = Beside()
+    assert beside.do("the forecast", fail) is None and beside.do("the sum", sum, (1, 2)) == 3
+    for _ in range(3):
+        beside.tell(fail)
+    assert beside.counts() == {"the forecast": 1, "the log": 1}
+    assert beside.sentence.startswith("the log failed beside an act") and "(2 so far)" in beside.sentence
+
+
+class Mute(Exception):
+    """An exception whose own text cannot be made."""
+
+    def __str__(self):
+        raise ValueError
+
+
+def test_an_exception_without_a_text_is_told_all_the_same():
+    beside, told = Beside(), []
+
+    def mute():
+        raise Mute
+
+    beside.do("the forecast", mute)
+    beside.tell(lambda form, text: told.append(form % text))
+    assert "the forecast failed beside an act that was carried out in mute" in told[0] and "Mute" in told[0]
