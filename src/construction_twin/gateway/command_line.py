@@ -100,9 +100,10 @@ def _run(arguments: argparse.Namespace) -> int:
         if controller is None and not is_loopback(address[0]):
             expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"
             raise ConfigurationError("--controller", "", expected)
-        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
+        # last: it takes room on a disk, which what else may be refused must not leave taken
+        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         if trace is not None:
             service.gateway.trace = trace.record
     except ConstructionTwinError as error:

@@ -10,7 +10,7 @@ import math
 import re
 
 from construction_twin.core.limits import MotionLimits
-from construction_twin.rsi.gateway_codec import SensorEncoder
+from construction_twin.rsi.gateway_codec import SensorEncoder, ipoc_step
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 
 #: After a step of IPOC beyond this the arm has come to a stand under HOLDON [cycles].
@@ -18,7 +18,10 @@ STANDSTILL = 2
 #: After a longer gap it is unknown whether the controller still has the correction: a program may have started RSI anew, and the
 #: correction would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, three of 12.
 LONGEST_GAP_MS = 40
-_IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,19})\s*</IPOC>").search
+_IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>").search
+_LARGEST_IPOC = 2**64 - 1
+#: What lies further behind, or further ahead past a wrap, is no telegram of the session [ms].
+_LONGEST_STEP = 60_000
 
 
 class LastResort:
@@ -67,7 +70,8 @@ class LastResort:
 
     def take_over(self) -> None:
         """Begin to answer: with the step between the last two corrections, if they followed one another."""
-        if 0 < self.ipoc - self._before_ipoc <= self._standstill and len(self._before) == len(self.correction):
+        step = ipoc_step(self._before_ipoc, self.ipoc, _LONGEST_STEP)
+        if 0 < step <= self._standstill and len(self._before) == len(self.correction):
             self._step = tuple([new - old for new, old in zip(self.correction, self._before)])
         else:
             self._step = (0.0,) * len(self.correction)
@@ -82,17 +86,22 @@ class LastResort:
         """True when replies carry Stop 1."""
         return self.ending and self.at_rest and not self._over and bool(self.correction)
 
-    def ipoc_of(self, data: bytes, source: object) -> int:
-        """Return the IPOC of a datagram that is to be answered; 0 when it is not from the session's controller, or an old one."""
+    def ipoc_of(self, data: bytes, source: object) -> int | None:
+        """Return the IPOC of a datagram that is to be answered; None when it is not from the session's controller, or an old one."""
         if self._over or source != self._source or len(data) > MAX_TELEGRAM:
-            return 0
+            return None
         found = _IPOC(data)
-        ipoc = int(found[1]) if found else 0
-        return ipoc if ipoc > self.ipoc else 0
+        ipoc = int(found[1]) if found else -1
+        return ipoc if 0 <= ipoc <= _LARGEST_IPOC and self.is_newer(ipoc, self.ipoc) else None
+
+    @staticmethod
+    def is_newer(ipoc: int, other: int) -> bool:
+        """Return whether a telegram follows another one, by their IPOC [ms]."""
+        return ipoc_step(other, ipoc, _LONGEST_STEP) > 0
 
     def answer(self, ipoc: int) -> bytes | None:
         """Brake on by one step and return the reply to a telegram that `ipoc_of` found; None when the session is over."""
-        elapsed = ipoc - self.ipoc
+        elapsed = ipoc_step(self.ipoc, ipoc, _LONGEST_STEP)
         if elapsed > LONGEST_GAP_MS and any(self.correction):
             self._over = True
             return None

@@ -10,7 +10,7 @@ from collections import Counter
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.rsi.gateway_codec import RobotTelegram
+from construction_twin.rsi.gateway_codec import RobotTelegram, ipoc_step
 
 #: IPOC counts milliseconds (docs/rsi.md, section 4).
 IPOC_NS = 1_000_000
@@ -53,6 +53,7 @@ class ControllerSession:
         self._config = config
         self._counters = counters
         self._timeout = round(config.timeout * NANOSECONDS)
+        self._timeout_ms = round(config.timeout * 1000)
         self._cycle = config.cycle_ns
         #: True from the first telegram to the end of the last session.
         self.alive = False
@@ -77,8 +78,8 @@ class ControllerSession:
 
     def is_repeated(self, ipoc: int, source: object) -> bool:
         """Return whether a telegram came twice, or behind a newer one: it was answered, or an answer comes too late."""
-        behind = (self.ipoc - ipoc) * IPOC_NS
-        return self.alive and 0 <= behind <= self._timeout and source == self._source
+        behind = ipoc_step(ipoc, self.ipoc, self._timeout_ms)
+        return self.alive and 0 <= behind <= self._timeout_ms and source == self._source
 
     def is_silent(self, now: int) -> bool:
         """Return whether the controller has been silent for its timeout."""
@@ -210,9 +211,10 @@ class ControllerSession:
             self.began = "telegrams come from another source"
             self._counters["sessions_by_source"] += 1
             return None
-        elapsed = (ipoc - self.ipoc) * IPOC_NS
+        step = ipoc_step(self.ipoc, ipoc, self._timeout_ms)
+        elapsed = step * IPOC_NS
         if elapsed != self._cycle:
-            self.jump_ms = ipoc - self.ipoc
+            self.jump_ms = step
             if not 0 < elapsed <= self._timeout:
                 self.began = f"IPOC jumped by {self.jump_ms} ms"
                 self._counters["sessions_by_ipoc_jump"] += 1

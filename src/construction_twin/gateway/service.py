@@ -221,7 +221,7 @@ class GatewayService:
         for _ in range(DRAIN_LIMIT):
             if waiting is not None:
                 ipoc = resort.ipoc_of(*waiting)
-                if ipoc and (newest is None or ipoc > newest[0]):
+                if ipoc is not None and (newest is None or resort.is_newer(ipoc, newest[0])):
                     newest = ipoc, *waiting
             try:
                 data, _, source = receive(self._sock)

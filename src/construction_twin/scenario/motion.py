@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -64,9 +65,8 @@ def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarra
     """
     positions = np.array([entry.position for entry in entries])
     sessions = np.array([entry.session for entry in entries])
-    ipocs = np.array([entry.ipoc for entry in entries])
     breaks = np.concatenate([[True], sessions[1:] != sessions[:-1]])
-    pauses = np.diff(ipocs, prepend=ipocs[:1])
+    pauses = np.array([0, *(later.time_since(entry) for entry, later in itertools.pairwise(entries))])
     standing = (pauses > _STANDSTILL * cycle * 1000) & ~breaks
     # from rest, but a step is still a step: the one before is taken out by repeating the position
     rows = np.flatnonzero(standing)

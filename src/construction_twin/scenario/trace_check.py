@@ -79,7 +79,7 @@ def trace_excesses(
     for index, entry in enumerate(entries):
         if last is None or entry.session != last.session:
             last, step = entry, rest
-        if entry.ipoc - last.ipoc > _STANDSTILL * cycle * 1000:
+        if entry.time_since(last) > _STANDSTILL * cycle * 1000:
             step = rest
         new = tuple([q - before for q, before in zip(entry.position, last.position)])
         if entry.state in _LED:

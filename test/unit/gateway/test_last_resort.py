@@ -39,7 +39,7 @@ def telegram(ipoc):
 def ask(resort, ipoc, source=PEER):
     """Return the reply's correction, or None when there is none."""
     found = resort.ipoc_of(telegram(ipoc), source)
-    reply = resort.answer(found) if found else None
+    reply = None if found is None else resort.answer(found)
     if reply is None:
         return None
     read = parse_sensor(reply, "ImFree", AXES)
@@ -71,7 +71,8 @@ def test_a_repeated_telegram_an_older_one_and_one_of_somebody_else_get_no_answer
     last = resort.ipoc
     assert ask(resort, last) is None and ask(resort, last - 4) is None
     assert ask(resort, last + 4, ("192.168.1.21", 49152)) is None
-    assert resort.ipoc_of(b"garbage", PEER) == 0 and resort.ipoc_of(b"<IPOC>" + b"9" * 9000 + b"</IPOC>", PEER) == 0
+    assert resort.ipoc_of(b"garbage", PEER) is None
+    assert resort.ipoc_of(b"<IPOC>" + b"9" * 9000 + b"</IPOC>", PEER) is None
     assert ask(resort, last + 4) is not None
 
 
