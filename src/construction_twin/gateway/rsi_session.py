@@ -155,6 +155,11 @@ class ControllerSession:
                 "telegrams lack AIPos or ASPos, so the present correction is unknown: not answering; declare DEF_AIPos "
                 "and DEF_ASPos in the Ethernet XML"
             )
+        if telegram.delay is None:
+            return (
+                "telegrams lack Delay, so a reply that does not arrive would go unnoticed, and the next one would be a step: not "
+                "answering; declare DEF_Delay in the Ethernet XML"
+            )
         distance = distance_off(telegram.measured, telegram.setpoint, self._config)
         if distance:
             return (
@@ -167,6 +172,31 @@ class ControllerSession:
     def counts_missed(self, telegram: RobotTelegram) -> bool:
         """Return whether the controller has counted more late replies than in the last telegram that was noted."""
         return telegram.delay is not None and telegram.delay > self._last_delay
+
+    def is_reply_lost(self, telegram: RobotTelegram, elapsed: int) -> bool:
+        """Return whether the controller says that the last answer did not arrive in time; call it before `note`.
+
+        `Delay` has then risen by every cycle since: so it does whether it counts the misses in a row, and falls back with a reply, or
+        all of a session, and does not. Any other number that it cannot have is counted: a higher one is a reply that is lost, a
+        lower one is not (docs/rsi.md, section 5).
+
+        Parameters
+        ----------
+        telegram : RobotTelegram
+        elapsed : int
+            Controller time since the telegram that was answered last [ns].
+        """
+        delay, before = telegram.delay, self._last_delay
+        if delay == before and elapsed == self._cycle:
+            return False
+        if delay is None:
+            self._counters["telegrams_without_delay"] += 1
+            return False
+        cycles = max(1, elapsed // self._cycle)
+        missed = delay - before
+        if missed > cycles or (missed < cycles and cycles - 1 not in (missed, delay)):
+            self._counters["delay_irregular"] += 1
+        return missed >= cycles
 
     def note(self, telegram: RobotTelegram) -> bool:
         """Take a telegram's poses and its count of late replies; return whether its ASPos is no longer the origin."""

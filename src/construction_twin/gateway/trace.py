@@ -28,7 +28,7 @@ DEFAULT_CYCLES = 900_000
 
 
 def _entry(axes: int) -> struct.Struct:
-    return struct.Struct(f"<QqHH4x{axes}d")
+    return struct.Struct(f"<QqHHB3x{axes}d")
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,8 @@ class TraceEntry:
         Number of the RSI session, from 1; counted modulo 65536.
     position : tuple, shape (n,)
         Origin plus correction [rad].
+    lost : bool
+        The telegram said that the reply before this one did not arrive in time: this one is a step from what was before that.
     """
 
     ipoc: int
@@ -53,6 +55,7 @@ class TraceEntry:
     state: State
     session: int
     position: tuple[float, ...]
+    lost: bool = False
 
     def time_since(self, earlier: TraceEntry) -> int:
         """Return the controller's time since an earlier entry of the same session [ms]."""
@@ -97,13 +100,15 @@ class TraceWriter:
             raise ConfigurationError("--trace", path, expected) from error
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
 
-    def record(self, ipoc: int, session: int, state: State, stamp: int, position: tuple[float, ...]) -> None:
+    def record(
+        self, ipoc: int, session: int, state: State, stamp: int, position: tuple[float, ...], lost: bool = False
+    ) -> None:
         """Append an entry."""
         if self._at >= self._end:
             self.dropped += 1
             return
         self._entry.pack_into(
-            self._memory, self._at, ipoc, stamp, self._numbers[state] + 1, session & 0xFFFF, *position
+            self._memory, self._at, ipoc, stamp, self._numbers[state] + 1, session & 0xFFFF, lost, *position
         )
         self._at += self._entry.size
 
@@ -131,8 +136,8 @@ def read_trace(path: str) -> list[TraceEntry]:
         raise ConfigurationError(path, size, f"entries of {entry.size} bytes")
     entries = []
     for at in range(_HEADER.size, len(data) - size + 1, size):
-        ipoc, stamp, state, session, *position = entry.unpack_from(data, at)
+        ipoc, stamp, state, session, lost, *position = entry.unpack_from(data, at)
         if not state:
             break
-        entries.append(TraceEntry(ipoc, stamp, _STATES[state - 1], session, tuple(position)))
+        entries.append(TraceEntry(ipoc, stamp, _STATES[state - 1], session, tuple(position), bool(lost)))
     return entries

@@ -174,8 +174,7 @@ def telegram(ipoc):
 @pytest.mark.parametrize("last", [1400, IPOC_WRAP - 4, 2**63 - 4, 2**63, 2**64 - 8])
 def test_the_last_resort_answers_the_same_telegrams(last):
     resort = LastResort(CONFIG.limits, SensorEncoder.of(CONFIG.layout, CONFIG.axes, CONFIG.units))
-    resort.sent(last - 4, PEER, (0.0, 0.0))
-    resort.sent(last, PEER, (0.004, -0.004))
+    resort.sent(last, PEER, (0.004, -0.004), (0.0, 0.0), 0)
     resort.take_over()
     following = 0 if last == IPOC_WRAP - 4 else last + 4
     found = resort.ipoc_of(telegram(following), PEER)

@@ -27,7 +27,7 @@ def taken_over(speed=(1.0, -2.0), cycles=100, **options):
     """A last resort that takes over from an arm that moves at `speed` [rad/s]."""
     resort = made(**options)
     for k in range(1, cycles + 1):
-        resort.sent(1000 + 4 * k, PEER, tuple(v * CYCLE * k for v in speed))
+        resort.sent(1000 + 4 * k, PEER, *(tuple(v * CYCLE * n for v in speed) for n in (k, k - 1)), 0)
     resort.take_over()
     return resort
 
@@ -93,8 +93,8 @@ def test_after_a_long_gap_a_correction_would_be_a_jump_and_is_not_sent():
 
 def test_a_correction_of_another_session_is_no_speed():
     resort = made()
-    resort.sent(1000, PEER, (0.3, 0.3))
-    resort.sent(900_000, PEER, (0.0, 0.0))
+    resort.sent(1000, PEER, (0.3, 0.3), (0.2, 0.2), 0)
+    resort.sent(900_000, PEER, (0.0, 0.0), (), 0)
     resort.take_over()
     assert resort.at_rest and ask(resort, 900_004) == (0.0, 0.0)
 
@@ -113,7 +113,7 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
     layout = RsiLayout("ImFree", 49152, False, ("AIPos", "ASPos"), channels, (True,) * len(channels))
     resort = LastResort(CONFIG.limits, SensorEncoder.of(layout, AXES, CONFIG.units))
     for k in range(1, 50):
-        resort.sent(4 * k, PEER, (0.004 * k, 0.0))
+        resort.sent(4 * k, PEER, (0.004 * k, 0.0), (0.004 * (k - 1), 0.0), 0)
     resort.take_over()
     resort.ending = True
     ends = []
