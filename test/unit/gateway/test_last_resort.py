@@ -122,3 +122,44 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
         reply = resort.answer(resort.ipoc + 4)
         ends.append((moving, b"<Stop>1</Stop>" in reply))
     assert ends[0] == (True, False) and ends[-1] == (False, True)
+
+
+def counted(ipoc, delay):
+    return b'<Rob Type="KUKA"><AIPos A1="0"/><Delay D="%d"/><IPOC>%d</IPOC></Rob>' % (delay, ipoc)
+
+
+def ask_counted(resort, ipoc, delay):
+    """Return the correction of the reply to a telegram with `Delay`."""
+    assert resort.ipoc_of(counted(ipoc, delay), PEER) == ipoc
+    resort.note_delay(ipoc, counted(ipoc, delay))
+    return parse_sensor(resort.answer(ipoc), "ImFree", AXES).correction
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+@pytest.mark.parametrize("braked", [0, 5])
+def test_after_replies_that_did_not_arrive_it_holds_the_last_one_that_did(braked, lost):
+    resort = taken_over()
+    for _ in range(braked):
+        ask_counted(resort, resort.ipoc + 4, 0)
+    arrived = ask_counted(resort, resort.ipoc + 4, 0)
+    held = [ask_counted(resort, resort.ipoc + 4, number) for number in range(lost + 1)]
+    # the first of these arrived where `braked` of them did; those after it are counted as missed, one by one
+    assert held[0] != arrived
+    assert all(correction == pytest.approx(arrived, abs=ROUNDED) for correction in held[1:])
+    assert resort.at_rest
+    assert ask_counted(resort, resort.ipoc + 4, 0) == pytest.approx(arrived, abs=ROUNDED)
+
+
+def test_a_count_of_the_whole_session_is_read_the_same():
+    resort = taken_over()
+    resort.sent(resort.ipoc, PEER, resort.correction, tuple(v * CYCLE * 99 for v in (1.0, -2.0)), 7)
+    first = ask_counted(resort, resort.ipoc + 4, 7)
+    assert not resort.at_rest
+    assert ask_counted(resort, resort.ipoc + 4, 7) != first
+
+
+def test_the_last_reply_of_the_gateway_may_be_the_lost_one():
+    resort = taken_over()
+    before = tuple(v * CYCLE * 99 for v in (1.0, -2.0))
+    assert ask_counted(resort, resort.ipoc + 4, 1) == pytest.approx(before, abs=ROUNDED)
+    assert resort.at_rest
