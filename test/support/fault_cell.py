@@ -413,7 +413,9 @@ def judge_arm(packets, limits: MotionLimits) -> ArmReport:
         if ipoc[index + 3] - ipoc[index] == 12 and not missed[index + 1]:
             starts += 1
             step = np.abs(measured[index + 3] - measured[index + 2])
-            assert (step <= largest).all(), f"after missed cycles, at IPOC {ipoc[index + 3]}: a step of {np.rad2deg(step)} deg"
+            assert (step <= largest).all(), (
+                f"after missed cycles, at IPOC {ipoc[index + 3]}: a step of {np.rad2deg(step)} deg"
+            )
     change = np.abs(np.diff(measured, n=2, axis=0)).max(axis=1) / CYCLE
     # a new session begins where the arm stands
     change[(np.diff(ipoc)[1:] != 4) | (np.diff(ipoc)[:-1] != 4)] = 0.0

@@ -7,7 +7,6 @@ import itertools
 from gateway_cell import Cell
 
 
-
 class LossyCell(Cell):
     """A `Cell` whose network loses what it is told to.
 
@@ -53,7 +52,7 @@ class LossyCell(Cell):
 
 
 def steps_of(arrived):
-    """Return the step of each cycle in which something arrived, and the step in the cycle before it, 0 where HOLDON held the arm."""
+    """Return the step of each cycle in which something arrived, and that of the cycle before, 0 where HOLDON held the arm."""
     moves = []
     for (before, start), (number, end) in itertools.pairwise(arrived):
         step = tuple(b - a for a, b in zip(start, end))
@@ -74,5 +73,3 @@ def assert_arrived_within_limits(cell):
             assert speed <= config.limits.velocity[axis] + allowance * period / 2 + 1e-9, (where, "velocity", speed)
             assert change <= config.limits.acceleration[axis] + allowance + 1e-6, (where, "acceleration", change)
             assert lower[axis] - 1e-9 <= cell.arrived[number][1][axis] <= upper[axis] + 1e-9, where
-
-

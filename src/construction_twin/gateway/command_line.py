@@ -71,7 +71,11 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
     )
-    parser.add_argument("--trace", metavar="FILE", help="record what is really sent, cycle by cycle, for an hour")
+    parser.add_argument(
+        "--trace",
+        metavar="FILE",
+        help="record what is really sent, cycle by cycle, for an hour; its room on the disk is reserved at the start",
+    )
     return parser.parse_args(argv)
 
 

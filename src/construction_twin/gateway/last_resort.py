@@ -102,7 +102,7 @@ class LastResort:
         return self.ending and self.at_rest and not self._over and bool(self.correction)
 
     def ipoc_of(self, data: bytes, source: object) -> int | None:
-        """Return the IPOC of a datagram that is to be answered; None when it is not from the session's controller, or an old one."""
+        """Return the IPOC of a datagram to be answered; None when it is an old one, or not from the session's controller."""
         if self._over or source != self._source or len(data) > MAX_TELEGRAM:
             return None
         found = _IPOC(data)

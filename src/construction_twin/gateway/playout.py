@@ -119,9 +119,7 @@ class Playout:
 
     @property
     def backlog(self) -> int:
-        """How much motion, in the sender's time, a speed limit or a standstill has put off [ns]; rest that is still to come does not
-        count.
-        """
+        """How much motion, in the sender's time, a speed limit or a standstill has put off [ns]; rest to come does not count."""
         commands = self._commands
         if not self._put_off or not commands:
             return 0
@@ -295,14 +293,13 @@ class Playout:
         taken_back : bool
             True: the last target was not reached either, because it did not arrive.
         """
+        put_off = pause
         if taken_back:
-            pause_of_path = self._now - self._advanced_from
+            put_off += self._now - self._advanced_from
             self._now = self._advanced_from
-        else:
-            pause_of_path = 0
         self._clock += pause
-        self._slew.remaining += pause + pause_of_path
-        self._put_off += pause + pause_of_path
+        self._slew.remaining += put_off
+        self._put_off += put_off
         self._pace = self._catch_up
         if self._governor is not None:
             self._governor.stand()

@@ -176,8 +176,8 @@ class ControllerSession:
     def is_reply_lost(self, telegram: RobotTelegram, elapsed: int) -> bool:
         """Return whether the controller says that the last answer did not arrive in time; call it before `note`.
 
-        `Delay` has then risen by every cycle since: so it does whether it counts the misses in a row, and falls back with a reply, or
-        all of a session, and does not. Any other number that it cannot have is counted: a higher one is a reply that is lost, a
+        `Delay` has then risen by every cycle since: so it does whether it counts the misses in a row, and falls back with a
+        reply, or all of a session, and does not. A number that it cannot have is counted: a higher one is a reply that is lost, a
         lower one is not (docs/rsi.md, section 5).
 
         Parameters

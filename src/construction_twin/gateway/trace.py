@@ -96,7 +96,9 @@ class TraceWriter:
         except OSError as error:
             self._file.close()
             os.unlink(path)
-            expected = f"a file on a disk with {self._end / 1e6:.1f} MB of room, all of them reserved at the start ({error.strerror})"
+            expected = (
+                f"a file on a disk with {self._end / 1e6:.1f} MB of room, reserved at the start ({error.strerror})"
+            )
             raise ConfigurationError("--trace", path, expected) from error
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
 

@@ -195,8 +195,8 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     Raises
     ------
     EthernetXmlError
-        For a position block or a `Delay` that is not sent, an optional channel that is there twice, HOLDON 0 on a correction, and as
-        `check_axes`.
+        For a position block or a `Delay` that is not sent, an optional channel that is there twice, HOLDON 0 on a correction, and
+        as `check_axes`.
     """
     check_axes(layout, axes, where)
     blocks = {"AIPos": "the measured axes", "ASPos": "the pose that corrections are relative to"}

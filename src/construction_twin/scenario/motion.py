@@ -57,7 +57,7 @@ def limit_usage(
 
 
 def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions that arrived, by a gateway's trace, and where one does not follow the one before: shapes (k, n) and (k,).
+    """Return what arrived of a gateway's trace, and where a position does not follow the one before: shapes (k, n) and (k,).
 
     As in `trace_excesses`, a new session begins from rest, and so does what follows a cycle [s] without a reply that arrived.
     """

@@ -340,7 +340,8 @@ def test_the_same_replies_give_the_same_packets():
 
 
 @pytest.mark.parametrize(
-    "first, after", [(2**32 - 10, [2**32 - 10, 2**32 - 6, 2**32 - 2, 2, 6]), (2**32 + 4, [2**32 + 4 * k for k in range(1, 6)])]
+    "first, after",
+    [(2**32 - 10, [2**32 - 10, 2**32 - 6, 2**32 - 2, 2, 6]), (2**32 + 4, [2**32 + 4 * k for k in range(1, 6)])],
 )
 def test_an_ipoc_of_32_bits_wraps_and_a_larger_one_does_not(first, after):
     cell = Cell(first_ipoc=first)

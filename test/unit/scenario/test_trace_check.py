@@ -74,7 +74,10 @@ def test_a_reply_that_did_not_arrive_is_left_out_and_the_next_one_is_a_step_from
     assert [kind for *_, kind in kinds([*before, last])] == ["acceleration"]
     # the last one but two was lost: from where the arm was before it
     stood = before[-3].position[0]
-    goes_on = [replace(before[-1], lost=True, position=(stood + BUDGET, 0.0)), replace(last, position=(stood + 3 * BUDGET, 0.0))]
+    goes_on = [
+        replace(before[-1], lost=True, position=(stood + BUDGET, 0.0)),
+        replace(last, position=(stood + 3 * BUDGET, 0.0)),
+    ]
     assert kinds([*before[:-1], *goes_on]) == []
     as_if_nothing = replace(before[-1], lost=True)
     assert kinds([*before[:-1], as_if_nothing]) == [(len(before) - 1, "A1", "acceleration")]
