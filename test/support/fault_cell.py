@@ -25,6 +25,7 @@ from netem import ROS_PC, Namespaces
 from processes import ROOT, BrokerProcess, wait_until
 
 from construction_twin.core.errors import ReviewError
+from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.gateway.trace import TraceEntry, read_trace
 from construction_twin.link.states import LinkState
@@ -371,12 +372,15 @@ class ArmReport:
         Largest change of velocity from one cycle to the next [rad/s]: the step that HOLDON makes.
     at : int
         IPOC of the packet that shows it [ms].
+    starts : int
+        Times that the arm began to move anew after missed cycles.
     """
 
     packets: int
     missed: int
     blow: float
     at: int
+    starts: int = 0
 
     def __str__(self) -> str:
         return (
@@ -385,8 +389,10 @@ class ArmReport:
         )
 
 
-def judge_arm(packets) -> ArmReport:
+def judge_arm(packets, limits: MotionLimits) -> ArmReport:
     """Check that every missed cycle left the setpoint where it was (HOLDON), and report the blows that this made.
+
+    The step of the first reply that arrives again is checked too: it is one from rest, inside the acceleration limits.
 
     `Delay` of a packet above 0 says that the cycle before was missed; with a servo of 3 cycles the packet two further on then
     shows the pose of the one before it.
@@ -394,15 +400,24 @@ def judge_arm(packets) -> ArmReport:
     measured = np.array([packet.measured for packet in packets])
     ipoc = np.array([packet.ipoc for packet in packets])
     missed = np.array([packet.delay > 0 for packet in packets])
-    for index in np.flatnonzero(missed[:-2]):
+    # AIPos has 6 decimals of a degree: a step is the difference of two rounded values
+    largest = (np.array(limits.acceleration) + limits.allowances(6)) * CYCLE**2 + np.deg2rad(1e-6)
+    starts = 0
+    for index in np.flatnonzero(missed[:-3]):
         if ipoc[index + 2] - ipoc[index] == 8:
             np.testing.assert_array_equal(
                 measured[index + 2],
                 measured[index + 1],
                 f"the cycle before IPOC {ipoc[index]} was missed, and yet moved",
             )
+        if ipoc[index + 3] - ipoc[index] == 12 and not missed[index + 1]:
+            starts += 1
+            step = np.abs(measured[index + 3] - measured[index + 2])
+            assert (step <= largest).all(), (
+                f"after missed cycles, at IPOC {ipoc[index + 3]}: a step of {np.rad2deg(step)} deg"
+            )
     change = np.abs(np.diff(measured, n=2, axis=0)).max(axis=1) / CYCLE
     # a new session begins where the arm stands
     change[(np.diff(ipoc)[1:] != 4) | (np.diff(ipoc)[:-1] != 4)] = 0.0
     worst = int(change.argmax())
-    return ArmReport(len(packets), int(missed.sum()), float(change[worst]), int(ipoc[worst + 2]))
+    return ArmReport(len(packets), int(missed.sum()), float(change[worst]), int(ipoc[worst + 2]), starts)

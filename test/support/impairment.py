@@ -219,6 +219,8 @@ class UdpProxy:
         self.target = target
         self.counters: Counter[str] = Counter()
         self.address: tuple[str, int] = ()
+        #: So many of the target's next answers are lost.
+        self.answers_to_lose = 0
         self._tap = tap
         self._line = _Line(seed, time.monotonic)
         self._outlets: dict[tuple, socket.socket] = {}
@@ -254,6 +256,10 @@ class UdpProxy:
 
     def _from_target(self, outlet: socket.socket, client: tuple) -> None:
         for data, _ in _received(outlet):
+            if self.answers_to_lose > 0:
+                self.answers_to_lose -= 1
+                self.counters["lost"] += 1
+                continue
             self._carry(lambda data=data: self._inlet.sendto(data, client), "down")
 
     def _carry(self, send: Callable[[], object], way: str) -> None:

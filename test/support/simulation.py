@@ -128,7 +128,7 @@ class SimulatedChain:
         self.switched: list[tuple[int, tuple[bool, ...]]] = []
         self._played = 0
         if tool is not None:
-            self.gateway.trace = lambda ipoc, session, state, stamp, position: setattr(self, "_played", stamp)
+            self.gateway.trace = lambda ipoc, session, state, stamp, position, lost: setattr(self, "_played", stamp)
         self._session = ""
         self._command_arrival = 0
         self._first_cycle = EPOCH + CYCLE_NS + link.phase

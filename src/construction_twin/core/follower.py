@@ -64,6 +64,7 @@ class Follower:
         self._target = list(q)
         self._step = [0.0] * len(q)
         self.position: tuple[float, ...] = tuple(q)
+        self._before = self.position
         #: True while a joint has not met its target yet.
         self.settling = False
 
@@ -80,6 +81,7 @@ class Follower:
         """Take one step towards `target` [rad] and return the new position [rad]."""
         position = []
         settling = False
+        self._before = self.position
         for index, goal in enumerate(target):
             last = self.position[index]
             if self._allowed(index, goal, goal - last):
@@ -108,8 +110,14 @@ class Follower:
         self._step = [0.0] * len(self._step)
         self._target = list(self.position)
 
+    def take_back(self) -> None:
+        """Stand where the arm was before the last step, which it was not told to take."""
+        self.position = self._before
+        self.rest()
+
     def brake(self) -> tuple[float, ...]:
         """Take one step of braking within the limits and return the new position [rad]."""
+        self._before = self.position
         for index, step in enumerate(self._step):
             slower = max(0.0, abs(step) - self._budget[index])
             self._step[index] = self._keep_room(index, math.copysign(slower, step))

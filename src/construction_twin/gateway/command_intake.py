@@ -19,7 +19,7 @@ class StreamBroken(Exception):
     Attributes
     ----------
     event : Event
-        ``STREAM_SILENT`` or ``SPEED_IGNORED``: what the gateway brakes for.
+        ``STREAM_SILENT``, ``SPEED_IGNORED`` or ``REPLIES_LOST``: what the gateway brakes for.
     """
 
     def __init__(self, event: Event, reason: str):
@@ -87,7 +87,7 @@ class CommandIntake:
         MotionRefused
             ``lead`` or a reason of `MotionCheck`.
         StreamBroken
-            When too much of the stream is missing, or the sender does not obey the speed limit.
+            When too much of the stream is missing, the sender does not obey the speed limit, or replies do not arrive.
         """
         player = self._player
         # the time since the last telegram is subtracted: playout time advances only with telegrams
@@ -101,6 +101,12 @@ class CommandIntake:
             raise StreamBroken(Event.STREAM_SILENT, f"{hole:.3f} s of the stream are missing")
         behind = player.backlog
         if behind > self._config.speed_limit_backlog:
+            if player.stood:
+                raise StreamBroken(
+                    Event.REPLIES_LOST,
+                    f"the arm is {behind:.3f} s behind its stream, at most {self._config.speed_limit_backlog:g} s are put off: it "
+                    f"has stood {player.stood} times because telegrams or replies did not arrive in time",
+                )
             raise StreamBroken(
                 Event.SPEED_IGNORED,
                 f"the sender does not obey the speed limit of {player.fraction:g}: it is {behind:.3f} s ahead of the arm, "

@@ -71,7 +71,11 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
     )
-    parser.add_argument("--trace", metavar="FILE", help="record what is really sent, cycle by cycle, for an hour")
+    parser.add_argument(
+        "--trace",
+        metavar="FILE",
+        help="record what is really sent, cycle by cycle, for an hour; its room on the disk is reserved at the start",
+    )
     return parser.parse_args(argv)
 
 
@@ -100,9 +104,10 @@ def _run(arguments: argparse.Namespace) -> int:
         if controller is None and not is_loopback(address[0]):
             expected = f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"
             raise ConfigurationError("--controller", "", expected)
-        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         service = GatewayService(config, bind(*address), broker, topics, run, controller, commissioning)
+        # last: it takes room on a disk, which what else may be refused must not leave taken
+        trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         if trace is not None:
             service.gateway.trace = trace.record
     except ConstructionTwinError as error:

@@ -72,7 +72,7 @@ class GatewayConfig:
     speed_limit_grace : float
         Time in which the sender may obey a lowered limit before the gateway enforces it [s].
     speed_limit_backlog : float
-        How far the arm may trail a sender that does not obey before the gateway brakes [s].
+        How far the arm may trail a sender, who does not obey or whose replies were lost, before the gateway brakes [s].
     timeout : float
         Silence of the controller after which its session is over [s].
     e1_sign : int

@@ -13,6 +13,7 @@ from collections import deque
 from statistics import median
 
 from construction_twin.gateway.rsi_session import IPOC_NS
+from construction_twin.rsi.gateway_codec import ipoc_step
 
 #: A session is measured for this long before it is first judged [ms of IPOC, at the expected cycle].
 FIRST = 400
@@ -57,7 +58,10 @@ class ControllerClock:
     def __init__(self, cycle_ms: int):
         self._cycle = cycle_ms
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
+        # IPOC as it would be without a wrap, and arrival
         self._heard: deque[tuple[int, int]] = deque(maxlen=self._patient)
+        # IPOC of the last of them as it was told
+        self._ipoc = 0
         self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in _MODES if mode != cycle_ms}
         # per piece: IPOC of its quickest telegram [ms], and that one's arrival minus IPOC [ns]
         self._pieces: deque[tuple[int, int]] = deque(maxlen=PIECES)
@@ -96,14 +100,19 @@ class ControllerClock:
         """
         heard = self._heard
         if heard:
-            step = ipoc - heard[-1][0]
+            step = ipoc_step(self._ipoc, ipoc, PATIENT)
             if not 0 < step <= PATIENT:
                 if -PATIENT <= step <= 0:
                     # came twice, or behind a newer one
                     return
                 self.restart()
-            elif step != self._cycle and step in self._others:
-                self._note_other(ipoc, step)
+                self._ipoc = ipoc
+            else:
+                self._ipoc, ipoc = ipoc, heard[-1][0] + step
+                if step != self._cycle and step in self._others:
+                    self._note_other(ipoc, step)
+        else:
+            self._ipoc = ipoc
         heard.append((ipoc, arrived))
         self._to_judge -= 1
         lag = arrived - ipoc * IPOC_NS

@@ -35,9 +35,6 @@ from construction_twin.mqtt.messages import CommandProperties, Control, StatePro
 from construction_twin.rsi.gateway_codec import RobotTelegram
 from construction_twin.rsi.status_channels import ControllerStatus
 
-#: Telegrams missed for longer than this mean that the arm has come to a stand under HOLDON. After a single missed telegram the
-#: motion goes on at its speed, because starting from rest would be a larger step [cycles].
-STANDSTILL = 2
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
@@ -89,6 +86,8 @@ class Gateway:
         self.mode = Mode.of(config, commissioning)
         #: The last correction, as it would be without commissioning mode [rad], [m].
         self.correction: tuple[float, ...] = ()
+        # the one that the controller had before it, and kept if the last one did not arrive
+        self._kept: tuple[float, ...] = ()
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
         #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
@@ -97,9 +96,9 @@ class Gateway:
         self.fault = False
         #: What tells of a stop, and cannot fail it.
         self.beside = Beside()
-        #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), and
-        #: position [rad], which is origin plus correction. None costs nothing.
-        self.trace: Callable[[int, int, State, int, tuple[float, ...]], None] | None = None
+        #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), position
+        #: [rad], which is origin plus correction, and whether the reply before this one did not arrive. None costs nothing.
+        self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
         #: Is told of every telegram that is read, by what reads them.
         self.clock = ControllerClock(config.cycle)
         self._measures = measures
@@ -124,7 +123,6 @@ class Gateway:
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
         self._cycle = config.cycle_ns
-        self._standstill = STANDSTILL * config.cycle_ns
         self._parts = PartSteps(config.cycle_ns)
         self._answered_stamp = 0
         self._ending = False
@@ -214,6 +212,7 @@ class Gateway:
         player = self._player
         if player.follower is None:
             self._find_origin(telegram)
+        lost = controller.is_reply_lost(telegram, elapsed)
         drifted = controller.note(telegram)
         follower = player.follower
         if follower is None:
@@ -222,11 +221,13 @@ class Gateway:
             return None if refused else (0.0,) * len(self.config.axes)
         if drifted and telegram.setpoint is not None:
             follower = self._note_drift(follower, telegram.setpoint)
+        if not lost:
+            self._kept = self.correction
+        if lost or elapsed > self._cycle:
+            # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
+            follower, elapsed = self._stand(follower, elapsed, lost)
         self._answered_stamp = player.stamp
         self.counters["telegrams"] += 1
-        if elapsed > self._standstill:
-            # HOLDON kept the arm where it was: going on at the speed of before would be a step from standstill
-            follower = self._rest(follower)
         if elapsed < self._cycle or self._parts.told:
             position = self._move_in_parts(follower, elapsed)
         else:
@@ -234,7 +235,7 @@ class Gateway:
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
-            self.trace(telegram.ipoc, self.counters["rsi_sessions"], machine.state, player.stamp, position)
+            self.trace(telegram.ipoc, self.counters["rsi_sessions"], machine.state, player.stamp, position, lost)
         self.correction = tuple([value - start for value, start in zip(position, controller.origin)])
         return self.correction if self.mode is Mode.NORMAL else (0.0,) * len(position)
 
@@ -244,14 +245,22 @@ class Gateway:
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
 
-    def observe(self, telegram: RobotTelegram, correction: tuple[float, ...]) -> None:
-        """Take note of a telegram that the last resort answered with `correction` [rad]: the arm's pose is still reported."""
+    @property
+    def kept(self) -> tuple[float, ...]:
+        """The correction that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
+        return self._kept if self.mode is Mode.NORMAL else (0.0,) * len(self._kept)
+
+    def observe(self, telegram: RobotTelegram, correction: tuple[float, ...], lost: bool) -> None:
+        """Take note of a telegram that the last resort answered with `correction` [rad]: the arm's pose is still reported.
+
+        `lost` says whether the reply before it did not arrive.
+        """
         if telegram.measured is not None:
             self._controller.measured = telegram.measured
         self._answered_stamp = 0
         if self.trace is not None:
             position = tuple([start + value for start, value in zip(self._controller.origin, correction)])
-            self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, 0, position)
+            self.trace(telegram.ipoc, self.counters["rsi_sessions"], self.state, 0, position, lost)
 
     def poll(self, now: int) -> None:
         """Notice silence, of the controller or of a speed limit's source, and what its clock shows; call it at least every 0.1 s.
@@ -360,7 +369,7 @@ class Gateway:
             self.tool.begin_session()
         self._disarm(occasion.reason)
         self._ending = False
-        self.correction = ()
+        self.correction = self._kept = ()
         self.clock.restart()
         self._parts.restart()
         self._unread_told, self._unread_count, self._clock_told = "", 0, ""
@@ -394,15 +403,23 @@ class Gateway:
 
     # -- motion
 
-    def _rest(self, follower: Follower) -> Follower:
-        if not self._parts.told:
+    def _stand(self, follower: Follower, elapsed: int, lost: bool) -> tuple[Follower, int]:
+        """Stand at the last correction that arrived; return the follower there, and what of `elapsed` [ns] is left to move in."""
+        if self._parts.told:
+            # it stands within a step, not at its end
+            self._parts.restart()
+            follower = self._player.place(
+                tuple([start + value for start, value in zip(self._controller.origin, self._kept)])
+            )
+        elif lost:
+            follower.take_back()
+        else:
             follower.rest()
-            return follower
-        # it stands within a step, not at its end
-        self._parts.restart()
-        return self._player.place(
-            tuple([start + value for start, value in zip(self._controller.origin, self.correction)])
-        )
+        pause = max(0, elapsed - self._cycle)
+        if self._machine.state is State.FOLLOWING:
+            self._player.stand(follower, pause, lost)
+            self.counters["standstills"] += 1
+        return follower, elapsed - pause
 
     def _move_in_parts(self, follower: Follower, elapsed: int) -> tuple[float, ...]:
         """Answer a telegram that comes before a cycle is over: until the change of the cycle is noticed, and while it brakes."""

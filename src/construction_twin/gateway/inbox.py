@@ -6,10 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from construction_twin.core.errors import TelegramError
-from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.gateway.rsi_session import IPOC_NS
-from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram
+from construction_twin.rsi.gateway_codec import RobotDecoder, RobotTelegram, ipoc_step
 from construction_twin.rsi.status_channels import StatusReader, status_channels
 from construction_twin.rsi.tool_channels import ToolReader
 
@@ -66,7 +64,7 @@ class TelegramInbox:
         self._status = StatusReader(channels) if channels else None
         tool = gateway.config.tool
         self._tool = ToolReader([output.name for output in tool.outputs], tool.inputs) if tool else None
-        self._timeout = round(gateway.config.timeout * NANOSECONDS)
+        self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:
         """Read until nothing waits; return the newest telegram.
@@ -92,8 +90,8 @@ class TelegramInbox:
             if self._status is not None:
                 self._gateway.note_status(*self._status.read(data))
             if newest is not None:
-                behind = (newest.telegram.ipoc - telegram.ipoc) * IPOC_NS
-                if source == newest.source and 0 <= behind <= self._timeout:
+                behind = ipoc_step(telegram.ipoc, newest.telegram.ipoc, self._timeout_ms)
+                if source == newest.source and 0 <= behind <= self._timeout_ms:
                     counters["telegrams_repeated"] += 1
                     continue
                 counters["telegrams_skipped"] += 1

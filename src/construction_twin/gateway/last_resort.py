@@ -10,15 +10,17 @@ import math
 import re
 
 from construction_twin.core.limits import MotionLimits
-from construction_twin.rsi.gateway_codec import SensorEncoder
+from construction_twin.rsi.gateway_codec import SensorEncoder, ipoc_step
 from construction_twin.rsi.telegram import MAX_TELEGRAM
 
-#: After a step of IPOC beyond this the arm has come to a stand under HOLDON [cycles].
-STANDSTILL = 2
 #: After a longer gap it is unknown whether the controller still has the correction: a program may have started RSI anew, and the
 #: correction would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, three of 12.
 LONGEST_GAP_MS = 40
-_IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,19})\s*</IPOC>").search
+_IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>").search
+_DELAY = re.compile(rb"""<Delay\s+D\s*=\s*["']([0-9]{1,20})["']""").search
+_LARGEST_IPOC = 2**64 - 1
+#: What lies further behind, or further ahead past a wrap, is no telegram of the session [ms].
+_LONGEST_STEP = 60_000
 
 
 class LastResort:
@@ -43,32 +45,49 @@ class LastResort:
     """
 
     def __init__(self, limits: MotionLimits, encoder: SensorEncoder | None, cycle_ms: int = 4):
-        self._standstill = STANDSTILL * cycle_ms
+        self._cycle = cycle_ms
         self._budget = tuple(a * cycle_ms * cycle_ms * 1e-6 for a in limits.acceleration)
         self._order = encoder.order if encoder else ()
         self._texts = {stop: encoder.template(stop) for stop in (None, True)} if encoder else {}
         self._source: object = None
-        self._before: tuple[float, ...] = ()
-        self._before_ipoc = 0
+        # what the controller had before the last correction, and its count of late replies then
+        self._kept: tuple[float, ...] = ()
+        self._delay = 0
         self._step: tuple[float, ...] = ()
         self._over = encoder is None
         self.correction: tuple[float, ...] = ()
         self.ipoc = 0
         self.ending = False
 
-    def sent(self, ipoc: int, source: object, correction: tuple[float, ...]) -> None:
-        """Take note of a reply that the gateway has sent: IPOC, to whom, correction [rad]."""
-        self._before, self._before_ipoc = self.correction, self.ipoc
-        self.correction, self.ipoc, self._source = correction, ipoc, source
+    def sent(
+        self, ipoc: int, source: object, correction: tuple[float, ...], kept: tuple[float, ...], delay: int | None
+    ) -> None:
+        """Take note of a reply that the gateway has sent.
+
+        Parameters
+        ----------
+        ipoc : int
+            [ms]
+        source : object
+            To whom.
+        correction : tuple, shape (n,)
+            [rad], [m]
+        kept : tuple, shape (n,) or ()
+            The correction that the controller had before, and keeps if this one does not arrive; () for none.
+        delay : int or None
+            `Delay` of the telegram.
+        """
+        self.correction, self._kept, self.ipoc, self._source = correction, kept, ipoc, source
+        self._delay = delay or 0
 
     def hold(self, holding: bytes, ending: bytes) -> None:
         """Take the texts of replies that leave a tool's outputs as they were sent last: with `Stop` 0, and with 1."""
         self._texts = {None: holding, True: ending}
 
     def take_over(self) -> None:
-        """Begin to answer: with the step between the last two corrections, if they followed one another."""
-        if 0 < self.ipoc - self._before_ipoc <= self._standstill and len(self._before) == len(self.correction):
-            self._step = tuple([new - old for new, old in zip(self.correction, self._before)])
+        """Begin to answer: with the last step that was commanded."""
+        if len(self._kept) == len(self.correction):
+            self._step = tuple([new - old for new, old in zip(self.correction, self._kept)])
         else:
             self._step = (0.0,) * len(self.correction)
 
@@ -82,23 +101,46 @@ class LastResort:
         """True when replies carry Stop 1."""
         return self.ending and self.at_rest and not self._over and bool(self.correction)
 
-    def ipoc_of(self, data: bytes, source: object) -> int:
-        """Return the IPOC of a datagram that is to be answered; 0 when it is not from the session's controller, or an old one."""
+    def ipoc_of(self, data: bytes, source: object) -> int | None:
+        """Return the IPOC of a datagram to be answered; None when it is an old one, or not from the session's controller."""
         if self._over or source != self._source or len(data) > MAX_TELEGRAM:
-            return 0
+            return None
         found = _IPOC(data)
-        ipoc = int(found[1]) if found else 0
-        return ipoc if ipoc > self.ipoc else 0
+        ipoc = int(found[1]) if found else -1
+        return ipoc if 0 <= ipoc <= _LARGEST_IPOC and self.is_newer(ipoc, self.ipoc) else None
+
+    @staticmethod
+    def is_newer(ipoc: int, other: int) -> bool:
+        """Return whether a telegram follows another one, by their IPOC [ms]."""
+        return ipoc_step(other, ipoc, _LONGEST_STEP) > 0
+
+    def note_delay(self, ipoc: int, data: bytes) -> bool:
+        """Go back to what the controller has if a telegram says that the last reply did not arrive; return whether it does.
+
+        Call it before `answer`, with the same telegram. `Delay` has risen by every cycle since the last one then.
+        """
+        found = _DELAY(data)
+        if found is None:
+            return False
+        delay, before = int(found[1]), self._delay
+        self._delay = delay
+        cycles = max(1, ipoc_step(self.ipoc, ipoc, _LONGEST_STEP) // self._cycle)
+        lost = delay - before >= cycles and len(self._kept) == len(self.correction)
+        if lost:
+            self.correction = self._kept
+            self._step = (0.0,) * len(self._step)
+        return lost
 
     def answer(self, ipoc: int) -> bytes | None:
         """Brake on by one step and return the reply to a telegram that `ipoc_of` found; None when the session is over."""
-        elapsed = ipoc - self.ipoc
+        elapsed = ipoc_step(self.ipoc, ipoc, _LONGEST_STEP)
         if elapsed > LONGEST_GAP_MS and any(self.correction):
             self._over = True
             return None
-        if elapsed > self._standstill:
+        if elapsed > self._cycle:
             self._step = (0.0,) * len(self._step)
         self._step = tuple([math.copysign(max(0.0, abs(v) - most), v) for v, most in zip(self._step, self._budget)])
+        self._kept = self.correction
         self.correction = tuple([value + step for value, step in zip(self.correction, self._step)])
         self.ipoc = ipoc
         values = [self.correction[index] * factor for index, factor in self._order]

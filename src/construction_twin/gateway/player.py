@@ -48,6 +48,9 @@ class Player:
         self.follower: Follower | None = None
         #: Stamp of the target last played [ns]; 0 for none.
         self.stamp = 0
+        self._stamp_before = 0
+        #: How many times the arm has stood for want of replies since it trailed its stream by nothing.
+        self.stood = 0
         #: Braking since the stream ran dry; None while it has not.
         self.braking: Braking | None = None
 
@@ -58,7 +61,7 @@ class Player:
 
     @property
     def backlog(self) -> float:
-        """How much motion a speed limit has put off [s], in the sender's time."""
+        """How much motion a speed limit, or replies that did not arrive, have put off [s], in the sender's time."""
         return self._playout.backlog / NANOSECONDS
 
     def limit(self, fraction: float) -> None:
@@ -82,7 +85,7 @@ class Player:
     def clear(self) -> None:
         """Forget the stream; what was learned about the link stays."""
         self._playout.clear()
-        self.stamp = 0
+        self.stamp = self._stamp_before = self.stood = 0
         self.braking = None
         if self._smoother is not None:
             self._smoother.clear()
@@ -109,6 +112,7 @@ class Player:
 
         `measured` is where the arm is [rad]; () when it is not known.
         """
+        self._stamp_before = self.stamp
         self.stamp, target = self._playout.advance(elapsed)
         if self._playout.silence:
             # the rest of the motion is unknown
@@ -121,6 +125,26 @@ class Player:
         if follower.settling:
             self._counters["settling"] += 1
         return position
+
+    def stand(self, follower: Follower, pause: int, taken_back: bool) -> None:
+        """Go on from where HOLDON keeps the arm, while a stream is followed.
+
+        Parameters
+        ----------
+        follower : Follower
+            At rest there.
+        pause : int
+            Controller time without a reply that could have been given [ns].
+        taken_back : bool
+            True: the last position did not arrive either.
+        """
+        self._playout.stand(pause, taken_back)
+        if taken_back:
+            self.stamp = self._stamp_before
+        self.stood = self.stood + 1 if self._playout.backlog else 0
+        if self._smoother is not None:
+            self._smoother.clear()
+            self._smoother.smooth(follower.position)
 
     def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:

@@ -89,6 +89,8 @@ class Playout:
         self._before: tuple[int, Pose] | None = None
         self._newest = 0
         self._now = 0
+        # playout time before the last advance: that one is taken back when the reply it was for does not arrive
+        self._advanced_from = 0
         self._clock = 0
         self._resting = 0
         self._put_off = 0
@@ -117,7 +119,7 @@ class Playout:
 
     @property
     def backlog(self) -> int:
-        """How much motion, in the sender's time, a speed limit has put off [ns]; rest that is still to come does not count."""
+        """How much motion, in the sender's time, a speed limit or a standstill has put off [ns]; rest to come does not count."""
         commands = self._commands
         if not self._put_off or not commands:
             return 0
@@ -163,7 +165,7 @@ class Playout:
         commands = self._commands
         if not commands:
             # the next telegram adds all of its cycle, of which so much was over; in whole steps of the grid
-            self._now = stamp - self.delay - waited // CYCLE_NS * CYCLE_NS
+            self._now = self._advanced_from = stamp - self.delay - waited // CYCLE_NS * CYCLE_NS
             self._newest = stamp
         self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
         if self._put_off and self._resting > 3 and len(commands) > 3:
@@ -205,7 +207,12 @@ class Playout:
         q : tuple, shape (n,)
             Target [rad].
         """
-        before = self._now
+        commands = self._commands
+        while len(commands) > 1 and commands[1][0] <= self._now:
+            self._before = commands.popleft()
+        if self._put_off:
+            self._skip_rest()
+        before = self._advanced_from = self._now
         self._now += elapsed
         self._clock += elapsed
         if self._arrivals.note_telegram(self._newest - self._clock, self._clock):
@@ -214,16 +221,7 @@ class Playout:
             self._move()
         if self._governed and self._governor is not None:
             self._hold_back(self._governor, before, elapsed)
-        now, commands = self._now, self._commands
-        while len(commands) > 1 and commands[1][0] <= now:
-            self._before = commands.popleft()
-        if self._put_off:
-            self._skip_rest()
-            now = self._now
-        start = commands[0]
-        if now <= start[0] or len(commands) == 1:
-            return start
-        return now, interpolate(now, start, commands[1], self._before, commands[2] if len(commands) > 2 else None)
+        return self._at(self._now)
 
     def report(self) -> dict:
         """Return what the playout does, for the status: ms, ppm, and the rate's deviation in percent."""
@@ -283,8 +281,36 @@ class Playout:
                 self._pace = self._catch_up
         self._governed = governor.active
 
+    def stand(self, pause: int, taken_back: bool) -> None:
+        """Begin anew from a standstill: the arm was not told to move on.
+
+        What is not played now is put off, and the motion starts again on its path, with a rate that rises from 0.
+
+        Parameters
+        ----------
+        pause : int
+            Controller time that the arm has stood for [ns].
+        taken_back : bool
+            True: the last target was not reached either, because it did not arrive.
+        """
+        put_off = pause
+        if taken_back:
+            put_off += self._now - self._advanced_from
+            self._now = self._advanced_from
+        self._clock += pause
+        self._slew.remaining += put_off
+        self._put_off += put_off
+        self._pace = self._catch_up
+        if self._governor is not None:
+            self._governor.stand()
+            self._governed = True
+
     def _target(self, stamp: int) -> Pose:
         """Return the pose at a stamp [ns] not far ahead of playout time, without moving on."""
+        return self._at(stamp)[1]
+
+    def _at(self, stamp: int) -> tuple[int, Pose]:
+        """Return stamp and pose at a stamp [ns] not far ahead of the oldest command, between the oldest and the newest one."""
         commands, before = self._commands, self._before
         index = 0
         while index + 1 < len(commands) and commands[index + 1][0] <= stamp:
@@ -292,9 +318,9 @@ class Playout:
             index += 1
         start = commands[index]
         if stamp <= start[0] or index + 1 == len(commands):
-            return start[1]
+            return start
         after = commands[index + 2] if index + 2 < len(commands) else None
-        return interpolate(stamp, start, commands[index + 1], before, after)
+        return stamp, interpolate(stamp, start, commands[index + 1], before, after)
 
     def _skip_rest(self) -> None:
         """Skip a rest that has been put off: while every stamp has the same pose, playout time can be set without a motion."""

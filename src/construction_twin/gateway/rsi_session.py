@@ -10,7 +10,7 @@ from collections import Counter
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.rsi.gateway_codec import RobotTelegram
+from construction_twin.rsi.gateway_codec import RobotTelegram, ipoc_step
 
 #: IPOC counts milliseconds (docs/rsi.md, section 4).
 IPOC_NS = 1_000_000
@@ -53,6 +53,7 @@ class ControllerSession:
         self._config = config
         self._counters = counters
         self._timeout = round(config.timeout * NANOSECONDS)
+        self._timeout_ms = round(config.timeout * 1000)
         self._cycle = config.cycle_ns
         #: True from the first telegram to the end of the last session.
         self.alive = False
@@ -77,8 +78,8 @@ class ControllerSession:
 
     def is_repeated(self, ipoc: int, source: object) -> bool:
         """Return whether a telegram came twice, or behind a newer one: it was answered, or an answer comes too late."""
-        behind = (self.ipoc - ipoc) * IPOC_NS
-        return self.alive and 0 <= behind <= self._timeout and source == self._source
+        behind = ipoc_step(ipoc, self.ipoc, self._timeout_ms)
+        return self.alive and 0 <= behind <= self._timeout_ms and source == self._source
 
     def is_silent(self, now: int) -> bool:
         """Return whether the controller has been silent for its timeout."""
@@ -154,6 +155,11 @@ class ControllerSession:
                 "telegrams lack AIPos or ASPos, so the present correction is unknown: not answering; declare DEF_AIPos "
                 "and DEF_ASPos in the Ethernet XML"
             )
+        if telegram.delay is None:
+            return (
+                "telegrams lack Delay, so a reply that does not arrive would go unnoticed, and the next one would be a step: not "
+                "answering; declare DEF_Delay in the Ethernet XML"
+            )
         distance = distance_off(telegram.measured, telegram.setpoint, self._config)
         if distance:
             return (
@@ -166,6 +172,31 @@ class ControllerSession:
     def counts_missed(self, telegram: RobotTelegram) -> bool:
         """Return whether the controller has counted more late replies than in the last telegram that was noted."""
         return telegram.delay is not None and telegram.delay > self._last_delay
+
+    def is_reply_lost(self, telegram: RobotTelegram, elapsed: int) -> bool:
+        """Return whether the controller says that the last answer did not arrive in time; call it before `note`.
+
+        `Delay` has then risen by every cycle since: so it does whether it counts the misses in a row, and falls back with a
+        reply, or all of a session, and does not. A number that it cannot have is counted: a higher one is a reply that is lost, a
+        lower one is not (docs/rsi.md, section 5).
+
+        Parameters
+        ----------
+        telegram : RobotTelegram
+        elapsed : int
+            Controller time since the telegram that was answered last [ns].
+        """
+        delay, before = telegram.delay, self._last_delay
+        if delay == before and elapsed == self._cycle:
+            return False
+        if delay is None:
+            self._counters["telegrams_without_delay"] += 1
+            return False
+        cycles = max(1, elapsed // self._cycle)
+        missed = delay - before
+        if missed > cycles or (missed < cycles and cycles - 1 not in (missed, delay)):
+            self._counters["delay_irregular"] += 1
+        return missed >= cycles
 
     def note(self, telegram: RobotTelegram) -> bool:
         """Take a telegram's poses and its count of late replies; return whether its ASPos is no longer the origin."""
@@ -210,9 +241,10 @@ class ControllerSession:
             self.began = "telegrams come from another source"
             self._counters["sessions_by_source"] += 1
             return None
-        elapsed = (ipoc - self.ipoc) * IPOC_NS
+        step = ipoc_step(self.ipoc, ipoc, self._timeout_ms)
+        elapsed = step * IPOC_NS
         if elapsed != self._cycle:
-            self.jump_ms = ipoc - self.ipoc
+            self.jump_ms = step
             if not 0 < elapsed <= self._timeout:
                 self.began = f"IPOC jumped by {self.jump_ms} ms"
                 self._counters["sessions_by_ipoc_jump"] += 1

@@ -221,7 +221,7 @@ class GatewayService:
         for _ in range(DRAIN_LIMIT):
             if waiting is not None:
                 ipoc = resort.ipoc_of(*waiting)
-                if ipoc and (newest is None or ipoc > newest[0]):
+                if ipoc is not None and (newest is None or resort.is_newer(ipoc, newest[0])):
                     newest = ipoc, *waiting
             try:
                 data, _, source = receive(self._sock)
@@ -232,10 +232,11 @@ class GatewayService:
         if newest is None:
             return
         ipoc, data, source = newest
+        lost = resort.note_delay(ipoc, data)
         reply = resort.answer(ipoc)
         if reply is not None:
             self._answer(reply, source)
-        self.gateway.observe(self._decoder.parse(data), resort.correction)
+        self.gateway.observe(self._decoder.parse(data), resort.correction, lost)
         self._publish_state()
 
     # -- the loop
@@ -331,7 +332,7 @@ class GatewayService:
             stop = True if self.gateway.ends else None
             switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
             self._answer(self._encoder.encode(correction, telegram.ipoc, stop, switched), source)
-            self._last_resort.sent(telegram.ipoc, source, correction)
+            self._last_resort.sent(telegram.ipoc, source, correction, self.gateway.kept, telegram.delay)
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True

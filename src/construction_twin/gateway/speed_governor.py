@@ -21,6 +21,10 @@ RISING_FRACTION = 0.5
 LEAST_FRACTION = 0.1
 #: Largest growth of the rate per second.
 LARGEST_RISE = 1.0
+#: The same after the arm has stood: as fast as it may, because what it trails meanwhile is made up for slowly.
+STARTING_FRACTION = 0.8
+#: Largest growth of the rate in a cycle after the arm has stood: it bounds what the motion's own acceleration grows by.
+LARGEST_START = 0.1
 #: Halvings with which a cycle's advance is brought into the acceleration limits.
 HALVINGS = 5
 #: How much a step may exceed the limit because of the wire's rounding, as a fraction of the limit.
@@ -58,6 +62,13 @@ class Governor:
         #: Rate of playout time in the last cycle; None: whatever it would be without a limit.
         self.rate: float | None = None
         self._targets: list[Pose] = []
+        self._starting = False
+
+    def stand(self) -> None:
+        """Let time begin to run anew from a standstill, as fast as the acceleration limits allow."""
+        self.active = self._starting = True
+        self.rate = 0.0
+        self._targets = []
 
     def limit(self, fraction: float) -> None:
         """Allow every joint this fraction of its velocity limit from now on, 0 to 1."""
@@ -86,6 +97,8 @@ class Governor:
         last = free if self.rate is None else min(self.rate, free)
         goal, fall, rise = self._bounds(commands, free, last, elapsed / NANOSECONDS)
         rate = min(max(goal, last - fall, 0.0), last + rise, free)
+        if rate >= min(goal, free):
+            self._starting = False
         step = round(rate * elapsed)
         if elapsed != self._cycle_ns:
             # what comes after missed telegrams cannot be compared with what was before them
@@ -101,7 +114,9 @@ class Governor:
         self, commands: Sequence[tuple[int, Pose]], free: float, rate: float, period: float
     ) -> tuple[float, float, float]:
         """Return the rate to strive for, and by how much it may fall and rise in this cycle."""
-        goal, fall, rise = free, math.inf, LARGEST_RISE * period
+        goal, fall, rise, rising = free, math.inf, LARGEST_RISE * period, RISING_FRACTION
+        if self._starting:
+            rise, rising = LARGEST_START, STARTING_FRACTION
         last = min(len(commands) - 1, 4)
         if last == 0:
             return goal, fall, math.inf
@@ -119,7 +134,7 @@ class Governor:
             if q1 is not None:
                 own = math.copysign(rate * rate * 4.0, end - start) * (end - 2.0 * q1[j] + start) / (span * span)
             fall = min(fall, max(LEAST_FRACTION * limit, BRAKING_FRACTION * limit + own) * period / speed)
-            rise = min(rise, max(0.0, RISING_FRACTION * limit - own) * period / speed)
+            rise = min(rise, max(0.0, rising * limit - own) * period / speed)
         return goal, fall, rise if moves else math.inf
 
     def _fit(self, step: int, last: float, fall: float, elapsed: int, target: Callable[[int], Pose]) -> int:

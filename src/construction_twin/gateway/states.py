@@ -67,6 +67,7 @@ class Event(Enum):
     STREAM_SILENT = "the stream is overdue, or too much of it is missing"
     COMMAND_REFUSED = "a command breaks a limit"
     SPEED_IGNORED = "the sender does not obey the speed limit"
+    REPLIES_LOST = "replies do not arrive, and the arm trails its stream too far"
     ARM = "`arm`"
     STOP = "`stop` or `end`, a person's `stop/<account>`, or the program is ending"
     RESET = "`reset`"
@@ -137,6 +138,7 @@ TABLE: tuple[Row, ...] = (
     *_rows((State.FOLLOWING,), Event.STREAM_SILENT, State.BRAKING, Action.BRAKE),
     *_rows((State.FOLLOWING,), Event.COMMAND_REFUSED, State.BRAKING, Action.BRAKE_TO_FAULT),
     *_rows((State.FOLLOWING,), Event.SPEED_IGNORED, State.BRAKING, Action.BRAKE_TO_FAULT),
+    *_rows((State.FOLLOWING,), Event.REPLIES_LOST, State.BRAKING, Action.BRAKE_TO_FAULT),
     *_rows((State.FOLLOWING,), Event.DRIFTED, State.BRAKING, Action.BRAKE_TO_FAULT),
     *_rows((State.READY,), Event.STOP, State.BRAKING, Action.BRAKE_TO_FAULT, Guard.HAS_ORIGIN),
     *_rows((State.READY,), Event.STOP, None, Action.FAULT),
@@ -162,6 +164,7 @@ CAUSES = {
     Event.STREAM_SILENT: "silence",
     Event.COMMAND_REFUSED: "refused",
     Event.SPEED_IGNORED: "speed_limit",
+    Event.REPLIES_LOST: "replies",
     Event.DRIFTED: "drift",
     Event.CYCLE_REFUSED: "cycle",
     Event.STOP: "stop",

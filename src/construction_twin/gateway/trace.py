@@ -1,29 +1,34 @@
 """A record of what the gateway really sent, one entry per answered telegram: for tests, and for finding out what happened.
 
-The file is mapped into memory at its full length beforehand, so that recording is one write into memory: no system call in the
-cycle, and nothing is lost when the process is killed. Standard library only; rad and ns.
+The file gets all its blocks at the start, and is mapped into memory: recording is one write into memory, without a system call in
+the cycle, and nothing is lost when the process is killed. A disk without room for all of it is refused at the start: a block that
+is missing later would end the process in the middle of a motion, without an exception (SIGBUS). Standard library only; rad and ns.
 """
 
 from __future__ import annotations
 
 import mmap
+import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.states import State
+from construction_twin.rsi.gateway_codec import ipoc_step
 
 #: Begins every trace; the number is the format's.
 MAGIC = b"rsitrace1\n"
 _HEADER = struct.Struct("<10sHI")
 _STATES = tuple(State)
+#: Between two entries of a session; a longer one its gateway would not have answered [ms].
+_LONGEST_STEP = 1 << 30
 #: Cycles that a trace holds by default: an hour.
 DEFAULT_CYCLES = 900_000
 
 
 def _entry(axes: int) -> struct.Struct:
-    return struct.Struct(f"<qqHH4x{axes}d")
+    return struct.Struct(f"<QqHHB3x{axes}d")
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,8 @@ class TraceEntry:
         Number of the RSI session, from 1; counted modulo 65536.
     position : tuple, shape (n,)
         Origin plus correction [rad].
+    lost : bool
+        The telegram said that the reply before this one did not arrive in time: this one is a step from what was before that.
     """
 
     ipoc: int
@@ -48,6 +55,11 @@ class TraceEntry:
     state: State
     session: int
     position: tuple[float, ...]
+    lost: bool = False
+
+    def time_since(self, earlier: TraceEntry) -> int:
+        """Return the controller's time since an earlier entry of the same session [ms]."""
+        return ipoc_step(earlier.ipoc, self.ipoc, _LONGEST_STEP)
 
 
 class TraceWriter:
@@ -65,7 +77,7 @@ class TraceWriter:
     Raises
     ------
     ConfigurationError
-        If the file cannot be written.
+        If the file cannot be written, or not at its full length; what was made of it is removed.
     """
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
@@ -76,20 +88,29 @@ class TraceWriter:
         self.dropped = 0
         try:
             self._file = open(path, "w+b")
-            # not written, so a file system that can leaves holes
-            self._file.truncate(self._end)
-            self._memory = mmap.mmap(self._file.fileno(), self._end)
         except OSError as error:
             raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
+        try:
+            os.posix_fallocate(self._file.fileno(), 0, self._end)
+            self._memory = mmap.mmap(self._file.fileno(), self._end)
+        except OSError as error:
+            self._file.close()
+            os.unlink(path)
+            expected = (
+                f"a file on a disk with {self._end / 1e6:.1f} MB of room, reserved at the start ({error.strerror})"
+            )
+            raise ConfigurationError("--trace", path, expected) from error
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
 
-    def record(self, ipoc: int, session: int, state: State, stamp: int, position: tuple[float, ...]) -> None:
+    def record(
+        self, ipoc: int, session: int, state: State, stamp: int, position: tuple[float, ...], lost: bool = False
+    ) -> None:
         """Append an entry."""
         if self._at >= self._end:
             self.dropped += 1
             return
         self._entry.pack_into(
-            self._memory, self._at, ipoc, stamp, self._numbers[state] + 1, session & 0xFFFF, *position
+            self._memory, self._at, ipoc, stamp, self._numbers[state] + 1, session & 0xFFFF, lost, *position
         )
         self._at += self._entry.size
 
@@ -117,8 +138,8 @@ def read_trace(path: str) -> list[TraceEntry]:
         raise ConfigurationError(path, size, f"entries of {entry.size} bytes")
     entries = []
     for at in range(_HEADER.size, len(data) - size + 1, size):
-        ipoc, stamp, state, session, *position = entry.unpack_from(data, at)
+        ipoc, stamp, state, session, lost, *position = entry.unpack_from(data, at)
         if not state:
             break
-        entries.append(TraceEntry(ipoc, stamp, _STATES[state - 1], session, tuple(position)))
+        entries.append(TraceEntry(ipoc, stamp, _STATES[state - 1], session, tuple(position), bool(lost)))
     return entries

@@ -9,7 +9,8 @@ closes it: the valid reply k, or the HOLDON rule when there is none, becomes the
 cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the AIPos of packet k + 3 equals start + AK of
 reply k. Before the first valid reply the setpoint is the start pose.
 
-It models: IPOC, one cycle (4 or 12 ms) per packet from a large start value; replies, valid only with the IPOC of the open cycle;
+It models: IPOC, one cycle (4 or 12 ms) per packet from a large start value; one below 2^32 wraps there; replies, valid only
+with the IPOC of the open cycle;
 `Delay`; `Timeout`; blocks, channels, HOLDON per channel, SENTYPE and ONLYSEND as an Ethernet XML declares them; `#ABSOLUTE`
 corrections, clamped by AXISCORR and supervised by AXISCORRMON; soft limits; supervision of command velocity and acceleration;
 the STOP object in mode ExitMoveCorr, on the rising edge of `Stop`; ASPos and RSol, constant unless a program of the
@@ -33,13 +34,15 @@ from construction_twin.mock.servo import Servo
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder, SensorTelegram
 from construction_twin.rsi.layout import STOP
 from construction_twin.rsi.status_channels import ControllerStatus, status_channels
-from construction_twin.rsi.telegram import axis_units
+from construction_twin.rsi.telegram import IPOC_WRAP, axis_units, ipoc_step
 from construction_twin.rsi.tool_channels import OUT, is_signal
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
 _SETTLING, _RECOVERY = 1.0, 1.0
 #: On the optional channels, see `status_channels`.
 _T1, _AUT, _ACTIVE = 1, 3, 3
+#: A reply is told to be late when its packet left no longer ago than this [ms].
+_LONGEST_STEP = IPOC_WRAP // 2 - 1
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
 _RANGE_SLACK = 1e-9
 
@@ -209,7 +212,7 @@ class MockController:
         if pose is None:
             pose = _clamp(self.reported, self.config.lower, self.config.upper)
         self._check_range(pose)
-        self._start_session(tuple(pose), self.ipoc + self.config.restart_gap)
+        self._start_session(tuple(pose), self._ipoc_after(self.config.restart_gap))
 
     def begin_cycle(self) -> bytes | None:
         """Close the open cycle, move the servo, open the next one.
@@ -221,7 +224,7 @@ class MockController:
         """
         if self.running and self._open:
             self._close_cycle()
-            self.ipoc += self.config.cycle * self.running
+            self.ipoc = self._ipoc_after(self.config.cycle * self.running)
         elif not self.running:
             self._move_without_session()
         if self.tool is not None:
@@ -263,8 +266,8 @@ class MockController:
         except TelegramError as error:
             return self._refuse("wrong_sentype" if error.reason == "sentype" else "malformed", error.reason, str(error))
         if telegram.ipoc != self.ipoc or not self._open:
-            behind, beside = divmod(self.ipoc - telegram.ipoc, self.config.cycle)
-            if behind > 0 and not beside and telegram.ipoc >= self._first_ipoc:
+            behind, beside = divmod(ipoc_step(telegram.ipoc, self.ipoc, _LONGEST_STEP), self.config.cycle)
+            if behind > 0 and not beside and ipoc_step(self._first_ipoc, telegram.ipoc, _LONGEST_STEP) >= 0:
                 late = f"the reply to IPOC {telegram.ipoc} came {behind} cycle{'s' if behind > 1 else ''} late"
                 return self._refuse("late_replies", "late", late)
             expected = f"the reply carries IPOC {telegram.ipoc}; expected that of the packet, unchanged: {self.ipoc}"
@@ -279,6 +282,11 @@ class MockController:
         self.counters["replies"] += 1
         self.refusals.accept()
         return True
+
+    def _ipoc_after(self, time: int) -> int:
+        """Return IPOC `time` [ms] from now."""
+        ipoc = self.ipoc + time
+        return ipoc - IPOC_WRAP if self.config.first_ipoc < IPOC_WRAP <= ipoc else ipoc
 
     def press_emergency_stop(self) -> None:
         """Brake to rest within the acceleration limits and end the RSI session; packets cease at once."""

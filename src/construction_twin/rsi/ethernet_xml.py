@@ -195,8 +195,8 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     Raises
     ------
     EthernetXmlError
-        For a position block that is not sent, an optional channel that is there twice, HOLDON 0 on a correction, and as
-        `check_axes`.
+        For a position block or a `Delay` that is not sent, an optional channel that is there twice, HOLDON 0 on a correction, and
+        as `check_axes`.
     """
     check_axes(layout, axes, where)
     blocks = {"AIPos": "the measured axes", "ASPos": "the pose that corrections are relative to"}
@@ -205,6 +205,12 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     for block, meaning in blocks.items():
         if block not in layout.send:
             raise EthernetXmlError(where, f"SEND DEF_{block}", None, f'TAG="DEF_{block}" INDX="INTERNAL": {meaning}')
+    if "Delay" not in layout.send and not layout.onlysend:
+        expected = (
+            'TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL": the count of late replies; without it the reply after one that did not '
+            "arrive would be a step"
+        )
+        raise EthernetXmlError(where, "SEND DEF_Delay", None, expected)
     twice = doubled_channel(layout.send)
     if twice:
         name = twice.partition(".")[0]

@@ -26,6 +26,7 @@ from construction_twin.rsi.telegram import (
     check_values,
     correction_channels,
     find_children,
+    ipoc_step,
     is_fixed_in_bytes,
     is_number,
     is_number_in_bytes,
@@ -40,7 +41,7 @@ from construction_twin.rsi.tool_channels import set_element
 
 __all__ = [
     "CORRECTION_DECIMALS", "MAX_TELEGRAM", "RobotDecoder", "RobotEncoder", "RobotTelegram", "SensorDecoder", "SensorEncoder",
-    "SensorTelegram", "parse_robot", "parse_sensor",
+    "SensorTelegram", "ipoc_step", "parse_robot", "parse_sensor",
 ]  # fmt: skip
 
 #: Decimals of a degree or mm in a correction, as every known driver sends them (docs/rsi.md, section 3).

@@ -39,6 +39,8 @@ _DECLARATION = re.compile(
 ).match
 _COUNT = re.compile(r"[0-9]{1,20}").fullmatch
 _UINT64_MAX = 2**64 - 1
+#: A controller that counts IPOC in 32 bits goes on with 0 here (docs/rsi.md, section 4).
+IPOC_WRAP = 2**32
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}").fullmatch
 
 
@@ -49,7 +51,7 @@ class RobotTelegram:
     Attributes
     ----------
     ipoc : int
-        Controller time [ms]; the reply must carry it unchanged.
+        Controller time [ms], 0 to 2^64 - 1; the reply must carry it unchanged. How far it is on: `ipoc_step`.
     measured : tuple of float, length n, or None
         Actual axis positions, `AIPos` and `EIPos` [rad] ([m] for a linear axis); None when the packet has none (first packet of
         old controllers).
@@ -85,6 +87,29 @@ class SensorTelegram:
     correction: tuple[float, ...]
     stop: bool | None
     switched: tuple[bool, ...] = ()
+
+
+def ipoc_step(before: int, ipoc: int, longest: int) -> int:
+    """Return how far a controller's clock is on from one telegram to another of the same session.
+
+    Parameters
+    ----------
+    before, ipoc : int
+        IPOC of both [ms].
+    longest : int
+        Largest step that is plausible within a session [ms], less than 2^31. A count that went past 2^32, or back over it, is
+        taken for a step only when it is no longer; everything else is the plain difference.
+
+    Returns
+    -------
+    step : int
+        [ms]; negative when the second telegram is the older one.
+    """
+    step = ipoc - before
+    if -longest <= step <= longest or before >= IPOC_WRAP or ipoc >= IPOC_WRAP:
+        return step
+    wrapped = step + IPOC_WRAP if step < 0 else step - IPOC_WRAP
+    return wrapped if -longest <= wrapped <= longest else step
 
 
 def without_declaration(data: bytes) -> bytes:

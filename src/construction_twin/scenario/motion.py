@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,8 +12,6 @@ from construction_twin.gateway.trace import TraceEntry
 
 #: Of a fraction of a limit: room for the last bits of differences of floating point numbers.
 ROUNDING = 1e-6
-#: After more missed telegrams than one the gateway takes the arm to be standing [cycles].
-_STANDSTILL = 2
 
 
 def limit_usage(
@@ -58,18 +57,23 @@ def limit_usage(
 
 
 def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions of a gateway's trace, and where one does not follow the one before: shapes (k, n) and (k,).
+    """Return what arrived of a gateway's trace, and where a position does not follow the one before: shapes (k, n) and (k,).
 
-    As in `trace_excesses`, a new session and more than one missed telegram, `cycle` [s] apart, begin from rest.
+    As in `trace_excesses`, a new session begins from rest, and so does what follows a cycle [s] without a reply that arrived.
     """
+    standing = np.zeros(len(entries), dtype=bool)
+    arrived = np.ones(len(entries), dtype=bool)
+    for number, (before, entry) in enumerate(itertools.pairwise(entries), 1):
+        if entry.session == before.session:
+            arrived[number - 1] = not entry.lost
+            standing[number] = entry.lost or entry.time_since(before) > round(cycle * 1000)
+    standing = standing[arrived]
+    entries = [entry for entry, was_there in zip(entries, arrived) if was_there]
     positions = np.array([entry.position for entry in entries])
     sessions = np.array([entry.session for entry in entries])
-    ipocs = np.array([entry.ipoc for entry in entries])
     breaks = np.concatenate([[True], sessions[1:] != sessions[:-1]])
-    pauses = np.diff(ipocs, prepend=ipocs[:1])
-    standing = (pauses > _STANDSTILL * cycle * 1000) & ~breaks
     # from rest, but a step is still a step: the one before is taken out by repeating the position
-    rows = np.flatnonzero(standing)
+    rows = np.flatnonzero(standing & ~breaks)
     positions = np.insert(positions, rows, positions[rows - 1], axis=0)
     breaks = np.insert(breaks, rows, True)
     return positions, breaks

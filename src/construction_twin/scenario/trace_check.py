@@ -1,6 +1,7 @@
 """Whether what the gateway really sent lies inside the limits: a check of its trace, cycle by cycle. Standard library only; rad.
 
-It judges the sequence of replies, not what the controller made of it: a reply that is lost or late is the network's doing.
+It judges what arrives at the controller: a reply that did not is left out, by what the next telegram said of it. That HOLDON stops
+the arm then is the network's doing; what comes after it is the gateway's.
 """
 
 from __future__ import annotations
@@ -13,8 +14,6 @@ from construction_twin.core.units import CYCLE
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 
-#: After more missed telegrams than one the gateway takes the arm to be standing, and begins from rest [ms].
-_STANDSTILL = 2
 #: Room for the last bits of differences of floating point numbers, as a fraction of a limit.
 _ROUNDING = 1e-6
 
@@ -56,8 +55,8 @@ def trace_excesses(
 ) -> list[Excess]:
     """Return every place where a trace leaves the limits; empty when it stays inside.
 
-    Each reply is one step from the one before. An RSI session begins at rest; so does what follows two or more unanswered
-    telegrams, because HOLDON has stopped the arm by then.
+    Each reply is one step from the last one that arrived. An RSI session begins at rest; so does what follows a cycle without a
+    reply, because HOLDON has stopped the arm.
 
     Parameters
     ----------
@@ -75,12 +74,15 @@ def trace_excesses(
     rest = (0.0,) * len(limits.names)
     found: list[Excess] = []
     last: TraceEntry | None = None
+    kept: TraceEntry | None = None
     step = rest
     for index, entry in enumerate(entries):
         if last is None or entry.session != last.session:
-            last, step = entry, rest
-        if entry.ipoc - last.ipoc > _STANDSTILL * cycle * 1000:
+            last, kept, step = entry, None, rest
+        elif entry.time_since(last) > round(cycle * 1000):
             step = rest
+        if entry.lost and kept is not None:
+            last, step = kept, rest
         new = tuple([q - before for q, before in zip(entry.position, last.position)])
         if entry.state in _LED:
             # the pose follows the controller's own motion: what it does, and what it does in a missed cycle, is not the gateway's
@@ -96,5 +98,5 @@ def trace_excesses(
             change = (new[axis] - step[axis]) / cycle**2
             if abs(change) > acceleration[axis] * (1 + _ROUNDING):
                 found.append(Excess(index, entry.ipoc, name, "acceleration", change, acceleration[axis]))
-        last, step = entry, new
+        kept, last, step = last, entry, new
     return found

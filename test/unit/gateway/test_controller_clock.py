@@ -537,7 +537,7 @@ def test_telegrams_of_a_shorter_cycle_move_the_arm_no_faster_and_brake_it_no_har
     assert cell.arm()[0]
     cell.stream(slow(k, 4.0) for k in range(3 * at))
     assert cell.state is State.FOLLOWING and cell.count("settling") == 0
-    at_rest = gap_ms > 24
+    at_rest = gap_ms > 12
     before = 0.0 if at_rest else cell.replies[-1][0] - cell.replies[-2][0]
     assert at_rest or abs(before) > 1e-3
     told = len(cell.replies) - 1

@@ -13,6 +13,7 @@ import pytest
 from fault_cell import GOAL, FaultCell, judge_arm
 from impairment_profiles import UDP_PROFILES, Profile
 
+from construction_twin.gateway.states import State
 from construction_twin.link.states import LinkState
 
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
@@ -20,7 +21,7 @@ HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 
 def report(name, cell, since=0):
     """Check HOLDON in what the controller sent since packet number `since`, and print the step."""
-    found = judge_arm(cell.packets[since:])
+    found = judge_arm(cell.packets[since:], cell.config.limits)
     print(f"\nRSI fault {name}: {found}")
     return found
 
@@ -55,6 +56,25 @@ def test_lost_late_repeated_and_reordered_datagrams(tmp_path):
                 assert counter != "lost" or worst[name].missed >= happened, f"{name}: {happened} datagrams were lost"
         assert worst["loss_5"].blow > 0.01
         assert cell.counter("telegrams_repeated") > 0, "duplicated telegrams are noticed"
+        assert_recovered(cell)
+        cell.assert_nobody_restarted()
+
+
+@pytest.mark.parametrize("lost", [1, 2, 5, 10])
+def test_replies_dropped_on_the_network_are_not_made_up_in_a_step(tmp_path, lost):
+    with FaultCell(tmp_path, udp=True, fraction=0.6) as cell:
+        cell.move()
+        since, before = len(cell.packets), cell.udp.counters["lost"]
+        cell.udp.answers_to_lose = lost
+        cell.wait(lambda: cell.udp.counters["lost"] == before + lost, "the replies to be lost")
+        # the network is good again, so every packet tells what became of the reply before
+        cell.wait(lambda: any(packet.delay >= lost for packet in cell.packets[since:]), "the controller to count them")
+        assert cell.finish() == 0, "nobody needs to reset anything"
+        found = report(f"{lost} replies lost", cell, since)
+        assert found.missed >= lost and found.starts >= 1
+        assert cell.counter("standstills") >= 1 and cell.counter("delay_irregular") == 0
+        assert cell.counter("stops_replies") == 0
+        assert any(entry.lost and entry.state is State.FOLLOWING for entry in cell.entries())
         assert_recovered(cell)
         cell.assert_nobody_restarted()
 

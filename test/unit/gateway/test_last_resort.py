@@ -27,7 +27,7 @@ def taken_over(speed=(1.0, -2.0), cycles=100, **options):
     """A last resort that takes over from an arm that moves at `speed` [rad/s]."""
     resort = made(**options)
     for k in range(1, cycles + 1):
-        resort.sent(1000 + 4 * k, PEER, tuple(v * CYCLE * k for v in speed))
+        resort.sent(1000 + 4 * k, PEER, *(tuple(v * CYCLE * n for v in speed) for n in (k, k - 1)), 0)
     resort.take_over()
     return resort
 
@@ -39,7 +39,7 @@ def telegram(ipoc):
 def ask(resort, ipoc, source=PEER):
     """Return the reply's correction, or None when there is none."""
     found = resort.ipoc_of(telegram(ipoc), source)
-    reply = resort.answer(found) if found else None
+    reply = None if found is None else resort.answer(found)
     if reply is None:
         return None
     read = parse_sensor(reply, "ImFree", AXES)
@@ -71,7 +71,8 @@ def test_a_repeated_telegram_an_older_one_and_one_of_somebody_else_get_no_answer
     last = resort.ipoc
     assert ask(resort, last) is None and ask(resort, last - 4) is None
     assert ask(resort, last + 4, ("192.168.1.21", 49152)) is None
-    assert resort.ipoc_of(b"garbage", PEER) == 0 and resort.ipoc_of(b"<IPOC>" + b"9" * 9000 + b"</IPOC>", PEER) == 0
+    assert resort.ipoc_of(b"garbage", PEER) is None
+    assert resort.ipoc_of(b"<IPOC>" + b"9" * 9000 + b"</IPOC>", PEER) is None
     assert ask(resort, last + 4) is not None
 
 
@@ -92,8 +93,8 @@ def test_after_a_long_gap_a_correction_would_be_a_jump_and_is_not_sent():
 
 def test_a_correction_of_another_session_is_no_speed():
     resort = made()
-    resort.sent(1000, PEER, (0.3, 0.3))
-    resort.sent(900_000, PEER, (0.0, 0.0))
+    resort.sent(1000, PEER, (0.3, 0.3), (0.2, 0.2), 0)
+    resort.sent(900_000, PEER, (0.0, 0.0), (), 0)
     resort.take_over()
     assert resort.at_rest and ask(resort, 900_004) == (0.0, 0.0)
 
@@ -112,7 +113,7 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
     layout = RsiLayout("ImFree", 49152, False, ("AIPos", "ASPos"), channels, (True,) * len(channels))
     resort = LastResort(CONFIG.limits, SensorEncoder.of(layout, AXES, CONFIG.units))
     for k in range(1, 50):
-        resort.sent(4 * k, PEER, (0.004 * k, 0.0))
+        resort.sent(4 * k, PEER, (0.004 * k, 0.0), (0.004 * (k - 1), 0.0), 0)
     resort.take_over()
     resort.ending = True
     ends = []
@@ -121,3 +122,44 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
         reply = resort.answer(resort.ipoc + 4)
         ends.append((moving, b"<Stop>1</Stop>" in reply))
     assert ends[0] == (True, False) and ends[-1] == (False, True)
+
+
+def counted(ipoc, delay):
+    return b'<Rob Type="KUKA"><AIPos A1="0"/><Delay D="%d"/><IPOC>%d</IPOC></Rob>' % (delay, ipoc)
+
+
+def ask_counted(resort, ipoc, delay):
+    """Return the correction of the reply to a telegram with `Delay`."""
+    assert resort.ipoc_of(counted(ipoc, delay), PEER) == ipoc
+    resort.note_delay(ipoc, counted(ipoc, delay))
+    return parse_sensor(resort.answer(ipoc), "ImFree", AXES).correction
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+@pytest.mark.parametrize("braked", [0, 5])
+def test_after_replies_that_did_not_arrive_it_holds_the_last_one_that_did(braked, lost):
+    resort = taken_over()
+    for _ in range(braked):
+        ask_counted(resort, resort.ipoc + 4, 0)
+    arrived = ask_counted(resort, resort.ipoc + 4, 0)
+    held = [ask_counted(resort, resort.ipoc + 4, number) for number in range(lost + 1)]
+    # the first of these arrived where `braked` of them did; those after it are counted as missed, one by one
+    assert held[0] != arrived
+    assert all(correction == pytest.approx(arrived, abs=ROUNDED) for correction in held[1:])
+    assert resort.at_rest
+    assert ask_counted(resort, resort.ipoc + 4, 0) == pytest.approx(arrived, abs=ROUNDED)
+
+
+def test_a_count_of_the_whole_session_is_read_the_same():
+    resort = taken_over()
+    resort.sent(resort.ipoc, PEER, resort.correction, tuple(v * CYCLE * 99 for v in (1.0, -2.0)), 7)
+    first = ask_counted(resort, resort.ipoc + 4, 7)
+    assert not resort.at_rest
+    assert ask_counted(resort, resort.ipoc + 4, 7) != first
+
+
+def test_the_last_reply_of_the_gateway_may_be_the_lost_one():
+    resort = taken_over()
+    before = tuple(v * CYCLE * 99 for v in (1.0, -2.0))
+    assert ask_counted(resort, resort.ipoc + 4, 1) == pytest.approx(before, abs=ROUNDED)
+    assert resort.at_rest

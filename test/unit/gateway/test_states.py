@@ -109,6 +109,12 @@ def dry(cell):
     cell.cycle(100)
 
 
+def lose_replies(cell):
+    for k in range(700):
+        cell.send(slow(100 + k))
+        cell.cycle(delay=k + 1)
+
+
 def ignore_speed_limit(cell):
     cell.control("speed_limit", value=0)
     for k in range(100, 800):
@@ -160,6 +166,7 @@ HAPPENS = [
     (State.FOLLOWING, Event.STREAM_SILENT, dry, State.HOLDING),
     (State.FOLLOWING, Event.COMMAND_REFUSED, lambda cell: cell.send((0.4, 3.0)), State.BRAKING),
     (State.FOLLOWING, Event.SPEED_IGNORED, ignore_speed_limit, State.HOLDING),
+    (State.FOLLOWING, Event.REPLIES_LOST, lose_replies, State.HOLDING),
     (State.FOLLOWING, Event.DRIFTED, drift, State.BRAKING),
     (State.BRAKING, Event.AT_REST, dry, State.HOLDING),
     *[

@@ -57,7 +57,7 @@ def test_a_switch_fires_once_and_the_gripper_confirms_it():
 def test_it_fires_in_the_cycle_in_which_the_playout_passes_its_stamp(ahead):
     cell = ToolCell().follow()
     played = []
-    cell.gateway.trace = lambda ipoc, session, state, stamp, position: played.append(stamp)
+    cell.gateway.trace = lambda ipoc, session, state, stamp, position, lost: played.append(stamp)
     assert cell.ask(True, ahead=ahead)[0]
     stamp = cell.status()["switches"][0]["stamp"]
     before = len(cell.sent)

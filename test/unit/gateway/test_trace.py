@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+import os
+import shutil
 import subprocess
 import sys
 
 import pytest
-from gateway_cell import START, following
+from gateway_cell import CONFIG, START, following
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.gateway.command_line import main
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.trace import TraceEntry, TraceWriter, read_trace
+from construction_twin.rsi.udp import bind
 
 
 def test_it_holds_what_was_answered_cycle_by_cycle(tmp_path):
@@ -67,3 +71,95 @@ def test_what_is_no_trace_is_refused(tmp_path, content):
 def test_a_file_that_cannot_be_written_is_refused_by_name(tmp_path):
     with pytest.raises(ConfigurationError, match="--trace"):
         TraceWriter(str(tmp_path / "missing" / "trace"), 1)
+
+
+#: Takes a folder, a number of cycles and a command: records that many cycles in the folder, after the command.
+_RECORDS = (
+    "import sys\n"
+    "from construction_twin.core.errors import ConfigurationError\n"
+    "from construction_twin.gateway.states import State\n"
+    "from construction_twin.gateway.trace import TraceWriter\n"
+    "cycles = int(sys.argv[2])\n"
+    "exec(sys.argv[3])\n"
+    "try:\n"
+    "    writer = TraceWriter(sys.argv[1] + '/trace', 6, cycles)\n"
+    "except ConfigurationError as error:\n"
+    "    sys.exit(f'refused: {error}')\n"
+    "exec(sys.argv[4])\n"
+    "for k in range(cycles):\n"
+    "    writer.record(4 * k, 1, State.FOLLOWING, 7, (0.1,) * 6)\n"
+    "writer.close()\n"
+    "print('recorded', writer.dropped)\n"
+)
+
+
+def on_a_small_disk(folder, size, cycles, before="", between=""):
+    """Return what a process does that records on a disk of `size`, in a mount namespace of its own."""
+    command = f'mount -t tmpfs -o size={size} tmpfs "$1" && exec "$2" -c "$3" "$1" {cycles} "$4" "$5"; exit 3'
+    arguments = [str(folder), sys.executable, _RECORDS, before, between]
+    return subprocess.run(
+        ["unshare", "--mount", "sh", "-c", command, "sh", *arguments], capture_output=True, text=True, timeout=60
+    )
+
+
+needs_a_disk = pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("unshare") is None, reason="a small disk is mounted, which needs root"
+)
+
+
+@needs_a_disk
+def test_a_disk_without_room_for_the_whole_trace_is_refused_at_the_start_and_left_as_it_was(tmp_path):
+    left = "import atexit, os; atexit.register(lambda: print(os.listdir(sys.argv[1])))"
+    done = on_a_small_disk(tmp_path, "1m", 100_000, before=left)
+    assert done.returncode == 1, done
+    assert done.stderr.startswith("refused: --trace") and "7.2 MB" in done.stderr and "No space left" in done.stderr
+    assert done.stdout.strip() == "[]"
+
+
+@needs_a_disk
+def test_a_disk_that_fills_up_meanwhile_takes_nothing_from_the_trace(tmp_path):
+    fill = (
+        "import os, errno\n"
+        "file = os.open(sys.argv[1] + '/other', os.O_CREAT | os.O_WRONLY)\n"
+        "try:\n"
+        "    while True: os.write(file, bytes(4096))\n"
+        "except OSError as error:\n"
+        "    assert error.errno == errno.ENOSPC\n"
+    )
+    done = on_a_small_disk(tmp_path, "2m", 20_000, between=fill)
+    assert (done.returncode, done.stdout.strip()) == (0, "recorded 0"), done
+
+
+def test_a_limit_on_the_length_of_files_is_refused_at_the_start(tmp_path):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536))"
+    done = subprocess.run(
+        [sys.executable, "-c", _RECORDS, str(tmp_path), "10000", limit, ""], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1 and "refused: --trace" in done.stderr and "0.7 MB" in done.stderr, done
+    assert os.listdir(tmp_path) == []
+
+
+def test_all_of_its_blocks_are_there_before_the_first_cycle(tmp_path):
+    writer = TraceWriter(str(tmp_path / "trace"), 6, cycles=50_000)
+    status = os.stat(tmp_path / "trace")
+    assert status.st_blocks * 512 >= status.st_size > 50_000 * 72
+    writer.close()
+    assert os.stat(tmp_path / "trace").st_size < 100
+
+
+def test_a_gateway_that_is_refused_for_another_reason_leaves_no_trace_behind(tmp_path, capsys):
+    taken = bind("127.0.0.1", 0)
+    (tmp_path / "gateway.json").write_text(CONFIG.to_json())
+    port = taken.getsockname()[1]
+    arguments = ["--config", str(tmp_path / "gateway.json"), "--listen", f"127.0.0.1:{port}"]
+    assert main([*arguments, "--trace", str(tmp_path / "trace")]) == 2
+    assert not (tmp_path / "trace").exists()
+    taken.close()
+
+
+@pytest.mark.parametrize("ipoc", [0, 2**63 - 4, 2**63, 2**64 - 1])
+def test_every_ipoc_that_a_telegram_may_carry_is_recorded(tmp_path, ipoc):
+    writer = TraceWriter(str(tmp_path / "trace"), 1)
+    writer.record(ipoc, 1, State.READY, 0, (0.5,))
+    writer.close()
+    assert read_trace(str(tmp_path / "trace")) == [TraceEntry(ipoc, 0, State.READY, 1, (0.5,))]

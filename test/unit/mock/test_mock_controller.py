@@ -337,3 +337,18 @@ def test_the_same_replies_give_the_same_packets():
         return [cell.cycle(step(k % 6, 0.01)) for k in range(100)]
 
     assert run() == run()
+
+
+@pytest.mark.parametrize(
+    "first, after",
+    [(2**32 - 10, [2**32 - 10, 2**32 - 6, 2**32 - 2, 2, 6]), (2**32 + 4, [2**32 + 4 * k for k in range(1, 6)])],
+)
+def test_an_ipoc_of_32_bits_wraps_and_a_larger_one_does_not(first, after):
+    cell = Cell(first_ipoc=first)
+    assert [packet.ipoc for packet in cell.cycles(5)] == after
+    assert cell.mock.counters["missed"] == 0
+    # a reply to the telegram before the wrap is late, as elsewhere
+    cell.cycle(ZERO, ipoc_offset=after[1] - (after[-1] + 4))
+    assert cell.mock.counters["late_replies"] == 1
+    cell.mock.restart()
+    assert cell.mock.ipoc == (after[-1] + 4 + cell.mock.config.restart_gap)

@@ -35,6 +35,7 @@ OTHER = """<?xml version="1.0" encoding="ISO-8859-1"?>
     <ELEMENT TAG="DEF_AIPos" TYPE="DOUBLE" INDX="INTERNAL"/>
     <ELEMENT TAG="GearTorque.A1" TYPE="DOUBLE" INDX="3"/>
     <ELEMENT TAG="DEF_Tech.C1" TYPE="DOUBLE" INDX="INTERNAL"/>
+    <ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/>
   </ELEMENTS></SEND>
   <RECEIVE><ELEMENTS>
     <ELEMENT TAG="AKorr.A2" TYPE="DOUBLE" INDX="2" HOLDON="1"/>
@@ -74,7 +75,7 @@ def test_names_order_and_holdon_are_those_of_the_file():
         sentype="KROSHU",
         port=59152,
         onlysend=False,
-        send=("ASPos", "AIPos", "GearTorque.A1", "Tech.C1"),
+        send=("ASPos", "AIPos", "GearTorque.A1", "Tech.C1", "Delay"),
         receive=("AKorr.A2", "AKorr.A1", "Stop"),
         holdon=(True, True, False),
     )
@@ -133,6 +134,7 @@ def test_with_onlysend_no_corrections_are_needed():
     [
         ('TAG="DEF_AIPos"', 'TAG="DEF_MACur"', "SEND DEF_AIPos", "the measured axes"),
         ('TAG="DEF_ASPos"', 'TAG="DEF_MACur"', "SEND DEF_ASPos", "relative to"),
+        ('TAG="DEF_Delay" TYPE="LONG"', 'TAG="DEF_MACur" TYPE="LONG"', "SEND DEF_Delay", "would be a step"),
         ('TAG="AK.A4"', 'TAG="AK.E4"', "RECEIVE AK.E4", "the robot's axes A1, A2"),
         ('<ELEMENT TAG="AK.A4" TYPE="DOUBLE" INDX="5" HOLDON="1"/>', "", "RECEIVE AK.A4", "a correction channel for A4"),
         ('TAG="AK.A4"', 'TAG="AKorr.A4"', "RECEIVE AKorr", "one element for all of A1 to A6"),

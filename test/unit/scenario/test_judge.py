@@ -278,8 +278,8 @@ def test_a_controller_at_12_ms_is_judged_by_its_own_cycle():
     assert verdict.measured["acceleration_fraction"] == pytest.approx(most, rel=1e-3)
 
 
-def test_at_12_ms_one_missed_telegram_is_motion_and_two_are_rest():
-    for missed, begins in ((1, [0]), (2, [0, 10])):
+def test_at_12_ms_too_the_arm_rests_after_a_missed_telegram():
+    for missed, begins in ((0, [0]), (1, [0, 10]), (2, [0, 10])):
         entries = make_trace(np.cumsum(np.full((20, 6), 1e-4), axis=0), 12)
         entries = [dataclasses.replace(e, ipoc=e.ipoc + (12 * missed if k >= 10 else 0)) for k, e in enumerate(entries)]
         assert np.flatnonzero(trace_arrays(entries, 0.012)[1]).tolist() == begins

@@ -36,8 +36,8 @@ def kinds(entries, decimals=3):
 
 def test_what_a_gateway_sends_when_its_stream_ends_in_mid_motion_is_inside():
     cell, entries = Cell(), []
-    cell.gateway.trace = lambda ipoc, session, state, stamp, position: entries.append(
-        TraceEntry(ipoc, stamp, state, session, position)
+    cell.gateway.trace = lambda ipoc, session, state, stamp, position, lost: entries.append(
+        TraceEntry(ipoc, stamp, state, session, position, lost)
     )
     cell.cycle(3)
     cell.arm()
@@ -60,11 +60,27 @@ def test_a_session_that_begins_in_motion_is_a_step_from_rest():
     assert kinds(trace([0.0, 0.0, 5 * WIDE], session=[1, 2, 2])) == [(3, "A1", "acceleration")]
 
 
-def test_after_two_missed_telegrams_the_arm_stands():
+@pytest.mark.parametrize("gap", [8, 12])
+def test_after_a_missed_telegram_the_arm_stands(gap):
     ramp = [n * BUDGET for n in range(1, 11)]
-    assert kinds(trace([*ramp, 10 * BUDGET], [4] * 10 + [8])) == []
-    assert kinds(trace([*ramp, 10 * BUDGET], [4] * 10 + [12])) == [(11, "A1", "acceleration")]
-    assert kinds(trace([*ramp, BUDGET], [4] * 10 + [12])) == []
+    assert kinds(trace([*ramp, 10 * BUDGET], [4] * 11)) == []
+    assert kinds(trace([*ramp, 10 * BUDGET], [4] * 10 + [gap])) == [(11, "A1", "acceleration")]
+    assert kinds(trace([*ramp, BUDGET], [4] * 10 + [gap])) == []
+
+
+def test_a_reply_that_did_not_arrive_is_left_out_and_the_next_one_is_a_step_from_rest():
+    ramp = [n * BUDGET for n in range(1, 11)]
+    *before, last = trace([*ramp, 11 * BUDGET, 0.0, 0.0])
+    assert [kind for *_, kind in kinds([*before, last])] == ["acceleration"]
+    # the last one but two was lost: from where the arm was before it
+    stood = before[-3].position[0]
+    goes_on = [
+        replace(before[-1], lost=True, position=(stood + BUDGET, 0.0)),
+        replace(last, position=(stood + 3 * BUDGET, 0.0)),
+    ]
+    assert kinds([*before[:-1], *goes_on]) == []
+    as_if_nothing = replace(before[-1], lost=True)
+    assert kinds([*before[:-1], as_if_nothing]) == [(len(before) - 1, "A1", "acceleration")]
 
 
 def test_velocity_and_range_are_checked():
