@@ -125,7 +125,8 @@ class BridgeBench:
             settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, make, **options
         )
         self.gateway = {
-            "state": "ready", "reason": "", "session": "", "run": RUN, "hash": config.hash, "decimals": config.decimals,
+            "state": "ready", "reason": "", "session": "", "run": RUN, "fault_number": 0, "hash": config.hash,
+            "decimals": config.decimals,
         }  # fmt: skip
 
     @property

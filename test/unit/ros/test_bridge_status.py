@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from bridge_bench import BridgeBench, Clocks
-from gateway_cell import following
+from gateway_cell import RUN, following
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import NOT_CHECKED
@@ -465,7 +465,7 @@ def test_a_word_on_status_stops_nothing_while_the_gateway_answers(bench, word):
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.ARMED and bench.refused == {"status": 1}
     # the gateway's own word counts at once
-    bench.bridge.on_status(b'{"state": "offline"}')
+    bench.bridge.on_status(json.dumps({"state": "offline", "run": RUN}).encode())
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
     bench.bridge.on_status(b"ready")
