@@ -93,8 +93,8 @@ class LinkSupervisor:
         self._halted: str | None = None
         #: How often `halt` was called: what was asked for before a halt is not asked for any more.
         self.halts = 0
-        #: How often a person asked for a session, and how often that became void, because the gateway was stopped since.
-        self.requests = self.voided = 0
+        #: How often a person asked for a session.
+        self.requests = 0
         # a request failed, and what it sent may still arrive at the gateway
         self._owes_stop = False
         # the control message that waits for its answer, or was refused and is sent again; the one to send next
@@ -269,8 +269,8 @@ class LinkSupervisor:
         reason : str
             One sentence.
         """
-        if request == self.requests:
-            self.take(LinkEvent.WITHDRAWN, 0, f"{reason}; call reset")
+        if request == self.requests and self._halted is None:
+            self.take(LinkEvent.WITHDRAWN, 0, reason if reason.endswith("call reset") else f"{reason}; call reset")
 
     def take_responsibility(self, name: str, now: int) -> None:
         """Arm a bare PLC in a person's name; with a gateway nothing needs it.
@@ -407,7 +407,6 @@ class LinkSupervisor:
         return reason
 
     def _void_request(self, reason: str, now: int) -> str:
-        self.voided += 1
         self._owes_stop = self._unanswered and not self.inputs.fault
         self._pending, self._asked_for = None, False
         run, _ = self._shown

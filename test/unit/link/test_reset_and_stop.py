@@ -135,7 +135,6 @@ class TestNumbers:
         bench.reset()
         bench.stop_by_account()
         bench.run(0.5)
-        assert bench.supervisor.voided == 1
         assert bench.supervisor.reason == (
             "gateway was stopped since the call (stop 2): stop: asked for by account anna; call reset"
         )
@@ -199,8 +198,9 @@ class TestWithdrawal:
     @staticmethod
     def failed(bench: ResetBench, seconds: float = 5.0) -> None:
         """Call `reset` while the twin stands elsewhere; it is answered as failed, as the node does."""
-        bench.together = False
         bench.reset()
+        bench.run_until(lambda: bench.link is LinkState.RESYNC)
+        bench.together = False
         bench.run(seconds)
         bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
         bench.together = True

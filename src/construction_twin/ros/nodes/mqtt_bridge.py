@@ -445,11 +445,10 @@ class MqttBridge:
     ) -> tuple[bool, str]:
         """Return whether the session that was asked for is armed in time, and one sentence; else give up, told the sentence.
 
-        A halt ends it at once, and so does a stop that came since it was asked for. The last look and the giving up are one hold of
+        A halt ends it at once, and so does whatever else ends the session, such as a stop. The last look and the giving up are one hold of
         the lock: what is answered is what is the case.
         """
         supervisor, timeout = self._supervisor, self._settings.reset_timeout
-        voided = supervisor.voided
         deadline = time.monotonic() + timeout
         while True:
             late = time.monotonic() >= deadline or rospy.is_shutdown()
@@ -458,8 +457,10 @@ class MqttBridge:
                     return True, supervisor.reason
                 if supervisor.halts != halts:
                     return False, f"not armed: halt was called meanwhile: {supervisor.state.name}, {supervisor.reason}"
-                if supervisor.voided != voided:
-                    return False, f"not armed: {supervisor.reason}"
+                if supervisor.state is LinkState.NEEDS_RESET and is_asked_for():
+                    sentence = f"not armed: NEEDS_RESET, {supervisor.reason}"
+                    give_up(sentence)
+                    return False, sentence
                 if late:
                     reason, refused = supervisor.reason, supervisor.inputs.why_no_pose(time.monotonic_ns())
                     because = f"{reason}; {refused}" if refused and refused not in reason else reason
