@@ -31,7 +31,7 @@ class LinkEvent(Enum):
 
     BROKER_LOST = "there is no connection to the broker"
     GATEWAY_LOST = "no gateway answers on the broker"
-    MISMATCHED = "the gateway runs another configuration or version"
+    MISMATCHED = "the gateway runs another configuration or version, or more than one answers"
     CONTROLLER_LOST = "the gateway has no RSI session to command"
     PRESENT = "poll: broker, gateway and arm are there"
     TURN = "poll: a control message may be sent"
