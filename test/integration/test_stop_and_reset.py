@@ -100,7 +100,9 @@ class StopAndResetTest(RobotTest):
                 self.assert_stays_stopped()
                 call.join(10.0)
                 said = answers[0].message
-                self.assertTrue(said.startswith(("not armed: NEEDS_RESET, gateway was stopped", "armed, session ")), said)
+                self.assertTrue(
+                    said.startswith(("not armed: NEEDS_RESET, gateway was stopped", "armed, session ")), said
+                )
                 self.reset()
 
     def test_a_reset_that_failed_arms_nothing_later(self):
@@ -129,7 +131,12 @@ class StopAndResetTest(RobotTest):
         client, run = self.client, self.status["run"]
         end = time.monotonic() + 4.0
         while time.monotonic() < end:
-            other = self.status | {"run": "second", "state": "no_controller", "reason": "no telegram yet", "session": ""}
+            other = self.status | {
+                "run": "second",
+                "state": "no_controller",
+                "reason": "no telegram yet",
+                "session": "",
+            }
             self.phone.publish(TOPICS.status, json.dumps(other), qos=1).wait_for_publish(5.0)
             client.wait(lambda: client.link.state == Link.MISMATCH, "the link to notice")
             for name in (f"run {run}", "run second"):

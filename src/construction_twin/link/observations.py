@@ -91,10 +91,11 @@ class LinkObservations:
         may end a motion as the gateway's own word does. What another run says is remembered: two gateways are an `obstacle`.
         """
         problem = self.why_not_believed(status, now)
+        if status.get("kind") != PLC:
+            self._note_run(_run_of(status), status.get("state") != OFFLINE and bool(problem), now)
         if not problem:
-            self._other_runs.pop(_run_of(status), None)
             self.status, self._status_at = status, now
-            self._note_stop(status)
+            self._note_stop()
         return problem
 
     def why_not_believed(self, status: dict, now: int) -> str:
@@ -108,27 +109,30 @@ class LinkObservations:
             return ""
         if run != self.run:
             if status.get("state") == OFFLINE:
-                self._other_runs.pop(run, None)
                 return f"the last will of run {run!r}, while run {self.run!r} answers: it changes nothing"
-            heard = {other: at for other, at in self._other_runs.items() if now - at <= STATUS_TIMEOUT}
-            self._other_runs = heard | {run: now} if run in heard or len(heard) < OTHER_RUNS else heard
             return f"status of run {run!r}, while run {self.run!r} answers too"
-        number = status.get("fault_number")
-        known = self.fault_number
+        number, known = status.get("fault_number"), self.fault_number
         if type(number) is int and known is not None and number < known:
             # a client sends again what was not acknowledged, behind what is newer
             return f"an old status: it tells of stop {number}, and stop {known} was told before"
         return ""
 
-    def _note_stop(self, status: dict) -> None:
-        told, run = (_run_of(status), status.get("fault_number")), _run_of(status)
-        if not run or self.gateway == OFFLINE:
+    def _note_run(self, run: str, speaks: bool, now: int) -> None:
+        """Take note of whether a run that is not the present one speaks; too many are not remembered."""
+        heard = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
+        if speaks and run != self.run and len(heard) < OTHER_RUNS:
+            heard[run] = now
+        self._other_runs = heard
+
+    def _note_stop(self) -> None:
+        run, number = self.run, self.fault_number
+        if not run or not number or self.gateway == OFFLINE:
             return
         if not self.fault:
+            self._clear = run, number
             if self._stopped_in == run:
                 self._stopped_in = ""
-            self._clear = told  # type: ignore[assignment]  # a number, or it is a mismatch
-        elif told != self._clear:
+        elif (run, number) != self._clear:
             # a program that ends stops too, which gets no number
             self._stopped_in, self._stop_told = run, self.gateway_reason
 
@@ -230,11 +234,13 @@ class LinkObservations:
             return LinkEvent.GATEWAY_LOST, "no gateway answers on the broker; start rsi_gateway on the cell PC"
         others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
         if others:
-            runs = " and ".join([f"run {run}" for run in sorted([self.run, *others])])
+            runs = " and ".join(
+                [f"run {run}" if run else "one that names no run" for run in sorted([self.run, *others])]
+            )
             return (
                 LinkEvent.MISMATCHED,
-                f"more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one; nothing is "
-                "armed until one is left",
+                f"more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one; nothing "
+                "is armed until one is left",
             )
         if self.status.get("decimals") != self._decimals:
             return (

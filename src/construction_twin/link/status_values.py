@@ -26,7 +26,8 @@ def without_counts(reason: str) -> str:
 
 
 def status_values(status: dict) -> dict[str, str]:
-    """Return what stands beside the counters: controller, cycle, playout, speed limit, stop, its number, mode, intruder, refusal, jump of IPOC.
+    """Return what stands beside the counters: controller, cycle, playout, speed limit, stop and its number, mode, intruder,
+    refusals, last jump of IPOC.
 
     Parameters
     ----------

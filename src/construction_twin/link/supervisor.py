@@ -212,7 +212,7 @@ class LinkSupervisor:
     # -- what a person asks for
 
     def request_reset(self, now: int) -> None:
-        """Start over from the arm's pose, on a person's request: what the gateway was stopped for is cleared as far as it is known now.
+        """Start over from the arm's pose, on a person's request: it clears the stops that are known now, and no later one.
 
         Raises
         ------
@@ -259,8 +259,8 @@ class LinkSupervisor:
     def withdraw(self, request: int, reason: str) -> None:
         """Give up what a person asked for, because it has been answered as failed: it must not happen later without a person.
 
-        Nothing is armed until a person asks again, not by the link's own rules either. The gateway is told to stop: an `arm` that is
-        still under way arms nothing then, and a bridge that is started again waits for a person too.
+        Nothing is armed until a person asks again, not by the link's own rules either. The gateway is told to stop: an `arm` that
+        is still under way arms nothing then, and a bridge that is started again waits for a person too.
 
         Parameters
         ----------

@@ -311,7 +311,9 @@ def parse_status(payload: bytes) -> dict:
     if not is_short_text(status.get("run", "")):
         raise PayloadError("status", "status message whose run is not a short text in one line")
     if not _is_count(status.get("fault_number", 0)) or not isinstance(status.get("fault", False), bool):
-        raise PayloadError("status", "status message whose fault is not true or false, or whose fault_number is no whole number")
+        raise PayloadError(
+            "status", "status message whose fault is not true or false, or whose fault_number is no whole number"
+        )
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
         raise PayloadError("status", "status message whose counters are not whole numbers by name")

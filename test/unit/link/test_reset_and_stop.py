@@ -46,11 +46,11 @@ def stop_and_watch(bench: ResetBench, route: str, late: int) -> None:
 
 
 class TestEveryMoment:
-    """From the call, over reset sent, received, accepted, arm sent and accepted, to the stream: every 20 ms, in four phases."""
+    """From the call, over reset sent, received, accepted, arm sent and accepted, to the stream: every 20 ms, in two phases."""
 
     @pytest.mark.parametrize("situation", ["stopped", "armed"])
     @pytest.mark.parametrize("route", sorted(STOPS))
-    @pytest.mark.parametrize("phase", range(0, 20, 5))
+    @pytest.mark.parametrize("phase", (0, 10))
     def test_a_stop_after_the_call_stands(self, situation, route, phase):
         for late in range(phase * MS, 800 * MS, 20 * MS):
             bench = begun(situation)
@@ -58,7 +58,7 @@ class TestEveryMoment:
             stop_and_watch(bench, route, late)
 
     @pytest.mark.parametrize("route", sorted(STOPS))
-    @pytest.mark.parametrize("phase", range(0, 40, 10))
+    @pytest.mark.parametrize("phase", (0, 20))
     def test_it_stands_too_while_a_session_begins_without_a_person(self, route, phase):
         for late in range(phase * MS, 1200 * MS, 40 * MS):
             bench = begun("armed")
@@ -83,7 +83,7 @@ class TestEveryMoment:
             assert_stands(bench)
 
     @pytest.mark.parametrize("lost", ["first reset", "first answer", "first arm", "answer to arm"])
-    @pytest.mark.parametrize("late", range(0, 1400, 50))
+    @pytest.mark.parametrize("late", range(0, 1400, 100))
     def test_what_is_sent_again_clears_no_stop_that_came_between(self, lost, late):
         bench = begun("stopped")
         verb, dropped = ("arm" if "arm" in lost else "reset"), []
@@ -267,7 +267,9 @@ class TestWithdrawal:
         bench.reset()
         bench.run(0.7)
         bench.loses = lambda control: False
-        bench.supervisor.on_answer({"id": bench.sent[-1].id, "ok": False, "reason": "the arm is still moving"}, bench.now)
+        bench.supervisor.on_answer(
+            {"id": bench.sent[-1].id, "ok": False, "reason": "the arm is still moving"}, bench.now
+        )
         bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
         bench.run(2.0)
         assert bench.gateway.status()["stop"]["by"] == "anna" and bench.gateway.fault_number == 1

@@ -395,7 +395,9 @@ def test_a_stop_that_comes_while_a_reset_waits_is_answered_at_once(bench):
 
     bench.clocks.while_waiting = stopped
     answer = bench.bridge.on_reset(None)
-    assert answer.message.startswith("not armed: NEEDS_RESET, gateway was stopped since the call (stop 2): stop: by anna")
+    assert answer.message.startswith(
+        "not armed: NEEDS_RESET, gateway was stopped since the call (stop 2): stop: by anna"
+    )
     assert not answer.success and bench.clocks.steady - began < 300_000_000
 
 

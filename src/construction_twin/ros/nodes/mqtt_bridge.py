@@ -426,7 +426,7 @@ class MqttBridge:
         return TriggerResponse(armed, f"armed, {sentence}" if armed else sentence)
 
     def _wait_for_request(self, number: int, halts: int, before: str) -> tuple[bool, str]:
-        """Wait until the session that a person asked for is armed, as `_wait_for_arming`; what fails is withdrawn, also at the gateway."""
+        """Wait as `_wait_for_arming` for the session that a person asked for; what fails is withdrawn, also at the gateway."""
         supervisor = self._supervisor
         armed, sentence = self._wait_for_arming(
             halts, lambda: supervisor.session != before, functools.partial(supervisor.withdraw, number)
@@ -445,8 +445,8 @@ class MqttBridge:
     ) -> tuple[bool, str]:
         """Return whether the session that was asked for is armed in time, and one sentence; else give up, told the sentence.
 
-        A halt ends it at once, and so does whatever else ends the session, such as a stop. The last look and the giving up are one hold of
-        the lock: what is answered is what is the case.
+        A halt ends it at once, and so does whatever else ends the session, such as a stop. The last look and the giving up are one
+        hold of the lock: what is answered is what is the case.
         """
         supervisor, timeout = self._supervisor, self._settings.reset_timeout
         deadline = time.monotonic() + timeout
