@@ -103,7 +103,8 @@ class LinkObservations:
         if not self.status or self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
         if status.get("kind") == PLC and self.status.get("kind") != PLC:
-            return f"a bare PLC's word `{status['state']}` on `status`, while rsi_gateway answers there: see to who else writes on it"
+            said = f"a bare PLC's word `{status['state']}` on `status`, while rsi_gateway answers there"
+            return f"{said}: see to who else writes on it"
         run = _run_of(status)
         if self.status.get("kind") == PLC or not self.run:
             return ""
