@@ -68,7 +68,7 @@ class FakeGateway:
     def __init__(self, topics: Topics, config_hash: str, decimals: int):
         self._topics = topics
         self._status = {"state": "ready", "reason": "benchmark", "session": "", "fault": False, "mode": "normal"}
-        self._status["run"] = "benchmark"
+        self._status |= {"run": "benchmark", "fault_number": 0}
         self._status |= {"hash": config_hash, "decimals": decimals, "counters": {}}
 
     def status(self) -> bytes:

@@ -24,7 +24,7 @@ from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
+from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
@@ -183,7 +183,7 @@ class Rig:
     def rearm(self) -> None:
         """Do what the bridge does when the arm rests near its twin (docs/architecture.md, law 5)."""
         if self.gateway.state is State.HOLDING and not self.gateway.fault:
-            self._control("reset")
+            self._control("reset", reset_value(self.gateway.run, self.gateway.fault_number))
         if self.gateway.state is State.READY:
             self._sessions += 1
             self._control("arm", arm_value(self._config.hash, self.gateway.run))

@@ -71,7 +71,7 @@ LONGEST = {
     "test_timing": 11, "test_meshes": 11, "test_nearest_change": 11, "test_console_delivery": 11, "test_inverse_search": 10,
     "test_convex_hulls": 10, "test_web": 10, "test_fast_client": 10, "test_inverse_rail": 9, "test_bare_plc": 9,
     "test_ifc_reading": 8, "test_simulation_stall": 8, "test_plain_client": 8, "test_gateway_anything": 7, "test_plc": 7,
-    "test_master": 7,
+    "test_master": 7, "test_reset_and_stop": 17,
 }  # fmt: skip
 
 

@@ -35,7 +35,7 @@ from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo
 from construction_twin.mqtt.client import subscriptions
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value
+from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, reset_value
 from construction_twin.rsi.gateway_codec import parse_sensor
 
 HOME = radians((0.0, -90.0, 90.0, 0.0, 90.0, 0.0))
@@ -265,7 +265,7 @@ class Mqtt:
             if self.status["state"] not in ("ready", "armed"):
                 self.ask("stop")
                 self.wait(lambda: self.status["state"] in ("holding", "ready"), "rest")
-            self.ask("reset")
+            self.ask("reset", value=reset_value(self.status["run"], self.status["fault_number"]))
             ended, session = self.target.session, next(self._sessions)
             arming = arm_value(self.status["hash"], self.status["run"])
             answer = self.ask("arm", session, arming)

@@ -114,6 +114,8 @@ class BridgeBench:
         config = dataclasses.replace(CONFIG, properties=properties)
         codec = JointStringCodec(len(config.axes), config.decimals)
         self._made = None
+        #: Whether commands come, that is, whether twin and arm can meet.
+        self.commands = True
 
         def make(report):
             self._made = diagnostics(report)
@@ -125,7 +127,8 @@ class BridgeBench:
             settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, make, **options
         )
         self.gateway = {
-            "state": "ready", "reason": "", "session": "", "run": RUN, "hash": config.hash, "decimals": config.decimals,
+            "state": "ready", "reason": "", "session": "", "run": RUN, "fault_number": 0, "hash": config.hash,
+            "decimals": config.decimals,
         }  # fmt: skip
 
     @property
@@ -144,7 +147,8 @@ class BridgeBench:
         pairs = [("seq", str(self._states)), ("stamp", str(self.clocks.steady)), ("command_stamp", "0")]
         self.bridge.on_status(json.dumps(self.gateway).encode())
         self.bridge.on_state(self._codec.encode(START), pairs, False)
-        self.bridge.on_command(self.clocks.wall, START)
+        if self.commands:
+            self.bridge.on_command(self.clocks.wall, START)
         self.bridge.poll()
 
     def run_bare(self, steps: int = 1, commands: bool = True) -> None:

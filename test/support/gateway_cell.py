@@ -9,7 +9,7 @@ from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
+from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
 from construction_twin.rsi.gateway_codec import RobotTelegram
 
 CONFIG = GatewayConfig("arm", ("A1", "A2"), (-0.5, -3.2), (0.5, 3.2), (2.0, 4.5), (2.34, 17.4))
@@ -110,6 +110,8 @@ class Cell:
 
     def control(self, verb, session="s1", value=None):
         self.controls += 1
+        if verb == "reset" and value is None:
+            value = self.resetting
         return self.take(Control(str(self.controls), session, verb, value))
 
     def take(self, control):
@@ -126,6 +128,11 @@ class Cell:
     def arming(self):
         """The value of an `arm` that is meant for this gateway."""
         return arm_value(self.config.hash, self.gateway.run)
+
+    @property
+    def resetting(self):
+        """The value of a `reset` that knows of every stop."""
+        return reset_value(self.gateway.run, self.gateway.fault_number)
 
     @property
     def state(self):

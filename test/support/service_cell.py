@@ -22,7 +22,7 @@ from construction_twin.gateway.service import GatewayService
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
+from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
 from construction_twin.rsi.gateway_codec import RobotEncoder, parse_sensor
 from construction_twin.rsi.udp import bind
 
@@ -186,6 +186,8 @@ class Client:
 
     def control(self, verb, value=None, session="s1"):
         """Send a verb and return the answer."""
+        if verb == "reset" and value is None:
+            value = reset_value(self.status()["run"], self.status()["fault_number"])
         # rising numbers: what `speed_limit` needs
         control = Control(str(next(self._ids)), session, verb, value)
         self.paho.publish(self.topics.control, control.to_json(), qos=1)

@@ -34,7 +34,10 @@ class Bench:
             HASH, DECIMALS, (TOLERANCE,) * len(POSE), (last_digit(DECIMALS),) * len(POSE), lambda: next(ids), mirrors
         )
         self.now = 100 * NANOSECONDS
-        self.gateway = {"state": "ready", "reason": "", "session": "", "run": RUN, "hash": HASH, "decimals": DECIMALS}
+        self.gateway = {
+            "state": "ready", "reason": "", "session": "", "fault": False, "fault_number": 0, "run": RUN, "hash": HASH,
+            "decimals": DECIMALS,
+        }  # fmt: skip
         self.pose: tuple[float, ...] | None = POSE
         self.command: tuple[float, ...] | None = POSE
         self.answering = True
@@ -51,6 +54,8 @@ class Bench:
         """Let the gateway say this from now on; as the real one does, it names a stop's cause, here the sentence's first word."""
         if state in ("braking", "holding"):
             self.gateway["stop"] = {"cause": reason.partition(":")[0]}
+        if other.get("fault") and not self.gateway["fault"]:
+            self.gateway["fault_number"] += 1
         self.gateway |= {"state": state, "reason": reason} | other
 
     def poll(self):

@@ -16,7 +16,7 @@ from construction_twin.mock.controller import MockController
 from construction_twin.mock.gripper import Gripper
 from construction_twin.mock.servo import IdealServo
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Control, arm_value
+from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.rsi.gateway_codec import SensorEncoder
 
@@ -138,6 +138,8 @@ class ToolCell:
 
     def control(self, verb, value=None, session="s1", id=None):
         self.controls += 1
+        if verb == "reset" and value is None:
+            value = reset_value(self.gateway.run, self.gateway.fault_number)
         answer = self.gateway.on_control(Control(id or str(self.controls), session, verb, value), self.now)
         return answer.ok, answer.reason
 

@@ -117,7 +117,9 @@ def _run(arguments: argparse.Namespace) -> int:
     threading.excepthook = service.on_thread_failure
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
-    log.info("configuration %s; listening on %s:%d; broker %s", config.hash[:12], *address, arguments.broker)
+    log.info(
+        "configuration %s; run %s; listening on %s:%d; broker %s", config.hash[:12], run, *address, arguments.broker
+    )
     log.info("telegrams are read from %s", f"{controller} only" if controller else "any sender that begins a session")
     if address[1] != config.layout.port:
         log.warning("the Ethernet XML tells the controller to send to port %d, not %d", config.layout.port, address[1])

@@ -94,6 +94,8 @@ class Gateway:
         self.refusals = Refusals(self.counters)
         #: True after any stop but one by silence, until a `reset`; outlives the RSI session.
         self.fault = False
+        #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
+        self.fault_number = 0
         #: What tells of a stop, and cannot fail it.
         self.beside = Beside()
         #: Called with every answered telegram: IPOC, number of the RSI session, state, stamp of the target [ns] (0: none), position
@@ -449,8 +451,8 @@ class Gateway:
             return position
         return follower.position
 
-    def _brake(self, event: Event, reason: str, account: str = "") -> None:
-        self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}", account=account))
+    def _brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
+        self._machine.on(event, Occasion(f"{CAUSES[event]}: {reason}", account=account, ending=ending))
 
     def _on_brake(self, event: Event, occasion: Occasion) -> None:
         cause, state, follower = CAUSES[event], self._machine.state, self._player.follower
@@ -470,6 +472,8 @@ class Gateway:
 
     def _on_fault(self, event: Event, occasion: Occasion) -> None:
         self.fault = self._machine.changed = True
+        if not occasion.ending:
+            self.fault_number += 1
 
     def fail(self, reason: str) -> None:
         """Take note of an unexpected exception; from now on the last resort answers (`last_resort`), for good.
@@ -679,9 +683,9 @@ class Gateway:
         self.stop(f"asked for {f'by {control.session}' if control.session else 'without a session'}")
         return Answer(True, f"gateway is {self.state.value}")
 
-    def stop(self, reason: str, account: str = "") -> None:
+    def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
-        self._brake(Event.STOP, reason, account)
+        self._brake(Event.STOP, reason, account, ending)
 
     def on_stop(self, stop: Intervention, now: int) -> Answer:
         """Carry out a person's stop that came at `now` [ns]; it needs no session, and nothing that arming needs.
@@ -692,6 +696,8 @@ class Gateway:
         # what cannot tell how often an account was answered must not refuse its stop
         if self.beside.do("the pace of answers", self._stop_pace.take, stop.account, now) is False and self.fault:
             self.counters["stops_repeated"] += 1
+            # it changes nothing now, and yet a reset that is under way does not know of it
+            self.fault_number += 1
             return Answer(True, "")
         self.stop(f"asked for by account {stop.account}", stop.account)
         return Answer(True, f"gateway is {self.state.value}")
@@ -709,9 +715,16 @@ class Gateway:
         self.end(f"end asked for {f'by {control.session}' if control.session else 'without a session'}")
         return Answer(True, "RSI_MOVECORR ends as soon as the arm is at rest")
 
-    def end(self, reason: str) -> None:
-        """Brake as in `stop`, and once at rest end RSI_MOVECORR where the Ethernet XML declares `Stop`."""
-        self.stop(reason)
+    def end(self, reason: str, program: bool = False) -> None:
+        """Brake as in `stop`, and once at rest end RSI_MOVECORR where the Ethernet XML declares `Stop`.
+
+        Parameters
+        ----------
+        reason : str
+        program : bool, optional
+            Whether this program ends, and asks for it itself: that is no stop of anybody's, and gets no number.
+        """
+        self.stop(reason, ending=program)
         self._ending = self.config.layout.stop
 
     @property
@@ -720,14 +733,28 @@ class Gateway:
         return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def _reset(self, control: Control) -> Answer:
-        refusal = self._machine.on(Event.RESET, Occasion(f"reset{NOTES[self.mode]}", control.session))
+        occasion = Occasion(f"reset{NOTES[self.mode]}", control.session, value=control.value)
+        refusal = self._machine.on(Event.RESET, occasion)
         return Answer(False, refusal) if refusal else Answer(True, "reset")
 
     def _refusal_of_reset(self, occasion: Occasion) -> str:
         follower = self._player.follower
         if follower is None:
             return self._refusal_without_origin(occasion)
+        if refusal := self._refusal_of_number(occasion.value):
+            return refusal
         return "" if follower.at_rest else "the arm is still moving; stop it first"
+
+    def _refusal_of_number(self, value: object) -> str:
+        """Return in one sentence why the value of a `reset` does not mean the newest stop of this run; "" when it does."""
+        if not isinstance(value, dict) or set(value) != {"run", "fault_number"}:
+            return "reset must name run and fault_number of the gateway's status, and nothing else"
+        run, number = value["run"], value["fault_number"]
+        if run != self.run:
+            return f"run {run!r} is not the gateway's present one: it was started again since the reset was asked for"
+        if type(number) is not int or number != self.fault_number:
+            return f"reset names fault_number {number!r}, the last stop is number {self.fault_number}: look at it, and reset again"
+        return ""
 
     def _refusal_of_owner_reset(self, occasion: Occasion) -> str:
         if occasion.session != self.session:
@@ -770,6 +797,7 @@ class Gateway:
                 reason=self.reason,
                 session=self.session,
                 fault=self.fault,
+                fault_number=self.fault_number,
                 mode=self.mode.value,
                 correction=list(self.correction),
                 controller=self._said.report(),

@@ -32,6 +32,7 @@ from construction_twin.gateway.status import StatusClock
 from construction_twin.mqtt.client import (
     Broker,
     make_client,
+    offline_word,
     subscriptions,
     unique_id,
 )
@@ -111,7 +112,8 @@ class GatewayService:
         self._cause: BaseException | None = None
         self._selector = selectors.DefaultSelector()
         self._selector.register(sock, selectors.EVENT_READ, None)
-        client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status)
+        # a last will may come late, when another run speaks already: it says whose it is
+        client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, offline_word(run))
         self._connection = ConnectionReport(broker, log.error)
         # guarded here, because paho would handle a message again whose callback raised
         client.on_connect = partial(self.guarded, self._on_connect)
@@ -137,7 +139,7 @@ class GatewayService:
         try:
             while self._running:
                 self._turn()
-            self.guarded(self.gateway.end, "the gateway is ending")
+            self.guarded(self.gateway.end, "the gateway is ending", True)
             self._last_resort.ending = self.gateway.config.layout.stop
             deadline = time.monotonic() + _LONGEST_BRAKING
             while self._braking and time.monotonic() < deadline:
@@ -472,6 +474,7 @@ class GatewayService:
             "reason": self.failure,
             "session": "",
             "fault": True,
+            "fault_number": gateway.fault_number,
             "mode": gateway.mode.value,
             "run": gateway.run,
             "hash": config.hash,

@@ -86,8 +86,8 @@ class Guard(Enum):
         "the controller's cycle is still the one that was measured"
     )
     SAME_SESSION = "from the armed session"
-    MAY_RESET = "the origin is known; the arm is at rest"
-    OWNER_MAY_RESET = "from the commanding session; the arm is at rest"
+    MAY_RESET = "the origin is known; it names the run and the last stop's number; the arm is at rest"
+    OWNER_MAY_RESET = "from the commanding session; it names the run and the last stop's number; the arm is at rest"
 
 
 class Action(Enum):
@@ -187,6 +187,10 @@ class Occasion:
         The command's pose [rad].
     account : str
         Whose `stop/<account>` it was; "" for every other way.
+    ending : bool
+        A stop that the program asks for itself, because it ends.
+    value : object
+        Of the control message.
     """
 
     reason: str
@@ -194,6 +198,8 @@ class Occasion:
     stamp: int = 0
     q: tuple[float, ...] = ()
     account: str = ""
+    ending: bool = False
+    value: object = None
 
 
 class Machine:

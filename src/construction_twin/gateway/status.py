@@ -25,6 +25,7 @@ class Status:
     reason: str
     session: str
     fault: bool
+    fault_number: int
     mode: str
     correction: list[float]
     controller: dict

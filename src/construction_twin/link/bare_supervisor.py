@@ -35,10 +35,11 @@ class BareObservations(LinkObservations):
     #: Whether `offline` was said since this was set to False.
     offline_heard = False
 
-    def on_status(self, status: dict, now: int) -> None:
+    def on_status(self, status: dict, now: int) -> str:
         """Take what was said on `status`; an `offline` counts, however soon `ready` follows: the PLC has stopped."""
-        super().on_status(status, now)
+        problem = super().on_status(status, now)
         self.offline_heard |= self.gateway == OFFLINE
+        return problem
 
     def why_not_believed(self, status: dict, now: int) -> str:
         """Return an empty sentence: what is said there is either the PLC's word, or a gateway's, which ends it."""

@@ -20,6 +20,8 @@ REST = NANOSECONDS // 5
 REFUSED_RECENTLY = NANOSECONDS
 #: A retained status is believed this long without a newer one; the gateway repeats its status every second [ns].
 STATUS_TIMEOUT = 3 * NANOSECONDS
+#: So many runs of gateways that answer beside the present one are remembered, and named.
+OTHER_RUNS = 3
 #: States of a gateway without a controller that it answers, and of one whose arm can be followed but not commanded.
 NO_SESSION = ("no_controller", "joined_running")
 ONLY_POSES = ("read_only", "measuring", "other_cycle")
@@ -56,6 +58,11 @@ class LinkObservations:
         )
         self.status: dict = {}
         self._status_at = 0
+        # gateways that answer beside the one whose status is taken: run, and when it was heard last
+        self._other_runs: dict[str, int] = {}
+        # the number in the last status without a fault, in its run; and what was stopped since, in the newest run that told it
+        self._clear: tuple[str, int] = ("", 0)
+        self._stopped_in, self._stop_told = "", ""
         self._connected = False
         self._pose: tuple[float, ...] | None = None
         self._pose_at = 0
@@ -75,20 +82,64 @@ class LinkObservations:
         self._connected = connected
         if not connected:
             self.status = {}
+            self._other_runs.clear()
 
-    def on_status(self, status: dict, now: int) -> None:
-        """Take the gateway's status."""
-        self.status, self._status_at = status, now
+    def on_status(self, status: dict, now: int) -> str:
+        """Take what was said on `status`; return in a sentence why it was not taken, empty when it was.
+
+        While a gateway answers, a bare PLC's word is not its, nor the status of another run, nor that one's last will: none of them
+        may end a motion as the gateway's own word does. What another run says is remembered: two gateways are an `obstacle`.
+        """
+        problem = self.why_not_believed(status, now)
+        if status.get("kind") != PLC:
+            self._note_run(_run_of(status), status.get("state") != OFFLINE and bool(problem), now)
+        if not problem:
+            self.status, self._status_at = status, now
+            self._note_stop()
+        return problem
 
     def why_not_believed(self, status: dict, now: int) -> str:
-        """Return why what was said on `status` is not to be taken, as a sentence; empty when it is.
-
-        While a gateway answers, a bare PLC's word is not its: it must not stop a motion.
-        """
-        silent = self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT
-        if status.get("kind") != PLC or self.status.get("kind") == PLC or silent:
+        """Return why what was said on `status` is not to be taken, as a sentence; empty when it is."""
+        if not self.status or self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
-        return f"a bare PLC's word `{status['state']}` on `status`, while rsi_gateway answers there: see to who else writes on it"
+        if status.get("kind") == PLC and self.status.get("kind") != PLC:
+            said = f"a bare PLC's word `{status['state']}` on `status`, while rsi_gateway answers there"
+            return f"{said}: see to who else writes on it"
+        run = _run_of(status)
+        if self.status.get("kind") == PLC or not self.run:
+            return ""
+        if run != self.run:
+            if status.get("state") == OFFLINE:
+                return f"the last will of run {run!r}, while run {self.run!r} answers: it changes nothing"
+            return f"status of run {run!r}, while run {self.run!r} answers too"
+        number, known = status.get("fault_number"), self.fault_number
+        if type(number) is int and known is not None and number < known:
+            # a client sends again what was not acknowledged, behind what is newer
+            return f"an old status: it tells of stop {number}, and stop {known} was told before"
+        return ""
+
+    def _note_run(self, run: str, speaks: bool, now: int) -> None:
+        """Take note of whether a run that is not the present one speaks; too many are not remembered."""
+        heard = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
+        if speaks and run != self.run and len(heard) < OTHER_RUNS:
+            heard[run] = now
+        self._other_runs = heard
+
+    def _note_stop(self) -> None:
+        run, number = self.run, self.fault_number
+        if not run or not number or self.gateway == OFFLINE:
+            return
+        if not self.fault:
+            self._clear = run, number
+            if self._stopped_in == run:
+                self._stopped_in = ""
+        elif (run, number) != self._clear:
+            # a program that ends stops too, which gets no number
+            self._stopped_in, self._stop_told = run, self.gateway_reason
+
+    def forget_stop(self) -> None:
+        """The link is armed: whatever was stopped before, a person has asked for that."""
+        self._stopped_in = ""
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
         """Take the arm's pose [rad]."""
@@ -141,6 +192,22 @@ class LinkObservations:
         return bool(self.status.get("fault", False))
 
     @property
+    def run(self) -> str:
+        """The gateway's present run; "" when its status names none."""
+        return _run_of(self.status)
+
+    @property
+    def fault_number(self) -> int | None:
+        """Number of the last stop or fault in the gateway's run; None when its status names none."""
+        number = self.status.get("fault_number")
+        return number if type(number) is int else None
+
+    @property
+    def stopped_before(self) -> str:
+        """Why a former run of the gateway was stopped, if nobody has reset it: a run that begins anew forgets it; else ""."""
+        return self._stop_told if self._stopped_in not in ("", self.run) else ""
+
+    @property
     def holds_after_silence(self) -> bool:
         """True when the gateway holds, and its last stop was for silence."""
         stop = self.status.get("stop")
@@ -149,6 +216,10 @@ class LinkObservations:
     def follows(self, session: str) -> bool:
         """Return whether the gateway is armed for a session or follows it."""
         return self.gateway in ("armed", "following") and self.status.get("session") == session
+
+    def follows_another(self, session: str) -> bool:
+        """Return whether the gateway is armed for another session than this one, or follows it."""
+        return self.gateway in ("armed", "following") and self.status.get("session") != session
 
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
@@ -162,6 +233,16 @@ class LinkObservations:
             )
         if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
             return LinkEvent.GATEWAY_LOST, "no gateway answers on the broker; start rsi_gateway on the cell PC"
+        others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
+        if others:
+            runs = " and ".join(
+                [f"run {run}" if run else "one that names no run" for run in sorted([self.run, *others])]
+            )
+            return (
+                LinkEvent.MISMATCHED,
+                f"more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one; nothing "
+                "is armed until one is left",
+            )
         if self.status.get("decimals") != self._decimals:
             return (
                 LinkEvent.MISMATCHED,
@@ -177,6 +258,11 @@ class LinkObservations:
             return (
                 LinkEvent.MISMATCHED,
                 "gateway names no run in its status: it is older than the bridge; install the same version on both sides",
+            )
+        if self.fault_number is None:
+            return (
+                LinkEvent.MISMATCHED,
+                "gateway names no fault_number in its status: it is older than the bridge; install the same version on both sides",
             )
         if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
             return LinkEvent.CONTROLLER_LOST, f"gateway has no RSI session to command: {self.gateway_reason}"
@@ -229,3 +315,8 @@ class LinkObservations:
         ):
             return False
         return outside_tolerance(self._command, self._pose, self._tolerances) is None
+
+
+def _run_of(status: dict) -> str:
+    run = status.get("run")
+    return run if isinstance(run, str) else ""

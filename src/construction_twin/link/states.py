@@ -31,7 +31,7 @@ class LinkEvent(Enum):
 
     BROKER_LOST = "there is no connection to the broker"
     GATEWAY_LOST = "no gateway answers on the broker"
-    MISMATCHED = "the gateway runs another configuration or version"
+    MISMATCHED = "the gateway runs another configuration or version, or more than one answers"
     CONTROLLER_LOST = "the gateway has no RSI session to command"
     PRESENT = "poll: broker, gateway and arm are there"
     TURN = "poll: a control message may be sent"
@@ -39,6 +39,7 @@ class LinkEvent(Enum):
     RESET_ASKED = "a person calls `reset` or `arm`, or ends mirror mode"
     MIRROR_ASKED = "a person begins mirror mode"
     HALTED = "a person calls `halt`"
+    WITHDRAWN = "what a person asked for has been answered as failed"
     RESPONSIBILITY_TAKEN = "a person arms a bare PLC, and takes the responsibility by name"
 
 
@@ -50,7 +51,9 @@ class Guard(Enum):
     SESSION_ENDED = "the gateway does not follow our session"
     FAULT = "the gateway reports a fault"
     FAULT_UNASKED = "the gateway reports a fault, and no person asked for this session"
-    HALTED_HERE = "`halt` was called since the last session began"
+    STOPPED_SINCE = "a person asked for this session, and the gateway was stopped or started again since the call"
+    STOPPED_BEFORE = "a former run of the gateway was stopped, and no person has asked for a session since"
+    HALTED_HERE = "`halt` was called, or a person's request failed, since the last session began"
     FIRST_SESSION = "this bridge has never been armed, and the gateway is ready"
     NOTHING_COULD_JUMP = (
         "the gateway is ready, armed, or holds after silence; twin and arm rest within the start tolerance"
@@ -60,6 +63,7 @@ class Guard(Enum):
     NOT_READY = "the gateway is not ready, or reports a fault"
     POSES_DIFFER = "twin and arm are not within the start tolerance, or the arm moves before the first session"
     ARM_REFUSED = "the gateway refused `arm`"
+    WITHDRAWAL_UNTOLD = "a person's request failed, and the gateway does not know yet; no other session commands"
     OLD_SESSION_COMMANDS = "the gateway still follows the session before mirror mode"
     NOT_TOGETHER = "twin and arm are not at rest within the start tolerance"
 
@@ -70,6 +74,7 @@ class Action(Enum):
     NOTHING = ""
     FORGET_REQUESTS = "forget the pending control message and request"
     NOTE_HALT = "forget all requests; end mirror mode; wait for a person"
+    NOTE_WITHDRAWAL = "forget all requests; wait for a person"
     BEGIN_MIRROR = "begin a session without the right to command"
     BEGIN_ASKED_SESSION = "begin a new session on a person's request"
     BEGIN_FIRST_SESSION = "begin the first session"
@@ -79,9 +84,12 @@ class Action(Enum):
     TELL_MIRROR = "say what the gateway does meanwhile"
     TELL_GATEWAY = "say what the gateway says"
     TELL_STOP = "say why the gateway was stopped"
-    TELL_HALT = "say that `halt` was called"
+    VOID_REQUEST = "forget the request; say why the gateway was stopped"
+    TELL_FORMER_STOP = "say why the former run was stopped"
+    TELL_HALT = "say that `halt` was called, or what failed"
     TELL_RESET = "say what the gateway says, and that `reset` is needed"
-    SEND_RESET = "send `reset`"
+    SEND_RESET = "send `reset` with the stop's number"
+    SEND_STOP = "send `stop`: what was sent before and arrives late arms nothing"
     SEND_ARM = "send `arm`"
     RESET_OLD_SESSION = "send `reset` for the session before mirror mode"
     BEGIN_NAMED_SESSION = "begin a session in this person's name"
@@ -115,14 +123,19 @@ TABLE: tuple[Row, ...] = (
     *_rows(LinkState, LinkEvent.CONTROLLER_LOST, Guard.ALWAYS, Action.FORGET_REQUESTS, LinkState.NO_CONTROLLER),
     # what a person asks for
     *_rows(LinkState, LinkEvent.HALTED, Guard.ALWAYS, Action.NOTE_HALT, LinkState.NEEDS_RESET),
+    *_rows(LinkState, LinkEvent.WITHDRAWN, Guard.ALWAYS, Action.NOTE_WITHDRAWAL, LinkState.NEEDS_RESET),
     *_rows(LinkState, LinkEvent.MIRROR_ASKED, Guard.ALWAYS, Action.BEGIN_MIRROR, LinkState.MIRROR),
     *_rows(LinkState, LinkEvent.RESET_ASKED, Guard.ALWAYS, Action.BEGIN_ASKED_SESSION, LinkState.RESYNC),
     # nothing is missing: which side may command?
     *_rows(LinkState, LinkEvent.PRESENT, Guard.ARM_LEADS, Action.TELL_MIRROR, LinkState.MIRROR),
+    # armed is only what shows no fault: this one came later
+    *_rows((LinkState.ARMED,), LinkEvent.PRESENT, Guard.FAULT, Action.TELL_STOP, LinkState.NEEDS_RESET),
     *_rows((LinkState.ARMED,), LinkEvent.PRESENT, Guard.SESSION_ENDED, Action.TELL_GATEWAY, LinkState.NEEDS_RESET),
     *_rows(_RESYNC, LinkEvent.PRESENT, Guard.FAULT_UNASKED, Action.TELL_STOP, LinkState.NEEDS_RESET),
+    *_rows(_RESYNC, LinkEvent.PRESENT, Guard.STOPPED_SINCE, Action.VOID_REQUEST, LinkState.NEEDS_RESET),
     *_rows(_WAITING, LinkEvent.PRESENT, Guard.HALTED_HERE, Action.TELL_HALT, LinkState.NEEDS_RESET),
     *_rows(_WAITING, LinkEvent.PRESENT, Guard.FAULT, Action.TELL_STOP, LinkState.NEEDS_RESET),
+    *_rows(_WAITING, LinkEvent.PRESENT, Guard.STOPPED_BEFORE, Action.TELL_FORMER_STOP, LinkState.NEEDS_RESET),
     *_rows(_WAITING, LinkEvent.PRESENT, Guard.FIRST_SESSION, Action.BEGIN_FIRST_SESSION, LinkState.RESYNC),
     *_rows(_WAITING, LinkEvent.PRESENT, Guard.NOTHING_COULD_JUMP, Action.BEGIN_NEXT_SESSION, LinkState.RESYNC),
     *_rows(_ABSENT, LinkEvent.PRESENT, Guard.ALWAYS, Action.TELL_RESET, LinkState.NEEDS_RESET),
@@ -133,6 +146,8 @@ TABLE: tuple[Row, ...] = (
     *_rows(_RESYNC, LinkEvent.TURN, Guard.POSES_DIFFER, Action.NOTHING, LinkState.RESYNC),
     *_rows(_RESYNC, LinkEvent.TURN, Guard.ARM_REFUSED, Action.BEGIN_SESSION_AFTER_REFUSAL, LinkState.RESYNC),
     *_rows(_RESYNC, LinkEvent.TURN, Guard.ALWAYS, Action.SEND_ARM, LinkState.RESYNC),
+    *_rows((LinkState.NEEDS_RESET,), LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.NEEDS_RESET),
+    *_rows((LinkState.NEEDS_RESET,), LinkEvent.TURN, Guard.WITHDRAWAL_UNTOLD, Action.SEND_STOP, LinkState.NEEDS_RESET),
     *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.ANSWER_AWAITED, Action.NOTHING, LinkState.MIRROR),
     *_rows((LinkState.MIRROR,), LinkEvent.TURN, Guard.OLD_SESSION_COMMANDS, Action.RESET_OLD_SESSION, LinkState.MIRROR),
     *_rows(_RESYNC, LinkEvent.ARM_ACCEPTED, Guard.ALWAYS, Action.NOTE_ARMED, LinkState.ARMED),

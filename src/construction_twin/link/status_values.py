@@ -9,7 +9,7 @@ from construction_twin.core.errors import PayloadError
 
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
-_SINGLE = ("mode", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
+_SINGLE = ("mode", "fault_number", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
 _LONGEST = 300
 #: Members that are lists, one value per axis, and how many at most.
 _LISTS = ("stop.distance_deg", "stop.moved_deg")
@@ -26,7 +26,8 @@ def without_counts(reason: str) -> str:
 
 
 def status_values(status: dict) -> dict[str, str]:
-    """Return what stands beside the counters: controller, cycle, playout, speed limit, stop, mode, intruder, refusal, jump of IPOC.
+    """Return what stands beside the counters: controller, cycle, playout, speed limit, stop and its number, mode, intruder,
+    refusals, last jump of IPOC.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.mirror_mode import MirrorMode
 from construction_twin.link.observations import LinkObservations
 from construction_twin.link.states import ROWS, Action, Guard, LinkEvent, LinkState, Rows
-from construction_twin.mqtt.messages import RSI, Control, arm_value
+from construction_twin.mqtt.messages import RSI, Control, arm_value, reset_value
 
 #: Pause before an unanswered control message is sent again [ns].
 RETRY = NANOSECONDS // 2
@@ -86,12 +86,20 @@ class LinkSupervisor:
         # a person asked for a session: it has not begun; it is the present one
         self._reset_wanted = False
         self._asked_for = False
+        # run and number of the gateway's last stop, as they were known when a person asked: nothing newer is cleared
+        self._shown: tuple[str, int | None] = ("", None)
         self._arm_refused = False
+        # why only a person leads on: `halt` was called, or what a person asked for has failed
         self._halted: str | None = None
         #: How often `halt` was called: what was asked for before a halt is not asked for any more.
         self.halts = 0
-        # the control message that waits for its answer, and the one to send next
+        #: How often a person asked for a session.
+        self.requests = 0
+        # a request failed, and what it sent may still arrive at the gateway
+        self._owes_stop = False
+        # the control message that waits for its answer, or was refused and is sent again; the one to send next
         self._pending: Control | None = None
+        self._unanswered = False
         self._sent_at = 0
         self._outgoing: Control | None = None
         self._guards: dict[Guard, Callable[[int], bool]] = {
@@ -99,6 +107,8 @@ class LinkSupervisor:
             Guard.SESSION_ENDED: self._session_ended,
             Guard.FAULT: lambda now: self.inputs.fault,
             Guard.FAULT_UNASKED: lambda now: self.inputs.fault and not self._asked_for,
+            Guard.STOPPED_SINCE: lambda now: self._asked_for and self._shown != self._known_stop,
+            Guard.STOPPED_BEFORE: lambda now: bool(self.inputs.stopped_before),
             Guard.HALTED_HERE: lambda now: self._halted is not None,
             Guard.FIRST_SESSION: lambda now: not self._was_armed and self.inputs.gateway == "ready",
             Guard.NOTHING_COULD_JUMP: self._nothing_could_jump,
@@ -107,12 +117,14 @@ class LinkSupervisor:
             Guard.NOT_READY: lambda now: self.inputs.gateway != "ready" or self.inputs.fault,
             Guard.POSES_DIFFER: self._poses_differ,
             Guard.ARM_REFUSED: lambda now: self._arm_refused,
+            Guard.WITHDRAWAL_UNTOLD: lambda now: self._owes_stop and not self.inputs.follows_another(self.session),
             Guard.OLD_SESSION_COMMANDS: lambda now: self._mirror.old_session_commands,
             Guard.NOT_TOGETHER: self._not_together,
         }
         self._actions: dict[Action, Callable[[str, int], str]] = {
             Action.FORGET_REQUESTS: self._forget_requests,
             Action.NOTE_HALT: self._note_halt,
+            Action.NOTE_WITHDRAWAL: self._note_withdrawal,
             Action.BEGIN_MIRROR: self._begin_mirror,
             Action.BEGIN_ASKED_SESSION: self._begin_asked_session,
             Action.BEGIN_FIRST_SESSION: lambda reason, now: self._begin_session("first session"),
@@ -124,11 +136,17 @@ class LinkSupervisor:
             Action.TELL_MIRROR: lambda reason, now: self._mirror.sentence,
             Action.TELL_GATEWAY: lambda reason, now: self._gateway_sentence,
             Action.TELL_STOP: self._tell_stop,
+            Action.VOID_REQUEST: self._void_request,
+            Action.TELL_FORMER_STOP: lambda reason, now: (
+                f"gateway was stopped before it was started again ({self.inputs.stopped_before}), and is "
+                f"{self.inputs.gateway}; {self._remedy}"
+            ),
             Action.TELL_HALT: lambda reason, now: self._halted or "",
             Action.TELL_RESET: lambda reason, now: f"{self._gateway_sentence}; call reset",
-            Action.SEND_RESET: lambda reason, now: self._send("reset", self.session, now),
+            Action.SEND_RESET: lambda reason, now: self._send_reset(self.session, now),
+            Action.SEND_STOP: lambda reason, now: self._send("stop", self.session, now),
             Action.SEND_ARM: self._send_arm,
-            Action.RESET_OLD_SESSION: lambda reason, now: self._send("reset", self._mirror.ended_session, now),
+            Action.RESET_OLD_SESSION: lambda reason, now: self._send_reset(self._mirror.ended_session, now),
         }
 
     @classmethod
@@ -153,9 +171,18 @@ class LinkSupervisor:
         """Take the state of the connection to the broker."""
         self.inputs.on_connection(connected)
 
-    def on_status(self, status: dict, now: int) -> None:
-        """Take the gateway's status."""
-        self.inputs.on_status(status, now)
+    @property
+    def withdraws(self) -> bool:
+        """True while a failed request is being withdrawn: the gateway has not answered yet that nothing of it is in force."""
+        return self._owes_stop
+
+    @property
+    def _known_stop(self) -> tuple[str, int | None]:
+        return self.inputs.run, self.inputs.fault_number
+
+    def on_status(self, status: dict, now: int) -> str:
+        """Take the gateway's status; return in a sentence why it was not taken, empty when it was."""
+        return self.inputs.on_status(status, now)
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
         """Take the arm's pose [rad]."""
@@ -170,7 +197,7 @@ class LinkSupervisor:
         """Take the gateway's answer to a control message."""
         if self._pending is None or answer.get("id") != self._pending.id:
             return
-        verb = self._pending.verb
+        verb, self._unanswered = self._pending.verb, False
         if not answer.get("ok"):
             # stays pending: asked again after the usual pause, not with every poll
             self.reason = f"gateway refused {verb}: {answer.get('reason')}"
@@ -179,11 +206,13 @@ class LinkSupervisor:
         self._pending = None
         if verb == "arm":
             self.take(LinkEvent.ARM_ACCEPTED, now)
+        elif verb == "stop":
+            self._owes_stop = False
 
     # -- what a person asks for
 
     def request_reset(self, now: int) -> None:
-        """Start over from the arm's pose, on a person's request.
+        """Start over from the arm's pose, on a person's request: it clears the stops that are known now, and no later one.
 
         Raises
         ------
@@ -199,7 +228,7 @@ class LinkSupervisor:
         unrest = self.inputs.why_not_at_rest(now)
         if unrest:
             raise ReviewError(f"cannot reset: {unrest}")
-        self._reset_wanted = True
+        self._want_session()
 
     def request_arm(self, now: int) -> None:
         """Begin a session on a person's request where nothing needs to move for it.
@@ -221,7 +250,27 @@ class LinkSupervisor:
             raise ReviewError(
                 "twin and arm are not at rest within the start tolerance of each other; call reset instead"
             )
-        self._reset_wanted = True
+        self._want_session()
+
+    def _want_session(self) -> None:
+        self._reset_wanted, self._shown = True, self._known_stop
+        self.requests += 1
+
+    def withdraw(self, request: int, reason: str) -> None:
+        """Give up what a person asked for, because it has been answered as failed: it must not happen later without a person.
+
+        Nothing is armed until a person asks again, not by the link's own rules either. The gateway is told to stop: an `arm` that
+        is still under way arms nothing then, and a bridge that is started again waits for a person too.
+
+        Parameters
+        ----------
+        request : int
+            `requests` after it was asked for; nothing happens when a person has asked again since.
+        reason : str
+            One sentence.
+        """
+        if request == self.requests and self._halted is None:
+            self.take(LinkEvent.WITHDRAWN, 0, reason if reason.endswith("call reset") else f"{reason}; call reset")
 
     def take_responsibility(self, name: str, now: int) -> None:
         """Arm a bare PLC in a person's name; with a gateway nothing needs it.
@@ -270,7 +319,7 @@ class LinkSupervisor:
                 "mirror mode has ended; the gateway is read-only, so nothing can be commanded: give the controller an Ethernet XML "
                 "with ONLYSEND FALSE"
             )
-        self._reset_wanted = True
+        self._want_session()
         return "mirror mode has ended; twin and gateway start over from the arm's pose"
 
     def halt(self, reason: str) -> None:
@@ -350,16 +399,34 @@ class LinkSupervisor:
         self._reset_wanted = self._asked_for = False
         return reason
 
+    def _note_withdrawal(self, reason: str, now: int) -> str:
+        # a fault at the gateway outlasts this process, and the reason that it tells is the better one
+        self._owes_stop = self._unanswered or not self.inputs.fault
+        self._halted, self._pending = reason, None
+        self._reset_wanted = self._asked_for = False
+        return reason
+
+    def _void_request(self, reason: str, now: int) -> str:
+        self._owes_stop = self._unanswered and not self.inputs.fault
+        self._pending, self._asked_for = None, False
+        run, _ = self._shown
+        if run != self.inputs.run:
+            self._halted = "gateway was started again since the call; call reset"
+        else:
+            stop = f"stop {self.inputs.fault_number}"
+            self._halted = f"gateway was stopped since the call ({stop}): {self.inputs.gateway_reason}; {self._remedy}"
+        return self._halted
+
     def _begin_mirror(self, reason: str, now: int) -> str:
         # a new session without a right to command: executor and gate start over, and what was recorded of the old one is void
-        self.session = self._new_id()
+        self.session, self._owes_stop = self._new_id(), False
         self._pending, self._halted, self._reset_wanted, self._asked_for = None, None, False, False
         return self._mirror.sentence
 
     def _begin_session(self, reason: str) -> str:
         self.session = self._new_id()
         self._pending, self._halted, self._asked_for = None, None, False
-        self._arm_refused = False
+        self._arm_refused = self._owes_stop = False
         self.inputs.forget_command()
         return reason
 
@@ -378,6 +445,7 @@ class LinkSupervisor:
 
     def _note_armed(self, reason: str, now: int) -> str:
         self._was_armed = True
+        self.inputs.forget_stop()
         # in commissioning mode the link is armed, and yet the arm stands still
         mode = "; gateway is in commissioning mode" if self.status.get("mode") == "commissioning" else ""
         return f"session {self.session}{mode}"
@@ -388,7 +456,10 @@ class LinkSupervisor:
         return f"{sentence}; {self._remedy}" if self.inputs.gateway_failed else sentence
 
     def _tell_stop(self, reason: str, now: int) -> str:
-        return f"gateway was stopped and is {self.inputs.gateway}: {self.inputs.gateway_reason}; {self._remedy}"
+        return (
+            f"gateway was stopped (stop {self.inputs.fault_number}) and is {self.inputs.gateway}: {self.inputs.gateway_reason}; "
+            f"{self._remedy}"
+        )
 
     @property
     def _remedy(self) -> str:
@@ -398,7 +469,13 @@ class LinkSupervisor:
     def _send_arm(self, reason: str, now: int) -> str:
         return self._send("arm", self.session, now, arm_value(self._hash, self.status["run"]))
 
+    def _send_reset(self, session: str, now: int) -> str:
+        # without a request there is no fault in the newest status, and so none that its number would clear
+        run, number = self._shown if self._asked_for else self._known_stop
+        assert number is not None  # without a number the link is a mismatch
+        return self._send("reset", session, now, reset_value(run, number))
+
     def _send(self, verb: str, session: str, now: int, value: object = None) -> str:
         self._pending = self._outgoing = Control(self._new_id(), session, verb, value)
-        self._sent_at = now
+        self._sent_at, self._unanswered = now, True
         return self.reason

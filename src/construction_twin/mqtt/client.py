@@ -79,6 +79,11 @@ def unique_id(robot: str, role: str) -> str:
 OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
+def offline_word(run: str) -> str:
+    """Return what the broker says in a client's place when its connection is lost, and of which run of its program it says so."""
+    return json.dumps({"state": "offline", "reason": "connection lost", "run": run})
+
+
 def make_client(
     broker: Broker,
     client_id: str,

@@ -275,6 +275,14 @@ def arm_value(config_hash: str, run: str) -> dict[str, str]:
     return {"hash": config_hash, "run": run}
 
 
+def reset_value(run: str, fault_number: int) -> dict[str, str | int]:
+    """Return the value of `reset`: the gateway's run, and the number of the last stop that was known when it was asked for.
+
+    The gateway refuses it when another stop came since, or when it was started again.
+    """
+    return {"run": run, "fault_number": fault_number}
+
+
 def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
     document = parse_object(payload, "control")
@@ -302,6 +310,10 @@ def parse_status(payload: bytes) -> dict:
         )
     if not is_short_text(status.get("run", "")):
         raise PayloadError("status", "status message whose run is not a short text in one line")
+    if not _is_count(status.get("fault_number", 0)) or not isinstance(status.get("fault", False), bool):
+        raise PayloadError(
+            "status", "status message whose fault is not true or false, or whose fault_number is no whole number"
+        )
     counters = status.get("counters", {})
     if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
         raise PayloadError("status", "status message whose counters are not whole numbers by name")

@@ -150,9 +150,9 @@ def test_a_control_message_that_comes_twice_acts_once_but_a_stop_always_acts():
     assert cell.take(arm) == (True, "armed")
     cell.stream([START] * 20)
     stop = Control("a2", "s1", "stop")
-    reset = Control("a3", "s1", "reset")
     assert cell.take(stop)[0]
     cell.cycle(5)
+    reset = Control("a3", "s1", "reset", cell.resetting)
     assert cell.take(reset)[0]
     assert cell.take(stop)[0]
     cell.cycle(5)
@@ -161,7 +161,7 @@ def test_a_control_message_that_comes_twice_acts_once_but_a_stop_always_acts():
     assert not ok and "answered before" in reason
     assert cell.gateway.status()["fault"] and cell.count("refused_repeated") == 1
     assert cell.gateway.status()["last_refusal"] == f"repeated: {reason}"
-    assert cell.take(Control("a4", "s1", "reset"))[0]
+    assert cell.take(Control("a4", "s1", "reset", cell.resetting))[0]
 
 
 @pytest.mark.parametrize(

@@ -117,6 +117,9 @@ def test_broken_connections_are_made_again(tmp_path):
         cell.move()
         cell.network.reset(cell.tcp)
         cell.wait(lambda: "offline" in [status.get("state") for status in cell.commander.statuses], "the last will")
+        # it says whose it is: a late one must not be taken for another run's
+        wills = [status for status in cell.commander.statuses if status.get("state") == "offline"]
+        assert {will.get("run") for will in wills} == {cell.commander.statuses[0]["run"]}
         cell.finish()
         assert cell.tcp.counters["connections"] >= 2
         assert cell.seen(LinkState.GATEWAY_OFFLINE)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from bridge_bench import BridgeBench, Clocks
-from gateway_cell import following
+from gateway_cell import RUN, following
 from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
@@ -338,6 +338,98 @@ def test_a_reset_that_is_halted_meanwhile_is_answered_at_once(bench):
     assert bench.clocks.steady - at[0] <= 40_000_000
 
 
+def answering(bench):
+    """Return a step after which the gateway has carried out every control message, and said so; a stop gets a number."""
+    done = {control.id for control in bench.client.controls}
+
+    def go_on():
+        bench.step()
+        for control in bench.client.controls:
+            if control.id in done or control.verb == "speed_limit":
+                continue
+            done.add(control.id)
+            ok = control.verb != "reset" or control.value["fault_number"] == bench.gateway["fault_number"]
+            if control.verb == "stop":
+                number = bench.gateway["fault_number"] + 1
+                bench.gateway |= {"state": "holding", "session": "", "fault": True, "fault_number": number}
+            elif ok:
+                state = {"reset": "ready", "arm": "armed"}[control.verb]
+                bench.gateway |= {"state": state, "session": control.session * (state == "armed"), "fault": False}
+            bench.bridge.on_status(json.dumps(bench.gateway).encode())
+            answer = {"id": control.id, "verb": control.verb, "ok": ok, "reason": "by the test"}
+            bench.bridge.on_answer(json.dumps(answer).encode())
+
+    return go_on
+
+
+def test_a_reset_that_failed_is_withdrawn_at_the_gateway_before_it_is_answered(bench):
+    bench.arm()
+    bench.gateway |= {"state": "holding", "session": "", "fault": True, "fault_number": 1}
+    go_on = bench.clocks.while_waiting = answering(bench)
+    go_on()
+    bench.commands = False
+    answer = bench.bridge.on_reset(None)
+    assert not answer.success and answer.message.startswith("not armed within 1 s: RESYNC, ")
+    assert [control.verb for control in bench.client.controls[-2:]] == ["reset", "stop"]
+    assert (bench.gateway["fault"], bench.gateway["fault_number"]) == (True, 2)
+    # twin and arm are together again, and nothing comes of it for a minute
+    bench.commands = True
+    sent = len(bench.client.controls)
+    for _ in range(3000):
+        go_on()
+        assert bench.bridge.link is LinkState.NEEDS_RESET
+    assert len(bench.client.controls) == sent and bench.links[-1][0].reason.endswith("; call reset")
+    assert {pair.key: pair.value for pair in bench.links[-1][0].gateway_counters}["fault_number"] == "2"
+    # and a person who asks again, at once too, knows the stop with which it was withdrawn
+    answer = bench.bridge.on_reset(None)
+    assert answer.success, answer.message
+
+
+def test_a_stop_that_comes_while_a_reset_waits_is_answered_at_once(bench):
+    bench.arm()
+    bench.gateway |= {"state": "holding", "session": "", "fault": True, "fault_number": 1}
+    bench.step()
+    bench.commands = False
+    began, go_on = bench.clocks.steady, answering(bench)
+
+    def stopped():
+        if bench.clocks.steady > began + 100_000_000 and bench.gateway["fault_number"] == 1:
+            bench.gateway |= {"state": "holding", "fault": True, "fault_number": 2, "reason": "stop: by anna"}
+        go_on()
+
+    bench.clocks.while_waiting = stopped
+    answer = bench.bridge.on_reset(None)
+    assert answer.message.startswith(
+        "not armed: NEEDS_RESET, gateway was stopped since the call (stop 2): stop: by anna"
+    )
+    assert not answer.success and bench.clocks.steady - began < 300_000_000
+
+
+def test_an_end_of_mirror_mode_that_arms_nothing_in_time_says_so_and_arms_nothing_later(bench):
+    bench.arm_and_rest()
+    go_on = bench.clocks.while_waiting = answering(bench)
+    assert bench.bridge.on_mirror(SimpleNamespace(data=True)).success
+    for _ in range(20):
+        go_on()
+    bench.commands = False
+    answer = bench.bridge.on_mirror(SimpleNamespace(data=False))
+    assert answer.success and "; not armed within 1 s: RESYNC, " in answer.message
+    bench.commands = True
+    for _ in range(500):
+        go_on()
+        assert bench.bridge.link is LinkState.NEEDS_RESET
+
+
+def test_two_gateways_are_named_and_the_other_one_s_words_are_counted(bench):
+    bench.arm()
+    bench.bridge.on_status(json.dumps(bench.gateway | {"run": "other", "state": "no_controller"}).encode())
+    bench.bridge.poll()
+    link = bench.links[-1][0]
+    assert link.text == "MISMATCH" and "run other and run run1" in link.reason and bench.refused == {"status": 1}
+    answer = bench.bridge.on_reset(None)
+    assert not answer.success and "run other and run run1" in answer.message
+
+
 def test_a_person_s_arming_that_is_halted_meanwhile_is_answered_at_once(clocks):
     bench = BridgeBench(clocks, kind="plc")
     bench.connect()
@@ -469,7 +561,7 @@ def test_a_word_on_status_stops_nothing_while_the_gateway_answers(bench, word):
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.ARMED and bench.refused == {"status": 1}
     # the gateway's own word counts at once
-    bench.bridge.on_status(b'{"state": "offline"}')
+    bench.bridge.on_status(json.dumps({"state": "offline", "run": RUN}).encode())
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
     bench.bridge.on_status(b"ready")

@@ -9,6 +9,7 @@ import pytest
 import rospy
 from bridge_bench import BridgeBench, Clocks
 from construction_twin.msg import Execution, Sync, ToolCommand, ToolState
+from gateway_cell import RUN
 
 from construction_twin.link.states import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
@@ -133,7 +134,7 @@ def test_void_is_sent_also_while_the_link_is_not_armed(bench):
 
 def test_when_the_gateway_is_gone_nothing_is_known_and_what_was_read_stays_told(bench):
     bench.arm()
-    bench.gateway = {"state": "offline", "reason": "gateway stopped"}
+    bench.gateway = {"state": "offline", "reason": "gateway stopped", "run": RUN}
     bench.step()
     message = told(bench)
     assert message.known is False and message.reason.startswith("the link is GATEWAY_OFFLINE")

@@ -57,6 +57,8 @@ from construction_twin.srv import TakeResponsibility, TakeResponsibilityResponse
 
 #: Period at which the link is polled [s].
 POLL = 0.02
+#: So long a failed request waits for the gateway's word that nothing of it is in force [s].
+WITHDRAWAL = 1.0
 #: What `halt` answers with a bare PLC, which takes no control message.
 HALTED_PLC = (
     "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; a person arms "
@@ -365,9 +367,8 @@ class MqttBridge:
             return
         with self._lock:
             now = time.monotonic_ns()
-            problem = self._supervisor.inputs.why_not_believed(status, now)
+            problem = self._supervisor.on_status(status, now)
             if not problem:
-                self._supervisor.on_status(status, now)
                 self._tool.on_status(status)
                 self._gateway_values = values
         if problem:
@@ -426,27 +427,48 @@ class MqttBridge:
             with self._lock:
                 before, halts = self._supervisor.session, self._supervisor.halts
                 request(time.monotonic_ns())
+                number = self._supervisor.requests
         except ReviewError as error:
             return TriggerResponse(False, str(error))
-        armed, sentence = self._wait_for_arming(halts, lambda: self._supervisor.session != before, lambda because: None)
+        armed, sentence = self._wait_for_request(number, halts, before)
         return TriggerResponse(armed, f"armed, {sentence}" if armed else sentence)
+
+    def _wait_for_request(self, number: int, halts: int, before: str) -> tuple[bool, str]:
+        """Wait as `_wait_for_arming` for the session that a person asked for; what fails is withdrawn, also at the gateway."""
+        supervisor = self._supervisor
+        armed, sentence = self._wait_for_arming(
+            halts, lambda: supervisor.session != before, functools.partial(supervisor.withdraw, number)
+        )
+        # who asks again at once must know of the stop with which it is withdrawn
+        deadline = time.monotonic() + WITHDRAWAL
+        while not armed and time.monotonic() < deadline and not rospy.is_shutdown():
+            with self._lock:
+                if not supervisor.withdraws or supervisor.state is not LinkState.NEEDS_RESET:
+                    break
+            time.sleep(POLL)
+        return armed, sentence
 
     def _wait_for_arming(
         self, halts: int, is_asked_for: Callable[[], bool], give_up: Callable[[str], None]
     ) -> tuple[bool, str]:
         """Return whether the session that was asked for is armed in time, and one sentence; else give up, told the sentence.
 
-        A halt ends it at once. The last look and the giving up are one hold of the lock: what is answered is what is the case.
+        A halt ends it at once, and so does whatever else ends the session, such as a stop. The last look and the giving up are one
+        hold of the lock: what is answered is what is the case.
         """
         supervisor, timeout = self._supervisor, self._settings.reset_timeout
         deadline = time.monotonic() + timeout
         while True:
             late = time.monotonic() >= deadline or rospy.is_shutdown()
             with self._lock:
-                if supervisor.state is LinkState.ARMED and is_asked_for():
+                if supervisor.state is LinkState.ARMED and is_asked_for() and not supervisor.inputs.fault:
                     return True, supervisor.reason
                 if supervisor.halts != halts:
                     return False, f"not armed: halt was called meanwhile: {supervisor.state.name}, {supervisor.reason}"
+                if supervisor.state is LinkState.NEEDS_RESET and is_asked_for():
+                    sentence = f"not armed: NEEDS_RESET, {supervisor.reason}"
+                    give_up(sentence)
+                    return False, sentence
                 if late:
                     reason, refused = supervisor.reason, supervisor.inputs.why_no_pose(time.monotonic_ns())
                     because = f"{reason}; {refused}" if refused and refused not in reason else reason
@@ -494,10 +516,16 @@ class MqttBridge:
         try:
             with self._lock:
                 supervisor, now = self._supervisor, time.monotonic_ns()
+                before, halts, requests = supervisor.session, supervisor.halts, supervisor.requests
                 sentence = supervisor.begin_mirror(now) if request.data else supervisor.end_mirror(now)
+                number = supervisor.requests
         except ReviewError as error:
             return SetBoolResponse(False, str(error))
-        return SetBoolResponse(True, sentence + self._remember_mirror())
+        sentence += self._remember_mirror()
+        if number != requests:
+            armed, why = self._wait_for_request(number, halts, before)
+            sentence += "" if armed else f"; {why}"
+        return SetBoolResponse(True, sentence)
 
     def _remember_mirror(self) -> str:
         """Keep the mode beyond this process; return what is to be added to the answer when the master does not take it."""

@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+"""On real topics: a stop after a call of `reset` stands, a `reset` that failed arms nothing later, two gateways are named."""
+
+import itertools
+import json
+import os
+import signal
+import sys
+import threading
+import time
+
+import rospy
+import rostest
+from construction_twin.msg import Link
+from paho.mqtt import client as paho
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from twin_client import RobotTest, TwinClient, case, node_pid, wait
+
+from construction_twin.mqtt.messages import Topics
+
+PORT = 18891
+TOPICS = Topics("twin", "kr120")
+#: Between the call of `reset` and the stop [s]: from before anything is sent to long after everything is accepted.
+MOMENTS = (0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3, 0.45, 0.6, 1.0)
+#: How long a stop is watched [s].
+WATCHED = 2.5
+
+
+class StopAndResetTest(RobotTest):
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test_stop_and_reset")
+        cls.client = TwinClient()
+        cls.answers: list[dict] = []
+        cls.status: dict = {}
+        cls.ids = map(str, itertools.count(1))
+        cls.phone = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+        cls.phone.on_connect = lambda client, *_: client.subscribe([(TOPICS.stop_ack, 1), (TOPICS.status, 1)])
+        cls.phone.on_message = cls.on_message
+        cls.phone.connect("127.0.0.1", PORT)
+        cls.phone.loop_start()
+        cls.addClassCleanup(cls.phone.loop_stop)
+        cls.addClassCleanup(cls.phone.disconnect)
+
+    @classmethod
+    def on_message(cls, _client, _userdata, message):
+        document = json.loads(message.payload)
+        if message.topic == TOPICS.stop_ack:
+            cls.answers.append(document)
+        elif document.get("run") and document["state"] != "offline":
+            cls.status = document
+
+    def setUp(self):
+        self.client.start_over()
+
+    def stop(self) -> None:
+        """Stop by `stop/anna`, and wait until the gateway has answered."""
+        id_ = next(self.ids)
+        self.phone.publish(TOPICS.stop_by("anna"), json.dumps({"id": id_}), qos=1)
+        wait(lambda: any(a["id"] == id_ and a["by"] == "gateway" and a["ok"] for a in self.answers), "the answer")
+
+    def wait_until_stopped(self) -> None:
+        """Wait until the bridge says so, in a report that is sent after this call."""
+        client, seen = self.client, rospy.Time.now()
+
+        def stopped() -> bool:
+            link = client.link
+            return link.header.stamp > seen and link.state == Link.NEEDS_RESET and link.gateway_state == "holding"
+
+        client.wait(stopped, "the arm stopped")
+
+    def assert_stays_stopped(self, seconds: float = WATCHED) -> None:
+        """Watch gateway and link: neither is armed."""
+        client, since = self.client, len(self.client.links)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.assertNotIn(self.status["state"], ("armed", "following", "ready"), self.status["reason"])
+            time.sleep(0.005)
+        told = client.links[since:]
+        self.assertNotIn(Link.ARMED, [link.state for link in told], [link.reason for link in told])
+        self.assertEqual(client.link.state, Link.NEEDS_RESET, client.describe())
+        self.assertTrue(self.status["fault"])
+
+    def reset(self) -> None:
+        answer = self.client.call("reset")
+        self.assertTrue(answer.success, answer.message)
+        self.client.wait_until_ready()
+
+    def test_a_stop_after_the_call_stands_and_needs_a_reset_of_its_own(self):
+        for moment in MOMENTS:
+            with case(f"stop {1000 * moment:g} ms after the call"):
+                self.stop()
+                self.wait_until_stopped()
+                answers = []
+                call = threading.Thread(target=lambda into=answers: into.append(self.client.call("reset")))
+                call.start()
+                time.sleep(moment)
+                self.stop()
+                self.wait_until_stopped()
+                self.assert_stays_stopped()
+                call.join(10.0)
+                said = answers[0].message
+                self.assertTrue(
+                    said.startswith(("not armed: NEEDS_RESET, gateway was stopped", "armed, session ")), said
+                )
+                self.reset()
+
+    def test_a_reset_that_failed_arms_nothing_later(self):
+        client = self.client
+        self.stop()
+        self.wait_until_stopped()
+        executor = node_pid("executor")
+        # without setpoints the twin is nowhere near the arm, as far as the bridge can know
+        os.kill(executor, signal.SIGSTOP)
+        try:
+            answer = client.call("reset")
+        finally:
+            os.kill(executor, signal.SIGCONT)
+        self.assertFalse(answer.success)
+        self.assertIn("not armed within 5 s", answer.message)
+        self.assert_stays_stopped(5.0)
+        self.assertIn("not armed within 5 s", client.link.reason)
+        bridge = node_pid("mqtt_bridge")
+        os.kill(bridge, signal.SIGKILL)
+        wait(lambda: node_pid("mqtt_bridge") not in (0, bridge), "the bridge to be started again")
+        self.wait_until_stopped()
+        self.assert_stays_stopped(3.0)
+        self.reset()
+
+    def test_a_second_gateway_is_named_and_nothing_is_armed_until_it_is_gone(self):
+        client, run = self.client, self.status["run"]
+        end = time.monotonic() + 4.0
+        while time.monotonic() < end:
+            other = self.status | {
+                "run": "second",
+                "state": "no_controller",
+                "reason": "no telegram yet",
+                "session": "",
+            }
+            self.phone.publish(TOPICS.status, json.dumps(other), qos=1).wait_for_publish(5.0)
+            client.wait(lambda: client.link.state == Link.MISMATCH, "the link to notice")
+            for name in (f"run {run}", "run second"):
+                self.assertIn(name, client.link.reason)
+            answer = client.call("reset")
+            self.assertFalse(answer.success)
+            self.assertIn("run second", answer.message)
+            time.sleep(0.3)
+        client.wait_until_ready()
+
+    def test_a_late_last_will_of_another_run_changes_nothing(self):
+        client, session = self.client, self.client.link.session
+        since = len(client.links)
+        for _ in range(10):
+            will = {"state": "offline", "reason": "connection lost", "run": "0" * 16}
+            self.phone.publish(TOPICS.status, json.dumps(will), qos=1, retain=True).wait_for_publish(5.0)
+            time.sleep(0.2)
+        self.assertEqual({link.state for link in client.links[since:]} | {client.link.state}, {Link.ARMED})
+        self.assertEqual(client.link.session, session)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("construction_twin", "stop_and_reset", StopAndResetTest, sys.argv)

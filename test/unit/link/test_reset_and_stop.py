@@ -1,0 +1,374 @@
+"""A reset clears what was shown when a person asked for it, and nothing that came later: with the real gateway, at every moment."""
+
+from __future__ import annotations
+
+import pytest
+from reset_bench import MS, ResetBench
+
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.gateway import State
+from construction_twin.link.states import LinkState
+
+#: How long a stop is watched that must not be taken back [s].
+WATCHED = 3.0
+STOPS = {"stop/anna": ResetBench.stop_by_account, "control": ResetBench.stop_by_verb, "halt": ResetBench.halt}
+
+
+def begun(situation: str) -> ResetBench:
+    bench = ResetBench()
+    return bench.stopped() if situation == "stopped" else bench.arm()
+
+
+def assert_stands(bench: ResetBench, seconds: float = WATCHED, fault: bool = True) -> None:
+    """From now on the gateway is not armed, and the link neither, until a person resets again; and then it is."""
+    told = bench.now + 2 * (bench.up + bench.down) + 100 * MS
+    end = bench.now + round(seconds * NANOSECONDS)
+    while bench.now < end:
+        bench.step()
+        assert not bench.commands, "a person's stop was taken back"
+        assert bench.now < told or bench.link is not LinkState.ARMED
+    assert bench.gateway.fault is fault and bench.link is LinkState.NEEDS_RESET
+    assert_a_reset_arms(bench)
+
+
+def assert_a_reset_arms(bench: ResetBench) -> None:
+    bench.reset()
+    bench.run_until(lambda: bench.link is LinkState.ARMED and bench.commands)
+
+
+def stop_and_watch(bench: ResetBench, route: str, late: int) -> None:
+    """Stop in `late` ns, and watch that it stands; some moments for longer, because each costs time."""
+    bench.at(bench.now + late, lambda: STOPS[route](bench))
+    bench.run(late / NANOSECONDS)
+    # it is on its way to the gateway
+    bench.run((bench.up + 8 * MS) / NANOSECONDS)
+    assert_stands(bench, 0.7 if late % (100 * MS) else WATCHED)
+
+
+class TestEveryMoment:
+    """From the call, over reset sent, received, accepted, arm sent and accepted, to the stream: every 20 ms, in two phases."""
+
+    @pytest.mark.parametrize("situation", ["stopped", "armed"])
+    @pytest.mark.parametrize("route", sorted(STOPS))
+    @pytest.mark.parametrize("phase", (0, 10))
+    def test_a_stop_after_the_call_stands(self, situation, route, phase):
+        for late in range(phase * MS, 800 * MS, 20 * MS):
+            bench = begun(situation)
+            bench.reset()
+            stop_and_watch(bench, route, late)
+
+    @pytest.mark.parametrize("route", sorted(STOPS))
+    @pytest.mark.parametrize("phase", (0, 20))
+    def test_it_stands_too_while_a_session_begins_without_a_person(self, route, phase):
+        for late in range(phase * MS, 1200 * MS, 40 * MS):
+            bench = begun("armed")
+            bench.cut = True
+            bench.run_until(lambda bench=bench: bench.gateway.state is State.BRAKING)
+            bench.cut = False
+            stop_and_watch(bench, route, late)
+
+    @pytest.mark.parametrize("route", ["stop/anna", "control"])
+    @pytest.mark.parametrize("early", range(-4, 61, 4))
+    def test_a_stop_before_the_call_is_cleared_only_if_it_was_shown_by_then(self, route, early):
+        bench = begun("stopped")
+        STOPS[route](bench)
+        bench.run(early / 1000)
+        shown = bench.supervisor.status["fault_number"] == bench.gateway.fault_number
+        assert shown == (early * MS >= bench.down) or early in (16, 20)
+        bench.reset()
+        if shown:
+            bench.run_until(lambda: bench.link is LinkState.ARMED)
+        else:
+            bench.run(0.1)
+            assert_stands(bench)
+
+    @pytest.mark.parametrize("lost", ["first reset", "first answer", "first arm", "answer to arm"])
+    @pytest.mark.parametrize("late", range(0, 1400, 100))
+    def test_what_is_sent_again_clears_no_stop_that_came_between(self, lost, late):
+        bench = begun("stopped")
+        verb, dropped = ("arm" if "arm" in lost else "reset"), []
+
+        def loses(control) -> bool:
+            if control.verb == verb and not dropped:
+                dropped.append(control)
+            return control in dropped
+
+        if "answer" in lost:
+            bench.loses_answer = loses
+        else:
+            bench.loses = loses
+        bench.reset()
+        stop_and_watch(bench, "stop/anna", late * MS)
+
+
+class TestNumbers:
+    def test_a_reset_of_an_older_stop_is_refused_by_number_whoever_sends_it(self):
+        cell = begun("stopped").cell
+        older = cell.resetting
+        assert cell.gateway.status()["fault_number"] == older["fault_number"] == 1
+        cell.gateway.stop("again")
+        ok, reason = cell.control("reset", value=older)
+        assert not ok and "fault_number 1, the last stop is number 2" in reason and cell.gateway.fault
+        for value in (None, 2, {"fault_number": 2}, older | {"fault_number": 3}, older | {"fault_number": True}):
+            assert not cell.control("reset", value=value or {})[0]
+        assert not cell.control("reset", value=cell.resetting | {"run": "run0"})[0]
+        assert not cell.control("reset", value=cell.resetting | {"x": 1})[0] and cell.gateway.fault
+        assert cell.control("reset", value=cell.resetting)[0] and not cell.gateway.fault
+
+    def test_silence_has_no_number_and_what_it_stopped_goes_on_by_itself(self):
+        bench = begun("armed")
+        bench.cut = True
+        bench.run_until(lambda: bench.gateway.state is State.HOLDING)
+        bench.cut = False
+        bench.run_until(lambda: bench.link is LinkState.ARMED and bench.commands)
+        assert bench.gateway.fault_number == 0
+
+    def test_the_number_is_in_the_sentence_that_a_person_reads(self):
+        bench = begun("stopped")
+        assert "(stop 1)" in bench.supervisor.reason
+        bench.stop_by_account()
+        bench.run(0.5)
+        assert "(stop 2)" in bench.supervisor.reason
+
+    def test_a_person_whose_request_became_void_reads_why(self):
+        bench = begun("stopped")
+        bench.reset()
+        bench.stop_by_account()
+        bench.run(0.5)
+        assert bench.supervisor.reason == (
+            "gateway was stopped since the call (stop 2): stop: asked for by account anna; call reset"
+        )
+
+    def test_an_old_status_that_is_sent_again_shows_nothing_old(self):
+        bench = begun("armed")
+        old = bench.gateway.status()
+        bench.stop_by_account()
+        bench.run(1.0)
+        assert bench.supervisor.on_status(old, bench.now).startswith("an old status: it tells of stop 0, and stop 1")
+        bench.supervisor.poll(bench.now)
+        assert bench.link is LinkState.NEEDS_RESET and bench.supervisor.status["fault"]
+
+
+class TestRestart:
+    """Numbers belong to a run: what a gateway forgets when it is started again, the bridge does not."""
+
+    @pytest.mark.parametrize("farewell", [True, False])
+    def test_a_stop_outlasts_the_gateway_that_was_stopped(self, farewell):
+        bench = begun("stopped")
+        bench.restart_gateway(farewell)
+        bench.run(1.0 if farewell else 5.0)
+        assert "before it was started again (stop: asked for by account anna)" in bench.supervisor.reason
+        assert_stands(bench, fault=False)
+
+    @pytest.mark.parametrize("farewell", [True, False])
+    @pytest.mark.parametrize("late", range(0, 200, 20))
+    def test_a_reset_that_a_restart_overtakes_clears_nothing(self, late, farewell):
+        bench = begun("stopped")
+        bench.reset()
+        bench.run(late / 1000)
+        cleared = not bench.gateway.fault
+        bench.restart_gateway(farewell)
+        bench.run(1.0 if farewell else 5.0)
+        if cleared:
+            # what a person had reset is reset, and nothing has stopped the arm since
+            assert_a_reset_arms(bench)
+        else:
+            assert_stands(bench, fault=False)
+
+    def test_the_end_of_the_program_is_no_stop_of_anybody_s(self):
+        bench = begun("armed")
+        bench.gateway.end("the gateway is ending", True)
+        bench.run(1.0)
+        assert bench.gateway.fault and bench.gateway.fault_number == 0
+        bench.restart_gateway()
+        bench.run_until(lambda: bench.link is LinkState.ARMED and bench.commands)
+
+    def test_the_end_of_the_program_takes_no_stop_back(self):
+        bench = begun("stopped")
+        bench.gateway.end("the gateway is ending", True)
+        bench.run(1.0)
+        bench.restart_gateway()
+        bench.run(1.0)
+        assert_stands(bench, fault=False)
+
+
+class TestWithdrawal:
+    """What was answered as failed does not happen later without a person."""
+
+    @staticmethod
+    def failed(bench: ResetBench, seconds: float = 5.0) -> None:
+        """Call `reset` while the twin stands elsewhere; it is answered as failed, as the node does."""
+        bench.reset()
+        bench.run_until(lambda: bench.link is LinkState.RESYNC)
+        bench.together = False
+        bench.run(seconds)
+        bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
+        bench.together = True
+
+    @pytest.mark.parametrize("situation", ["first session", "armed", "stopped"])
+    def test_nothing_is_armed_until_a_person_resets_again(self, situation):
+        bench = ResetBench() if situation == "first session" else begun(situation)
+        if situation == "first session":
+            bench.together = False
+            bench.run(1.0)
+            assert bench.link is LinkState.RESYNC
+        self.failed(bench)
+        bench.run(0.2)
+        assert bench.supervisor.reason == "not armed within 5 s: RESYNC; call reset"
+        assert not bench.supervisor.withdraws
+        assert_stands(bench, 10.0)
+
+    @pytest.mark.parametrize("interruption", ["bridge", "gateway", "controller"])
+    def test_not_by_an_interruption_of_the_link_either(self, interruption):
+        bench = begun("armed")
+        self.failed(bench)
+        bench.run(0.5)
+        if interruption == "bridge":
+            bench.restart_bridge()
+        elif interruption == "gateway":
+            bench.restart_gateway()
+        else:
+            # the controller's program is started again
+            bench.cell.ipoc += 100_000
+        assert_stands(bench, 10.0, fault=interruption != "gateway")
+
+    @pytest.mark.parametrize("lost", ["nothing", "answers to arm"])
+    def test_an_arm_that_is_accepted_late_is_disarmed(self, lost):
+        bench = begun("stopped")
+        if lost == "nothing":
+            # the way to the gateway is stalled from the first arm on; then everything comes at once
+            stalled, arms = bench.now + 6 * NANOSECONDS, []
+
+            def extra(control) -> int:
+                arms.extend([control] if control.verb == "arm" else [])
+                return max(0, stalled - bench.now) if arms else 0
+
+            bench.extra = extra
+        else:
+            bench.loses_answer = lambda control: control.verb == "arm"
+        bench.reset()
+        bench.run(5.0)
+        assert "arm" in [control.verb for control in bench.sent] and bench.link is LinkState.RESYNC
+        bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
+        armed = 0
+        for _ in range(2500):
+            bench.step()
+            armed += bench.commands
+            assert bench.link is LinkState.NEEDS_RESET
+        # it was accepted, and held for no longer than the stop behind it took
+        assert armed * 4 <= (bench.up + 40 * MS) // MS
+        assert bench.gateway.counters["stops_stop"] >= 2
+        bench.loses_answer = lambda control: False
+        assert_stands(bench)
+
+    def test_the_reason_of_a_stop_that_still_stands_is_kept_at_the_gateway(self):
+        bench = begun("stopped")
+        bench.loses = lambda control: control.verb == "reset"
+        bench.reset()
+        bench.run(0.7)
+        bench.loses = lambda control: False
+        bench.supervisor.on_answer(
+            {"id": bench.sent[-1].id, "ok": False, "reason": "the arm is still moving"}, bench.now
+        )
+        bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
+        bench.run(2.0)
+        assert bench.gateway.status()["stop"]["by"] == "anna" and bench.gateway.fault_number == 1
+        assert_stands(bench)
+
+    def test_somebody_else_who_commands_is_not_stopped_by_it(self):
+        bench = begun("armed")
+        bench.supervisor.halt("stopped")
+        bench.run(0.5)
+        bench.cell.control("reset", "other")
+        assert bench.cell.arm("other")[0]
+        bench.reset()
+        bench.loses = lambda control: control.verb != "stop"
+        bench.run(1.0)
+        bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
+        bench.run(3.0)
+        assert bench.gateway.session == "other" and not bench.gateway.fault
+        assert bench.link is LinkState.NEEDS_RESET
+
+    def test_a_person_who_asked_meanwhile_is_not_concerned(self):
+        bench = begun("stopped")
+        bench.together = False
+        bench.reset()
+        first = bench.supervisor.requests
+        bench.run(4.0)
+        bench.reset()
+        bench.run(1.0)
+        bench.supervisor.withdraw(first, "not armed within 5 s: RESYNC")
+        assert bench.link is LinkState.RESYNC
+        bench.together = True
+        bench.run_until(lambda: bench.link is LinkState.ARMED)
+
+
+class TestTwoGateways:
+    """Both runs are named in one sentence, and nothing is armed until one is left."""
+
+    @staticmethod
+    def speak(bench: ResetBench, seconds: float, run: str = "other", period: float = 1.0, **other) -> list[str]:
+        """Let another gateway tell its status once a second; return every sentence of the link, each once."""
+        told = []
+        for _ in range(round(seconds / period)):
+            bench.supervisor.on_status(bench.gateway.status() | {"run": run} | other, bench.now)
+            for _ in range(round(period * 250)):
+                bench.step()
+                told += [bench.supervisor.reason] if bench.supervisor.reason not in told else []
+        return told
+
+    @pytest.mark.parametrize("state", ["ready", "no_controller", "following"])
+    def test_they_are_named_and_the_link_stops(self, state):
+        bench = begun("armed")
+        bench.run(0.5)
+        told = self.speak(bench, 10.0, state=state, session="")
+        assert len(told) == 2 and "run other and run run1" in told[1], told
+        assert bench.link is LinkState.MISMATCH and not bench.commands
+
+    def test_nothing_is_armed_until_one_is_left(self):
+        bench = begun("stopped")
+        self.speak(bench, 3.0)
+        with pytest.raises(Exception, match="run other and run run1") as refused:
+            bench.supervisor.request_reset(bench.now)
+        assert type(refused.value).__name__ == "ReviewError"
+        sent = len(bench.sent)
+        self.speak(bench, 5.0)
+        assert len(bench.sent) == sent and bench.link is LinkState.MISMATCH
+        # one says farewell
+        bench.supervisor.on_status({"state": "offline", "reason": "gateway stopped", "run": "other"}, bench.now)
+        bench.run(0.1)
+        assert bench.link is LinkState.NEEDS_RESET
+        assert_a_reset_arms(bench)
+
+    def test_one_that_is_silent_is_gone(self):
+        bench = begun("armed")
+        self.speak(bench, 2.0)
+        bench.run(4.0)
+        assert bench.link is LinkState.ARMED and bench.commands
+
+    def test_more_than_two_are_named_too_and_a_flood_of_them_costs_nothing(self):
+        bench = begun("armed")
+        for number in range(1000):
+            bench.supervisor.on_status(bench.gateway.status() | {"run": f"r{number}"}, bench.now)
+        bench.run(0.1)
+        assert "run r0 and run r1 and run r2 and run run1" in bench.supervisor.reason
+        bench.run(4.0)
+        assert bench.link is LinkState.ARMED
+
+    @pytest.mark.parametrize("will", [{"run": "run0"}, {}, {"run": None}])
+    def test_a_late_last_will_of_another_run_changes_nothing(self, will):
+        bench = begun("armed")
+        session = bench.supervisor.session
+        told = bench.supervisor.on_status({"state": "offline", "reason": "connection lost"} | will, bench.now)
+        assert "last will of run" in told
+        for _ in range(500):
+            bench.step()
+            assert bench.link is LinkState.ARMED and bench.gateway.state is State.FOLLOWING
+        assert bench.supervisor.session == session
+
+    def test_the_own_last_will_counts_at_once(self):
+        bench = begun("armed")
+        bench.run(0.5)
+        assert not bench.supervisor.on_status({"state": "offline", "run": bench.gateway.run}, bench.now)
+        bench.run(0.04)
+        assert bench.link is LinkState.GATEWAY_OFFLINE
