@@ -6,6 +6,7 @@ Metres; poses in the root of the URDF's tree, where Pinocchio has its world (`Ro
 from __future__ import annotations
 
 import hashlib
+import itertools
 import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,14 @@ from construction_twin.scene.objects import SceneObject, one_of, read_mesh_file
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
 _CONVEX_TOLERANCE = 1e-6
+#: Coal decides whether convex shapes touch within this [m]; then it measures their depth, within 1e-6 m. With its default, 1e-6 as
+#: well, it calls shapes that are up to 1e-6 m apart touching, and their depth comes out as infinite, or metres: of 100,000 pairs of
+#: boxes edge to edge 325 (Coal 3.0.3); with 1e-8 none.
+_GJK_TOLERANCE = 1e-8
+#: A distance below this is Coal's word for a depth that it could not measure [m].
+UNKNOWN = -1e300
+#: By so much a shape is moved to measure what could not be measured [m].
+_ASIDE = (1e-6, 1e-5, 1e-4)
 #: Most meshes of scene objects that are kept for the next scene.
 _MESHES_KEPT = 4096
 
@@ -321,6 +330,35 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
 
 
+def measured(
+    first: coal.CollisionGeometry, at: coal.Transform3s, second: coal.CollisionGeometry, to: coal.Transform3s
+) -> coal.DistanceResult:
+    """Return the distance of two shapes, with the points where they are closest.
+
+    Where Coal knows no depth, the first shape is moved by up to 0.1 mm, which the distance then is wrong by at most: it is told as
+    that much smaller.
+
+    Raises
+    ------
+    SceneError
+        If Coal knows none beside there either.
+    """
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    request.gjk_tolerance = _GJK_TOLERANCE
+    coal.distance(first, at, second, to, request, result)
+    if result.min_distance > UNKNOWN:
+        return result
+    rotation, position = at.getRotation(), at.getTranslation()
+    for size, direction in itertools.product(_ASIDE, np.vstack([np.eye(3), -np.eye(3)])):
+        result = coal.DistanceResult()
+        aside = coal.Transform3s(rotation, position + size * direction)
+        coal.distance(first, aside, second, to, request, result)
+        if result.min_distance > UNKNOWN:
+            result.min_distance -= size
+            return result
+    raise SceneError("two shapes that touch", "no depth that Coal can measure", "a pose 0.1 mm from there")
+
+
 def make_reliable(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
     """Have every answer depend on the pose alone, and no contact missed; set the distance that counts as contact of each pair [m].
 
@@ -337,6 +375,7 @@ def make_reliable(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -
         # the switch is deprecated, but its replacement has no effect while it is on, and it is on by default
         warnings.simplefilter("ignore", DeprecationWarning)
         contact.enable_cached_gjk_guess = distance.enable_cached_gjk_guess = False
+    distance.gjk_tolerance = _GJK_TOLERANCE
     contact.enable_contact = True
     of_margin = type(data.collisionRequests)()
     places: dict[float, int] = {}

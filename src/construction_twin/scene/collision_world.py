@@ -17,7 +17,7 @@ import pinocchio
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
-from construction_twin.scene.collision_bodies import Body, RobotBodies, make_reliable
+from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
 from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
@@ -294,18 +294,13 @@ class CollisionWorld:
         """
         data = self._robot_bodies.model.createData()
         pinocchio.forwardKinematics(self._robot_bodies.model, data, self._rows(np.array([q]))[0])
-        request = coal.DistanceRequest()
         placed: dict[str, list[tuple[coal.CollisionGeometry, coal.Transform3s]]] = {first: [], second: []}
         for body in self._own:
             if body.owner in placed:
                 place = data.oMi[body.joint] * body.placement
                 placed[body.owner].append((body.geometry, coal.Transform3s(place.rotation, place.translation)))
         return min(
-            (
-                coal.distance(*one, *other, request, coal.DistanceResult())
-                for one in placed[first]
-                for other in placed[second]
-            ),
+            (measured(*one, *other).min_distance for one in placed[first] for other in placed[second]),
             default=np.inf,
         )
 
@@ -445,7 +440,8 @@ class _Checks:
 
         def measure(row: int, pair: int) -> float:
             pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, rows[row])
-            return pinocchio.computeDistance(self._geometry, self._geometry_data, pair).min_distance
+            pinocchio.computeDistance(self._geometry, self._geometry_data, pair)
+            return self._known(pair)
 
         row, pair = smallest(travel, lambda row: self._distances(rows[row]), measure)
         measure(row, pair)
@@ -460,14 +456,26 @@ class _Checks:
     def _measure(self, q: JointValues) -> int:
         """Measure every pair; return the closest one."""
         self._q[self._order] = q
-        return self._measure_row(self._q)
-
-    def _measure_row(self, row: np.ndarray) -> int:
-        return pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, row)
+        return int(np.argmin(self._distances(self._q)))
 
     def _distances(self, row: np.ndarray) -> np.ndarray:
-        self._measure_row(row)
-        return np.array([result.min_distance for result in self._geometry_data.distanceResults])
+        pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, row)
+        found = np.array([result.min_distance for result in self._geometry_data.distanceResults])
+        for pair in np.flatnonzero(found <= UNKNOWN):
+            found[pair] = self._known(int(pair))
+        return found
+
+    def _known(self, pair: int) -> float:
+        """Return the last measurement of a pair; one that Coal could not make is made beside there, and kept."""
+        result = self._geometry_data.distanceResults[pair]
+        if result.min_distance <= UNKNOWN:
+            first, second, _ = self._pairs[pair]
+            one, other = (
+                (self._bodies[body].geometry, coal.Transform3s(place.rotation, place.translation))
+                for body, place in ((index, self._geometry_data.oMg[index]) for index in (first, second))
+            )
+            self._geometry_data.distanceResults[pair] = measured(*one, *other)
+        return self._geometry_data.distanceResults[pair].min_distance
 
     def _clearance(self, pair: int) -> Clearance:
         """Return the last measurement of a pair."""
