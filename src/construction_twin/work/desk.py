@@ -41,6 +41,8 @@ class ElementFacts:
     base_T_goal : Pose
     triangles : array, shape (t, 3, 3)
         For pictures, in the element's frame [m].
+    mass : float or None
+        That is planned with [kg]; None: nobody says.
     """
 
     name: str
@@ -49,6 +51,23 @@ class ElementFacts:
     bodies: tuple[SceneObject, ...]
     base_T_goal: Pose
     triangles: np.ndarray
+    mass: float | None = None
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """When a schedule has a job.
+
+    Attributes
+    ----------
+    start : str
+        ISO 8601; empty: not said.
+    duration : float or None
+        [s]; None: not said.
+    """
+
+    start: str = ""
+    duration: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +95,8 @@ class Prepared:
         Why an element can never be planned, by GlobalId; it has no slot.
     standing : tuple of SceneObject
         What stands where the model has it, and no task makes.
+    scheduled : mapping of str to Scheduled
+        By id of the job.
     """
 
     model: str
@@ -90,6 +111,7 @@ class Prepared:
     notes: tuple[str, ...] = ()
     unplannable: Mapping[str, str] = field(default_factory=dict)
     standing: tuple[SceneObject, ...] = ()
+    scheduled: Mapping[str, Scheduled] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
@@ -137,6 +159,11 @@ class TaskRow:
     deviation: Deviation | None
     question: str
     answers: tuple[str, ...]
+    mass: float | None
+    grip: str
+    scheduled: Scheduled
+    begun_ns: int
+    settled_ns: int
 
 
 class Desk:
@@ -410,7 +437,7 @@ class Desk:
             if memory.placed:
                 far = self.deviation(job.id)
                 where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
-                wrong = far is not None and (far.distance > _OFF or far.angle > _OFF_ANGLE)
+                wrong = far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
                 found.append(Appearance(job.element, facts.name, "off" if wrong else "placed", where))
                 continue
             word = {job.id == following: "next", memory.state is TaskState.SKIPPED: "skipped"}.get(True, "todo")
@@ -460,6 +487,11 @@ class Desk:
             deviation=self.deviation(task),
             question=self._question(task),
             answers=memory.possible_answers(),
+            mass=facts.mass,
+            grip=memory.grip,
+            scheduled=self.prepared.scheduled.get(task, Scheduled()),
+            begun_ns=memory.begun_ns,
+            settled_ns=memory.settled_ns,
         )
 
     def _reason(self, task: str, now: int) -> str:
@@ -537,5 +569,5 @@ class Desk:
 #: A measured element further than this from its place was not measured in the robot's frame [m].
 _FARTHEST = 10.0
 #: A placed element further than this from where the model has it is shown as off [m], [rad].
-_OFF, _OFF_ANGLE = 0.005, 0.01
+OFF, OFF_ANGLE = 0.005, 0.01
 _SCHEDULES = {FROM_MODEL: "the model's own", FROM_PERSON: "accepted already"}

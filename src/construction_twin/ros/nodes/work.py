@@ -498,7 +498,12 @@ class WorkNode:
         engaged = self._heard.execution is not None and self._heard.execution.engaged
         desk, now = self._shared.desk, time.time_ns()
         if desk is None:
-            return WorkTasks(model=Path(self._settings.model).name, engaged=engaged, reason=self._shared.problem)
+            return WorkTasks(
+                model=Path(self._settings.model).name,
+                engaged=engaged,
+                reading=not self._shared.broken,
+                reason=self._shared.problem,
+            )
         reason = desk.summary(now)
         if engaged:
             reason = "the arm is engaged: only the way back can be planned"
