@@ -15,7 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import SceneObject, product
 from construction_twin.work.built import Deviation, Piece, deviation, objects_of, pose_of_tuple, pose_tuple
-from construction_twin.work.following import question
+from construction_twin.work.following import Grip, question
 from construction_twin.work.ledger import ACCEPTED, Entry, Ledger
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
@@ -267,6 +267,27 @@ class Desk:
         if state is TaskState.READY and element not in self._present():
             return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
         return self._lag(task, now)
+
+    def left_closed(self, grip: Grip) -> str:
+        """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
+
+        So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck
+        it too early, and no plan opens a grip that holds nothing.
+        """
+        book = self.ledger.book
+        doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
+        if not grip.commanded or doubtful or any(memory.in_grip for memory in book.tasks.values()):
+            return ""
+        names = ", ".join(grip.commanded)
+        values = ", ".join(
+            f"{name} {'on' if self.prepared.tool.release.set[name] else 'off'}"
+            for name in grip.commanded
+            if name in self.prepared.tool.release.set
+        )
+        return (
+            f"nothing counts as held, but the tool is commanded to grip ({names}): look at it, and hold what may fall; at the "
+            f"controller end the RSI program, switch {values or names} by hand, start the program anew, then ask again"
+        )
 
     def element_of(self, task: str) -> str:
         """Return the GlobalId of the element that a task places."""
