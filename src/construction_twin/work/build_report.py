@@ -127,8 +127,8 @@ def summary(results: Sequence[TaskResult], held: int, decisions: Sequence[Decisi
         "done": sum(one.state == "done" for one in results),
         "held": held,
         "replanned": sum(max(0, one.plans - 1) for one in results),
-        "deviation_mm": {"max": max((_decimals(one.deviation_mm, _MM) for one in placed), default=None)},
-        "deviation_deg": {"max": max((_decimals(one.deviation_deg, _DEG) for one in placed), default=None)},
+        "deviation_mm": {"max": _largest([one.deviation_mm for one in placed], _MM)},
+        "deviation_deg": {"max": _largest([one.deviation_deg for one in placed], _DEG)},
         "within_tolerance": {"passed": sum(passed), "not_passed": len(passed) - sum(passed)},
         "placed_kg": _decimals(sum(masses), 3),
         "planning_s": {"median": _decimals(statistics.median(times), 3) if times else None},
@@ -169,6 +169,10 @@ def _figures(one: TaskResult, built: Sequence[TaskResult]) -> dict:
 def _decimals(value: float, decimals: int) -> float | None:
     """Return a figure with no more digits than it means; None for NaN."""
     return round(value, decimals) + 0.0 if math.isfinite(value) else None
+
+
+def _largest(values: Sequence[float], decimals: int) -> float | None:
+    return _decimals(max(values, default=math.nan), decimals)
 
 
 def _took(one: TaskResult) -> float:
