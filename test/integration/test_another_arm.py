@@ -186,7 +186,7 @@ class AnotherArmTest(RobotTest):
         np.testing.assert_allclose(self.chain.forward(q).position, end, atol=1e-4)
 
     def test_what_new_arm_calls_an_estimate_is_told_as_one(self):
-        self.assertEqual(self.client.robot.estimates, ("accelerations", "axes"))
+        self.assertEqual(self.client.robot.estimates, ("accelerations", "jerks", "axes", "couplings"))
 
     def test_when_all_is_ended_by_ctrl_c_nobody_warns(self):
         nodes = self.client.diagnosed_nodes()

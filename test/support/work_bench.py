@@ -206,10 +206,11 @@ class Bench:
             fields.setdefault("plan_id", self.plan.id)
         self.heard.on_execution(over_the_wire(Execution(state=state, segment=segment, **fields)))
 
-    def tool(self, closed: bool) -> None:
-        """Publish what the tool reads."""
+    def tool(self, closed: bool, commanded: bool | None = None) -> None:
+        """Publish what the tool reads; `commanded` is what its output reads, by default the same as its input."""
+        output = closed if commanded is None else commanded
         said = ToolState(
-            known=True, outputs=["vacuum"], output_values=[closed], inputs=["vacuum_reached"], input_values=[closed]
+            known=True, outputs=["vacuum"], output_values=[output], inputs=["vacuum_reached"], input_values=[closed]
         )
         self.heard.on_tool(over_the_wire(said))
 

@@ -79,6 +79,7 @@ KINDS = {
     "override": FaultKind("no", (1,), "the override, 0 to 100 percent", positive=False, largest=100.0),
     "grip_fails": FaultKind("no", (0,), "no value"),
     "grip_lost": FaultKind("no", (0,), "no value", lasting=False),
+    "opened_by_hand": FaultKind("no", (0,), "no value", lasting=False),
     "no_read_back": FaultKind("no", (0,), "no value"),
     "restart_at": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
     "jog": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
@@ -245,7 +246,7 @@ class FaultBoard:
             return self._network(fault)
         if fault.name in ("mode", "program", "override"):
             return self._channel(fault)
-        if fault.name in ("grip_fails", "grip_lost", "no_read_back"):
+        if fault.name in ("grip_fails", "grip_lost", "opened_by_hand", "no_read_back"):
             return self._grip(fault)
         controller, values = self.controller, fault.values
         return {
@@ -283,6 +284,7 @@ class FaultBoard:
         return {
             "grip_fails": (lambda: fail(True), lambda: fail(False)),
             "grip_lost": (tool.lose, _nothing),
+            "opened_by_hand": (tool.open_by_hand, _nothing),
             "no_read_back": (lambda: hide(True), lambda: hide(False)),
         }[fault.name]
 

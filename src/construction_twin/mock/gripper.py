@@ -139,6 +139,10 @@ class SimulatedTool:
         """Let go of what is held, at once; the outputs stay. It holds again after the next opening and closing."""
         self.lost = True
 
+    def open_by_hand(self) -> None:
+        """Let a person at the pendant switch the outputs to what opens the grip; the channels of the replies stay as they are."""
+        self.outputs |= {name: value for name, value in self._gripper.open.items() if name in self.outputs}
+
     @staticmethod
     def _reads(values: Mapping[str, bool], wanted: Mapping[str, bool]) -> bool:
         return all(values.get(name) is value for name, value in wanted.items())

@@ -31,13 +31,18 @@ JointValues = Sequence[float] | np.ndarray
 #: What the robot YAML's `estimates` may name, with the keys of a joint that it is about.
 ESTIMATES = {
     "accelerations": "acceleration_deg_s2 (or _mm_s2)",
-    "axes": "rsi, sign and offset_deg (or _mm)",
-    "home": "home_deg (or _mm)",
     "jerks": "jerk_deg_s3 (or _mm_s3)",
+    "ranges": "range_deg of the joints that the URDF lets turn without end",
+    "axes": "rsi, sign and offset_deg (or _mm)",
+    "couplings": "rsi of axes that are coupled at the controller",
+    "home": "home_deg (or _mm)",
 }
+#: Largest range of a joint that turns without end: angles further from zero lose digits on the wire [deg].
+_MOST_TURNED = 3600.0
 
 _Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
+_Turned = Annotated[float, pydantic.Field(ge=-_MOST_TURNED, le=_MOST_TURNED)]
 
 
 @dataclass(frozen=True)
@@ -154,6 +159,7 @@ class _JointDescription(pydantic.BaseModel):
 
 
 class _RevoluteJoint(_JointDescription):
+    range_deg: tuple[_Turned, _Turned] | None = None
     home_deg: _Finite
     acceleration_deg_s2: _Positive
     jerk_deg_s3: _Positive
@@ -185,13 +191,14 @@ class _RobotDescription(pydantic.BaseModel):
     joints: dict[str, dict[str, Any]]
     #: [rad], [m]; the one place of the file in SI: which unit a joint has, the URDF says
     other_joints: dict[str, _Finite] = {}
-    estimates: tuple[Literal["accelerations", "axes", "home", "jerks"], ...] = ()
+    estimates: tuple[Literal["accelerations", "jerks", "ranges", "axes", "couplings", "home"], ...] = ()
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
     """Build a robot from its URDF text and the mapping of its robot YAML.
 
-    The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`. They must be revolute or prismatic.
+    The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`. They must be revolute, prismatic or
+    continuous; one that is continuous in the URDF has its range from the YAML's `range_deg`.
 
     Parameters
     ----------
@@ -216,14 +223,15 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
         _check_joint(joint)
     described = _describe_joints(parsed, joints)
     settings = [joint.si() for joint in described]
+    ranges = [_range(joint, said) for joint, said in zip(joints, described)]
     robot = RobotModel(
         name=parsed.name,
         urdf=urdf,
         base_link=parsed.base_link,
         tip_link=parsed.tip_link,
         joint_names=tuple(joint.name for joint in joints),
-        lower=tuple(float(joint.limit.lower) for joint in joints),
-        upper=tuple(float(joint.limit.upper) for joint in joints),
+        lower=tuple(lower for lower, _ in ranges),
+        upper=tuple(upper for _, upper in ranges),
         velocity=tuple(float(joint.limit.velocity) for joint in joints),
         acceleration=tuple(si.acceleration for si in settings),
         jerk=tuple(si.jerk for si in settings),
@@ -299,17 +307,39 @@ def _validate(model: type[_Model], values: Mapping, where: str) -> _Model:
 
 def _check_joint(joint: Joint) -> None:
     where = f"robot_description joint {joint.name}"
-    if joint.joint_type not in ("revolute", "prismatic") or joint.mimic is not None:
+    if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
-        raise ConfigurationError(where, found, "an independent revolute or prismatic joint with limits")
+        raise ConfigurationError(where, found, "an independent revolute, continuous or prismatic joint")
     unit = "m" if joint.joint_type == "prismatic" else "rad"
     limit = joint.limit
+    if joint.joint_type == "continuous":
+        if limit is None or not 0 < limit.velocity < math.inf:
+            raise ConfigurationError(
+                f"{where} limit velocity", None if limit is None else limit.velocity, f"a positive number [{unit}/s]"
+            )
+        return
     if limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
         raise ConfigurationError(f"{where} limit", _limit_text(limit), f"lower < upper [{unit}]")
     if not (math.isfinite(limit.lower) and math.isfinite(limit.upper)):
         raise ConfigurationError(f"{where} limit", _limit_text(limit), f"finite lower and upper [{unit}]")
     if not 0 < limit.velocity < math.inf:
         raise ConfigurationError(f"{where} limit velocity", limit.velocity, f"a positive number [{unit}/s]")
+
+
+def _range(joint: Joint, described: _RevoluteJoint | _PrismaticJoint) -> tuple[float, float]:
+    """Return lower and upper end [rad], [m]: the URDF's, of a joint that turns without end the YAML's."""
+    given = described.range_deg if isinstance(described, _RevoluteJoint) else None
+    where = f"robot/joints/{joint.name}/range_deg"
+    if joint.joint_type != "continuous":
+        if given is not None:
+            raise ConfigurationError(where, list(given), "no range: the URDF has this joint's")
+        return float(joint.limit.lower), float(joint.limit.upper)
+    if given is None or not given[0] < given[1]:
+        raise ConfigurationError(
+            where, given and list(given), "[lower, upper] with lower < upper: the URDF lets this joint turn without end"
+        )
+    lower, upper = radians(given)
+    return lower, upper
 
 
 def _limit_text(limit) -> str | None:

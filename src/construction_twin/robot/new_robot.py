@@ -16,8 +16,11 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.robot.description import ESTIMATES
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 
-#: What is an estimate in every file that is written here.
-ESTIMATED = ("accelerations", "axes")
+#: What is an estimate in every file that is written here; `RANGES` as well, where the URDF has a joint without a range.
+ESTIMATED = ("accelerations", "jerks", "axes", "couplings")
+RANGES = "ranges"
+#: Range of a joint that the URDF lets turn without end [deg]: a turn to each side, which most such joints allow.
+CONTINUOUS_DEG = 360.0
 #: Full acceleration is reached within this time [s].
 _JERK_TIME = 0.1
 _DEGREES = 180.0 / math.pi
@@ -90,11 +93,12 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
     if not 0 < len(joints) <= _MOST:
         raise ConfigurationError("--tip", tip_link, f"a link that 1 to {_MOST} joints move; {len(joints)} do")
     axes = rsi_axes([joint.joint_type == "prismatic" for joint in joints])
+    endless = any(joint.joint_type == "continuous" for joint in joints)
     return {
         "name": name,
         "base_link": base_link,
         "tip_link": tip_link,
-        "estimates": list(ESTIMATED),
+        "estimates": [word for word in ESTIMATES if word in ESTIMATED or (endless and word == RANGES)],
         "joints": {joint.name: _joint(joint, axis, full_speed_in) for joint, axis in zip(joints, axes)},
     }
 
@@ -121,22 +125,24 @@ def rsi_axes(linear: Sequence[bool]) -> list[str]:
 
 def _joint(joint: Joint, axis: str, full_speed_in: float) -> dict[str, Any]:
     where = f"robot_description joint {joint.name}"
-    if joint.joint_type not in ("revolute", "prismatic") or joint.mimic is not None:
+    if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
-        raise ConfigurationError(
-            where, found, "an independent revolute or prismatic joint; give a continuous one a range"
-        )
-    limit = joint.limit
-    if limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
+        raise ConfigurationError(where, found, "an independent revolute, continuous or prismatic joint")
+    limit, endless = joint.limit, joint.joint_type == "continuous"
+    if not endless and (limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper):
         raise ConfigurationError(f"{where} limit", None if limit is None else limit.lower, "lower < upper")
-    if not 0 < limit.velocity < math.inf:
+    if limit is None or not 0 < limit.velocity < math.inf:
         raise ConfigurationError(
-            f"{where} limit velocity", limit.velocity, "a positive number: no acceleration follows from it"
+            f"{where} limit velocity",
+            None if limit is None else limit.velocity,
+            "a positive number: no acceleration follows from it",
         )
     unit, per_unit = ("mm", 1e3) if joint.joint_type == "prismatic" else ("deg", _DEGREES)
     acceleration = _rounded(limit.velocity * per_unit / full_speed_in)
+    middle = 0.0 if endless else (limit.lower + limit.upper) / 2 * per_unit
     return {
-        f"home_{unit}": round((limit.lower + limit.upper) / 2 * per_unit, 3) + 0.0,
+        **({"range_deg": [-CONTINUOUS_DEG, CONTINUOUS_DEG]} if endless else {}),
+        f"home_{unit}": round(middle, 3) + 0.0,
         f"acceleration_{unit}_s2": acceleration,
         f"jerk_{unit}_s3": _rounded(acceleration / _JERK_TIME),
         "rsi": axis,
@@ -181,11 +187,22 @@ def robot_yaml(description: Mapping[str, Any], command: str, full_speed_in: floa
         "",
         "# What below is an estimate. arm:=real is refused while a word stands here: put in the right values, then take it out.",
         f"#   accelerations ({ESTIMATES['accelerations']}): full speed within {full_speed_in:g} s. From the maker, with your load.",
+        f"#   jerks ({ESTIMATES['jerks']}): full acceleration within {_JERK_TIME:g} s.",
+        *(
+            [
+                "#   ranges (range_deg): a turn to each side, where the URDF has no range. From the maker, with hoses and cables;",
+                "#     a joint that does turn without end is moved within the range that stands here.",
+            ]
+            if RANGES in description["estimates"]
+            else []
+        ),
         f"#   axes ({ESTIMATES['axes']}): the controller's axes in the order of the chain, turning as in the URDF.",
         "#     Compare each with the pendant: rsi_angle = sign * joint_angle + offset.",
+        "#   couplings: each axis is taken to follow its own joint alone. Where the pendant's angle of one axis changes while",
+        "#     another joint moves (parallel linkages, J2 and J3 of some makers, some wrists), this package cannot drive the arm.",
         f"estimates: [{', '.join(description['estimates'])}]",
         "",
-        f"# Home: free of contact with the arm itself and the launch file's scene. Jerks: full acceleration in {_JERK_TIME:g} s.",
+        "# Home: free of contact with the arm itself and the launch file's scene.",
         "joints:",
     ]
     for name, joint in description["joints"].items():

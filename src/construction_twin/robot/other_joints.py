@@ -1,4 +1,5 @@
-"""Joints outside of the chain: a gripper's fingers, a camera's hinge, a lift below the base. They stand still.
+"""Joints outside of the chain: a gripper's fingers, a camera's hinge, a lift below the base stand still; a mimic joint that follows
+one of the chain, such as that of a piston beside the arm, moves with it.
 
 Positions in rad, or m for prismatic joints.
 """
@@ -18,6 +19,23 @@ _UNITS = {"revolute": "rad", "continuous": "rad", "prismatic": "m"}
 
 
 @dataclass(frozen=True)
+class Following:
+    """How a joint moves with a joint of the chain: ``position = factor * leader + offset``.
+
+    Attributes
+    ----------
+    leader : str
+        A joint of the chain.
+    factor, offset : float
+        [rad], [m]
+    """
+
+    leader: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class OtherJoint:
     """A movable joint of the URDF that is not between base and tip.
 
@@ -30,12 +48,15 @@ class OtherJoint:
         Where it stands [rad], [m]; None for a mimic joint that moves with a joint of the chain.
     follows : str
         For a mimic joint the joint it names, which may itself follow another; otherwise empty.
+    following : Following or None
+        How it moves, where `position` is None.
     """
 
     name: str
     kind: str
     position: float | None
     follows: str
+    following: Following | None = None
 
     def __str__(self) -> str:
         if self.position is None:
@@ -66,20 +87,24 @@ def find_other_joints(model: URDF, chain: Collection[str], given: Mapping[str, f
     settable = [name for name, joint in others.items() if joint.mimic is None and joint.joint_type in _UNITS]
     for name, value in given.items():
         _check_taker(name, value, others, settable)
-    return tuple(
-        OtherJoint(name, joint.joint_type, _position(joint, others, chain, given), joint.mimic.joint if joint.mimic else "")
-        for name, joint in others.items()
-    )  # fmt: skip
+    found = []
+    for name, joint in others.items():
+        place = _position(joint, others, chain, given)
+        still, follows = (None, place) if isinstance(place, Following) else (place, None)
+        found.append(OtherJoint(name, joint.joint_type, still, joint.mimic.joint if joint.mimic else "", follows))
+    return tuple(found)
 
 
 def other_joints_text(others: Sequence[OtherJoint], base_link: str, tip_link: str) -> str:
     """Return the sentence that tells a person about them; empty when there are none."""
-    if not others:
-        return ""
-    return (
-        f"joints outside of the chain from {base_link} to {tip_link} stand still: {', '.join(map(str, others))}; `other_joints` of "
-        "the robot YAML says where"
-    )
+    still = [str(joint) for joint in others if joint.position is not None]
+    moving = [str(joint) for joint in others if joint.position is None]
+    told = []
+    if still:
+        told.append(f"stand still: {', '.join(still)}; `other_joints` of the robot YAML says where")
+    if moving:
+        told.append(f"move with it: {', '.join(moving)}")
+    return f"joints outside of the chain from {base_link} to {tip_link} {'; others '.join(told)}" if told else ""
 
 
 def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable: Sequence[str]) -> None:
@@ -96,7 +121,7 @@ def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable:
 
 def _position(
     joint: Joint, others: Mapping[str, Joint], chain: Collection[str], given: Mapping[str, float]
-) -> float | None:
+) -> float | Following:
     factor, offset, passed = 1.0, 0.0, [joint.name]
     while joint.mimic is not None:
         leader = joint.mimic.joint
@@ -109,7 +134,7 @@ def _position(
         offset += factor * float(joint.mimic.offset or 0.0)
         factor *= 1.0 if joint.mimic.multiplier is None else float(joint.mimic.multiplier)
         if leader in chain:
-            return None
+            return Following(leader, factor, offset)
         passed.append(leader)
         joint = others[leader]
     return factor * _stands_at(joint, given.get(joint.name)) + offset

@@ -16,7 +16,7 @@ from construction_twin.scene.collision_bodies import RobotBodies
 
 
 def adjacent_links(bodies: RobotBodies) -> set[frozenset[str]]:
-    """Return the pairs of links that one joint of the chain holds, or two joints with one origin, like A5 and A6 of the KR 120.
+    """Return the pairs of links that one joint holds which moves, or two joints with one origin, like A5 and A6 of the KR 120.
 
     Their ranges keep the castings apart; shapes that enclose them overlap.
 
@@ -25,7 +25,7 @@ def adjacent_links(bodies: RobotBodies) -> set[frozenset[str]]:
     bodies : RobotBodies
     """
     urdf = parse_urdf(bodies.robot.urdf)
-    chain = set(bodies.robot.joint_names)
+    chain = set(bodies.model.names)
     shaped = {body.link for body in bodies.bodies}
     model = bodies.model
     pairs: set[frozenset[str]] = set()

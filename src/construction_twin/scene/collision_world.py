@@ -17,7 +17,7 @@ import pinocchio
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
-from construction_twin.scene.collision_bodies import Body, RobotBodies, make_reliable
+from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
 from construction_twin.scene.distance_bounds import body_levers, levers, smallest
 from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
@@ -163,7 +163,6 @@ class CollisionWorld:
         if own is None:
             own = (*robot_bodies.bodies, *(robot_bodies.place(item, scene.names) for item in scene.objects))
         self._own, self._obstacles, self._only = own, obstacles, only
-        self._order = robot_bodies.order
         self._kept: dict[tuple[float, bytes], CollisionWorld] = {}
 
     @cached_property
@@ -216,9 +215,7 @@ class CollisionWorld:
 
     def _rows(self, qs: np.ndarray) -> np.ndarray:
         """Return rows of joint values in Pinocchio's order."""
-        rows = np.empty(np.shape(qs))
-        rows[:, self._order] = qs
-        return rows
+        return self._robot_bodies.rows(qs)
 
     def _within_reach(self, own: tuple[Body, ...]) -> tuple[Body, ...]:
         """Return the bodies without the standing objects that no moving body reaches at any joint values, by a bound."""
@@ -294,18 +291,13 @@ class CollisionWorld:
         """
         data = self._robot_bodies.model.createData()
         pinocchio.forwardKinematics(self._robot_bodies.model, data, self._rows(np.array([q]))[0])
-        request = coal.DistanceRequest()
         placed: dict[str, list[tuple[coal.CollisionGeometry, coal.Transform3s]]] = {first: [], second: []}
         for body in self._own:
             if body.owner in placed:
                 place = data.oMi[body.joint] * body.placement
                 placed[body.owner].append((body.geometry, coal.Transform3s(place.rotation, place.translation)))
         return min(
-            (
-                coal.distance(*one, *other, request, coal.DistanceResult())
-                for one in placed[first]
-                for other in placed[second]
-            ),
+            (measured(*one, *other).min_distance for one in placed[first] for other in placed[second]),
             default=np.inf,
         )
 
@@ -401,16 +393,17 @@ class _Checks:
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
         make_reliable(self._geometry_data, [margin for _, _, margin in pairs])
-        self._q = np.zeros(len(robot.order))
+        self._q = np.zeros(robot.size)
         # for the usual order a slice suffices; an index list would cost as much as the check of a few pairs
-        self._order = slice(None) if (robot.order == np.arange(len(robot.order))).all() else robot.order
+        self._order = slice(None) if np.array_equal(robot.order, np.arange(robot.size)) else robot.order
+        self._follow = robot.follow if robot.followers else None
         # one call per question: boxes around the bodies first, shapes only where the boxes overlap
         manager = _WITH_NEIGHBOUR if neighbour else _FEW if len(bodies) <= MANY_BODIES else _MANY
         self._broad_phase = manager(self._model, self._geometry, self._geometry_data)
 
     def is_free(self, q: JointValues) -> bool:
         """Return whether nothing touches."""
-        self._q[self._order] = q
+        self._take(q)
         return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
 
     def contact(self, q: JointValues) -> Contact | None:
@@ -426,7 +419,7 @@ class _Checks:
 
     def contacts(self, q: JointValues) -> list[Contact]:
         """Return every pair of names that touches."""
-        self._q[self._order] = q
+        self._take(q)
         pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
         results = zip(self._names, self._geometry_data.collisionResults)
         return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
@@ -445,7 +438,8 @@ class _Checks:
 
         def measure(row: int, pair: int) -> float:
             pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, rows[row])
-            return pinocchio.computeDistance(self._geometry, self._geometry_data, pair).min_distance
+            pinocchio.computeDistance(self._geometry, self._geometry_data, pair)
+            return self._known(pair)
 
         row, pair = smallest(travel, lambda row: self._distances(rows[row]), measure)
         measure(row, pair)
@@ -453,21 +447,38 @@ class _Checks:
 
     def distances(self, q: JointValues) -> list[PairDistance]:
         """Return every pair, measured."""
-        self._q[self._order] = q
+        self._take(q)
         found = zip(self._names, self._distances(self._q), self._pairs)
         return [PairDistance(names, float(distance), margin) for names, distance, (_, _, margin) in found]
 
+    def _take(self, q: JointValues) -> None:
+        self._q[self._order] = q
+        if self._follow is not None:
+            self._follow(self._q)
+
     def _measure(self, q: JointValues) -> int:
         """Measure every pair; return the closest one."""
-        self._q[self._order] = q
-        return self._measure_row(self._q)
-
-    def _measure_row(self, row: np.ndarray) -> int:
-        return pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, row)
+        self._take(q)
+        return int(np.argmin(self._distances(self._q)))
 
     def _distances(self, row: np.ndarray) -> np.ndarray:
-        self._measure_row(row)
-        return np.array([result.min_distance for result in self._geometry_data.distanceResults])
+        pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, row)
+        found = np.array([result.min_distance for result in self._geometry_data.distanceResults])
+        for pair in np.flatnonzero(found <= UNKNOWN):
+            found[pair] = self._known(int(pair))
+        return found
+
+    def _known(self, pair: int) -> float:
+        """Return the last measurement of a pair; one that Coal could not make is made beside there, and kept."""
+        result = self._geometry_data.distanceResults[pair]
+        if result.min_distance <= UNKNOWN:
+            first, second, _ = self._pairs[pair]
+            one, other = (
+                (self._bodies[body].geometry, coal.Transform3s(place.rotation, place.translation))
+                for body, place in ((index, self._geometry_data.oMg[index]) for index in (first, second))
+            )
+            self._geometry_data.distanceResults[pair] = measured(*one, *other)
+        return self._geometry_data.distanceResults[pair].min_distance
 
     def _clearance(self, pair: int) -> Clearance:
         """Return the last measurement of a pair."""

@@ -41,12 +41,12 @@ def levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple], s
     bodies : sequence of Body
     pairs : sequence of tuple
         Their first two entries are indices into `bodies`.
-    strokes : array, shape (n,)
+    strokes : array, shape (size,)
         Largest absolute value of each joint, Pinocchio's order; used for prismatic joints [m].
 
     Returns
     -------
-    levers : array, shape (n, p)
+    levers : array, shape (size, p)
         [m/rad], or 1 for prismatic joints; Pinocchio's order.
     """
     model = robot.model
@@ -68,12 +68,12 @@ def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray)
     ----------
     robot : RobotBodies
     bodies : sequence of Body
-    strokes : array, shape (n,)
+    strokes : array, shape (size,)
         As of `levers`.
 
     Returns
     -------
-    levers : array, shape (n, b)
+    levers : array, shape (size, b)
         [m/rad], or 1 for prismatic joints; Pinocchio's order. 0 for a joint that does not move the body.
     reaches : list of float, length b
         Largest distance of any point of it from the root at any joint values [m].

@@ -198,8 +198,7 @@ class Neighbour:
             Include the bodies that no joint moves: the pedestal.
         """
         path = np.atleast_2d(np.asarray(path, dtype=float))
-        rows = np.empty(path.shape)
-        rows[:, self._robot_bodies.order] = path
+        rows = self._robot_bodies.rows(path)
         steps = np.abs(np.diff(rows, axis=0)) @ self._levers
         travel = np.vstack([np.zeros(len(self._bodies)), np.cumsum(steps, axis=0)])
         keys = [
@@ -245,8 +244,11 @@ class Neighbour:
 
     def _displacement(self, change: np.ndarray) -> float:
         """Return an upper bound of the motion of any point of any body when the joints change by this much [m]."""
-        ordered = np.zeros(len(change))
-        ordered[self._robot_bodies.order] = np.abs(change)
+        bodies = self._robot_bodies
+        ordered = np.zeros(bodies.size)
+        ordered[bodies.order] = np.abs(change)
+        for at, leader, factor, _ in bodies.followers:
+            ordered[at] = abs(factor) * ordered[leader]
         return float((ordered @ self._levers).max(initial=0.0))
 
     def anywhere(self) -> tuple[Obstacle, ...]:

@@ -100,8 +100,7 @@ class PairSampler:
         make_reliable(self._close, [near] * len(self._close.collisionRequests))
         lower, upper = np.array(robot.lower), np.array(robot.upper)
         random = np.random.default_rng(seed).uniform(lower, upper, (samples - 1, len(lower)))
-        self._poses = np.empty((samples, len(lower)))
-        self._poses[:, bodies.order] = np.vstack([robot.home, random])
+        self._poses = bodies.rows(np.vstack([robot.home, random]))
 
     def ask(self, start: int, stop: int, pairs: OpenPairs) -> OpenPairs:
         """Return which of `pairs` are still open after the poses from `start` to before `stop`."""

@@ -76,7 +76,9 @@ def geometry_hash(bodies: RobotBodies) -> str:
         if index
     ]
     ranges = [_rounded(bodies.robot.lower), _rounded(bodies.robot.upper)]
-    return hashlib.sha256(json.dumps([shapes, joints, ranges]).encode()).hexdigest()
+    following = [[at, leader, *_rounded([factor, offset])] for at, leader, factor, offset in bodies.followers]
+    contents = [shapes, joints, ranges, following] if following else [shapes, joints, ranges]
+    return hashlib.sha256(json.dumps(contents).encode()).hexdigest()
 
 
 def _rounded(values) -> list[float]:

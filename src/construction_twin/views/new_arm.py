@@ -75,8 +75,11 @@ def to_do(robot: RobotModel, files: Mapping[str, Path], scene_left_out: str) -> 
     reasons = {
         "accelerations": "from the maker's data sheet or controller, with your load",
         "axes": "which of the controller's axes each joint is, and which way it counts: compare with the pendant",
+        "couplings": "move one joint at a time by the pendant: no other axis may change its angle there. Where one does, as with "
+        "parallel linkages, this package cannot drive the arm",
         "home": "a pose that is free in your cell",
         "jerks": "from the maker, where there are any",
+        "ranges": "from the maker, with hoses and cables; the joint stays inside, also where it could turn without end",
     }
     lines = [
         f"{files['robot_config'].name}, {ESTIMATES[word]}: {reasons[word]}; then take `{word}` out of `estimates`"

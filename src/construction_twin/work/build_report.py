@@ -6,6 +6,7 @@ import html
 import json
 import math
 import statistics
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +22,32 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from construction_twin.scene.objects import Scene
 from construction_twin.work.pieces import Pieces
 
+#: Decimals of deviations: the wire has no more, and what a computer rounds is none.
+_MM, _DEG = 3, 4
 #: Colours of what stands: built by the arm, in stock, the rest.
 _BUILT, _STOCK, _OTHER = "#3f9d55", "#d8b365", "#c8c8c8"
 _STYLE = (
     "body{font-family:sans-serif;margin:2em;max-width:70em}table{border-collapse:collapse}"
     "td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:left}img{max-width:100%}"
 )
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a person, or a command in a person's place, decided.
+
+    Attributes
+    ----------
+    time : float
+        Since 1970 [s].
+    person : str
+    what : str
+        A sentence: which plan was approved, with its hash; which question was answered, and how.
+    """
+
+    time: float
+    person: str
+    what: str
 
 
 @dataclass(frozen=True)
@@ -42,6 +63,20 @@ class TaskResult:
         How many plans it took.
     deviation_mm, deviation_deg : float
         NaN: not placed.
+    tolerance_mm, tolerance_deg : float
+        A deviation beyond one of them is not within tolerance.
+    mass : float
+        [kg]; NaN: nobody says.
+    grip : str
+        How it is or was held; empty: not gripped.
+    approved_by : tuple of str
+        Who approved its plans, each once.
+    scheduled_start : str
+        ISO 8601; empty: the schedule says nothing.
+    scheduled_duration : float
+        [s]; NaN: the schedule says nothing.
+    begun, settled : float
+        When it was begun, and done or skipped, since 1970 [s]; 0: not yet.
     """
 
     name: str
@@ -52,31 +87,112 @@ class TaskResult:
     plans: int
     deviation_mm: float
     deviation_deg: float
+    tolerance_mm: float
+    tolerance_deg: float
+    mass: float = math.nan
+    grip: str = ""
+    approved_by: tuple[str, ...] = ()
+    scheduled_start: str = ""
+    scheduled_duration: float = math.nan
+    begun: float = 0.0
+    settled: float = 0.0
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether it stands within tolerance; None: it is not placed, or where was not measured."""
+        if not (math.isfinite(self.deviation_mm) and math.isfinite(self.deviation_deg)):
+            return None
+        return self.deviation_mm <= self.tolerance_mm and self.deviation_deg <= self.tolerance_deg
 
 
-def summary(results: Sequence[TaskResult], held: int) -> dict:
+def summary(results: Sequence[TaskResult], held: int, decisions: Sequence[Decision] = ()) -> dict:
     """Return the figures of ``work.json``.
 
     Parameters
     ----------
     results : sequence of TaskResult
+        In the order of the schedule.
     held : int
         Plans that were stopped, held or dropped under way.
+    decisions : sequence of Decision
+        In the order of time.
     """
     placed = [one for one in results if math.isfinite(one.deviation_mm)]
     times = [one.planning for one in results if one.plans]
+    passed = [one.passed for one in results if one.passed is not None]
+    masses = [one.mass for one in results if one.state == "done" and math.isfinite(one.mass)]
+    built = built_order(results)
     return {
         "tasks": len(results),
         "done": sum(one.state == "done" for one in results),
         "held": held,
         "replanned": sum(max(0, one.plans - 1) for one in results),
-        "deviation_mm": {"max": max((one.deviation_mm for one in placed), default=None)},
-        "deviation_deg": {"max": max((one.deviation_deg for one in placed), default=None)},
-        "planning_s": {"median": statistics.median(times) if times else None},
+        "deviation_mm": {"max": _largest([one.deviation_mm for one in placed], _MM)},
+        "deviation_deg": {"max": _largest([one.deviation_deg for one in placed], _DEG)},
+        "within_tolerance": {"passed": sum(passed), "not_passed": len(passed) - sum(passed)},
+        "placed_kg": _decimals(sum(masses), 3),
+        "planning_s": {"median": _decimals(statistics.median(times), 3) if times else None},
+        "order": [one.element for one in built],
+        "as_scheduled": [one.element for one in results if one in built] == [one.element for one in built],
+        "elements": [_figures(one, built) for one in results],
+        "decisions": [{"time": _moment(one.time), "person": one.person, "what": one.what} for one in decisions],
     }
 
 
-def write_report(folder: Path, title: str, results: Sequence[TaskResult], held: int, scene: Scene) -> tuple[Path, ...]:
+def built_order(results: Sequence[TaskResult]) -> list[TaskResult]:
+    """Return the tasks that are done, in the order in which they were."""
+    return sorted((one for one in results if one.state == "done"), key=lambda one: one.settled)
+
+
+def _figures(one: TaskResult, built: Sequence[TaskResult]) -> dict:
+    """Return what ``work.json`` says of one element."""
+    return {
+        "element": one.element,
+        "name": one.name,
+        "state": one.state,
+        "order": built.index(one) + 1 if one in built else None,
+        "mass_kg": _decimals(one.mass, 3),
+        "grip": one.grip,
+        "plans": one.plans,
+        "approved_by": list(one.approved_by),
+        "deviation_mm": _decimals(one.deviation_mm, _MM),
+        "deviation_deg": _decimals(one.deviation_deg, _DEG),
+        "within_tolerance": one.passed,
+        "scheduled_start": one.scheduled_start or None,
+        "scheduled_s": _decimals(one.scheduled_duration, 1),
+        "begun": _moment(one.begun) or None,
+        "settled": _moment(one.settled) or None,
+        "took_s": _decimals(_took(one), 1),
+    }
+
+
+def _decimals(value: float, decimals: int) -> float | None:
+    """Return a figure with no more digits than it means; None for NaN."""
+    return round(value, decimals) + 0.0 if math.isfinite(value) else None
+
+
+def _largest(values: Sequence[float], decimals: int) -> float | None:
+    return _decimals(max(values, default=math.nan), decimals)
+
+
+def _took(one: TaskResult) -> float:
+    """Return the time from the beginning of a task to its end [s]; NaN: one of them is not known."""
+    return one.settled - one.begun if 0.0 < one.begun <= one.settled else math.nan
+
+
+def _moment(since_1970: float) -> str:
+    """Return a time as ISO 8601, local and with its offset; empty for 0."""
+    return time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(since_1970)) if since_1970 else ""
+
+
+def write_report(
+    folder: Path,
+    title: str,
+    results: Sequence[TaskResult],
+    held: int,
+    scene: Scene,
+    decisions: Sequence[Decision] = (),
+) -> tuple[Path, ...]:
     """Write ``work.json``, ``as_built.png`` and ``report.html``; return their paths.
 
     Parameters
@@ -84,21 +200,24 @@ def write_report(folder: Path, title: str, results: Sequence[TaskResult], held: 
     folder : Path
     title : str
     results : sequence of TaskResult
+        In the order of the schedule.
     held : int
     scene : Scene
         What stands now.
+    decisions : sequence of Decision
 
     Raises
     ------
     OSError
     """
     figures = folder / "work.json"
-    figures.write_text(json.dumps(summary(results, held), indent=2) + "\n", encoding="utf-8")
+    contents = summary(results, held, decisions)
+    figures.write_text(json.dumps(contents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     picture = folder / "as_built.png"
     built = {one.element: one.name for one in results if one.state == "done"}
     draw(scene, built, title).savefig(picture, dpi=110)
     page = folder / "report.html"
-    page.write_text(_page(title, results, held, picture.name), encoding="utf-8")
+    page.write_text(_page(title, results, held, picture.name, decisions), encoding="utf-8")
     return figures, picture, page
 
 
@@ -161,35 +280,85 @@ def _triangles(item) -> list[np.ndarray]:
 
 
 def rows(results: Sequence[TaskResult]) -> list[tuple[str, ...]]:
-    """Return the table in words: name, state, plans, planning, motion, deviation in mm and in deg."""
+    """Return the table in words, a row for each task in the order of the schedule; see `HEADS`."""
+    built = built_order(results)
     return [
         (
+            str(built.index(one) + 1) if one in built else "",
             one.name,
             one.state,
+            _number(one.mass, 1, " kg"),
+            one.grip,
             str(one.plans),
-            f"{one.planning:.1f} s" if one.plans else "",
-            f"{one.motion:.1f} s" if one.plans else "",
-            _number(one.deviation_mm, 3),
-            _number(one.deviation_deg, 4),
+            ", ".join(one.approved_by),
+            _number(one.planning, 1, " s") if one.plans else "",
+            _number(one.motion, 1, " s") if one.plans else "",
+            _number(one.deviation_mm, _MM),
+            _number(one.deviation_deg, _DEG),
+            {True: "passed", False: "NOT passed", None: ""}[one.passed],
+            _scheduled(one),
+            _number(_took(one), 0, " s"),
         )
         for one in results
     ]
 
 
-#: Heads of that table.
-HEADS = ("task", "state", "plans", "planning", "motion", "deviation mm", "deviation deg")
+#: Heads of that table. `order` is the order in which the elements were placed; the rows stand in that of the schedule.
+HEADS = (
+    "order", "task", "state", "mass", "grip", "plans", "approved by", "planning", "motion", "deviation mm", "deviation deg",
+    "tolerance", "scheduled", "took",
+)  # fmt: skip
 
 
-def _number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" if math.isfinite(value) else ""
+def _scheduled(one: TaskResult) -> str:
+    return " ".join(filter(None, (one.scheduled_start, _number(one.scheduled_duration, 0, " s"))))
 
 
-def _page(title: str, results: Sequence[TaskResult], held: int, picture: str) -> str:
-    head = "".join(f"<th>{html.escape(word)}</th>" for word in HEADS)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows(results))
+def _number(value: float, decimals: int, unit: str = "") -> str:
+    return f"{value:.{decimals}f}{unit}" if math.isfinite(value) else ""
+
+
+def _table(heads: Sequence[str], cells: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th>{html.escape(word)}</th>" for word in heads)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in cells)
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def _against_schedule(results: Sequence[TaskResult]) -> str:
+    """Return the sentences that compare what was done with what was planned."""
+    built = built_order(results)
+    planned = [one for one in results if one in built]
+    moved = [one.name for one, other in zip(built, planned) if one is not other]
+    order = "in the order of the schedule" if not moved else f"not in the order of the schedule: {', '.join(moved)}"
+    told = f"{len(built)} of {len(results)} elements were placed, {order}."
+    timed = [one for one in built if math.isfinite(one.scheduled_duration) and math.isfinite(_took(one))]
+    if not timed:
+        return f"{told} The schedule says no durations."
+    asked, taken = sum(one.scheduled_duration for one in timed), sum(map(_took, timed))
+    return f"{told} The {len(timed)} of them with a duration were scheduled for {asked:.0f} s and took {taken:.0f} s."
+
+
+def _tolerance(results: Sequence[TaskResult]) -> str:
+    found = [one for one in results if one.passed is not None]
+    failed = [one.name for one in found if not one.passed]
+    if not found:
+        return "No deviation was measured."
+    bound = f"{found[0].tolerance_mm:g} mm and {found[0].tolerance_deg:.2g} deg"
+    return (
+        f"Tolerance {bound}: passed by {len(found) - len(failed)} of {len(found)}"
+        + (f", not by {', '.join(failed)}" if failed else "")
+        + "."
+    )
+
+
+def _page(title: str, results: Sequence[TaskResult], held: int, picture: str, decisions: Sequence[Decision]) -> str:
     figures = html.escape(json.dumps(summary(results, held), indent=2))
+    said = [(_moment(one.time), one.person, one.what) for one in decisions]
+    sentences = html.escape(f"{_against_schedule(results)} {_tolerance(results)}")
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{_STYLE}</style>"
         f"<h1>{html.escape(title)}</h1><p>Mock arm: deviations are of its own measured pose when it let go, from the model.</p>"
-        f"<img src={picture} alt='as built'><table><tr>{head}</tr>{body}</table><pre>{figures}</pre></html>\n"
+        f"<p>{sentences}</p>"
+        f"<img src={picture} alt='as built'>{_table(HEADS, rows(results))}"
+        f"<h2>Who decided what</h2>{_table(('time', 'person', 'decision'), said)}<pre>{figures}</pre></html>\n"
     )

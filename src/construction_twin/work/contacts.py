@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.tool import ToolFile, ToolShape
-from construction_twin.scene.collision_bodies import scene_geometry
+from construction_twin.scene.collision_bodies import measured, scene_geometry
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
@@ -141,9 +141,7 @@ class Shapes:
         apart = at.rotation @ first.aabb_center + at.position - there.rotation @ second.aabb_center - there.position
         if apart @ apart > (first.aabb_radius + second.aabb_radius + limit) ** 2:
             return np.inf
-        return coal.distance(
-            first, _transform(at), second, _transform(there), coal.DistanceRequest(), coal.DistanceResult()
-        )
+        return measured(first, _transform(at), second, _transform(there)).min_distance
 
     def _comes_near(self, item: SceneObject, way: Sequence[Pose], other: SceneObject, margin: float) -> bool:
         # between two places nothing comes closer than half of their distance

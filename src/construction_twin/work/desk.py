@@ -15,7 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import SceneObject, product
 from construction_twin.work.built import Deviation, Piece, deviation, objects_of, pose_of_tuple, pose_tuple
-from construction_twin.work.following import question
+from construction_twin.work.following import Grip, question
 from construction_twin.work.ledger import ACCEPTED, Entry, Ledger
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
@@ -41,6 +41,8 @@ class ElementFacts:
     base_T_goal : Pose
     triangles : array, shape (t, 3, 3)
         For pictures, in the element's frame [m].
+    mass : float or None
+        That is planned with [kg]; None: nobody says.
     """
 
     name: str
@@ -49,6 +51,23 @@ class ElementFacts:
     bodies: tuple[SceneObject, ...]
     base_T_goal: Pose
     triangles: np.ndarray
+    mass: float | None = None
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """When a schedule has a job.
+
+    Attributes
+    ----------
+    start : str
+        ISO 8601; empty: not said.
+    duration : float or None
+        [s]; None: not said.
+    """
+
+    start: str = ""
+    duration: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +95,8 @@ class Prepared:
         Why an element can never be planned, by GlobalId; it has no slot.
     standing : tuple of SceneObject
         What stands where the model has it, and no task makes.
+    scheduled : mapping of str to Scheduled
+        By id of the job.
     """
 
     model: str
@@ -90,6 +111,7 @@ class Prepared:
     notes: tuple[str, ...] = ()
     unplannable: Mapping[str, str] = field(default_factory=dict)
     standing: tuple[SceneObject, ...] = ()
+    scheduled: Mapping[str, Scheduled] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
@@ -137,6 +159,11 @@ class TaskRow:
     deviation: Deviation | None
     question: str
     answers: tuple[str, ...]
+    mass: float | None
+    grip: str
+    scheduled: Scheduled
+    begun_ns: int
+    settled_ns: int
 
 
 class Desk:
@@ -240,6 +267,27 @@ class Desk:
         if state is TaskState.READY and element not in self._present():
             return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
         return self._lag(task, now)
+
+    def left_closed(self, grip: Grip) -> str:
+        """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
+
+        So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck
+        it too early, and no plan opens a grip that holds nothing.
+        """
+        book = self.ledger.book
+        doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
+        if not grip.commanded or doubtful or any(memory.in_grip for memory in book.tasks.values()):
+            return ""
+        names = ", ".join(grip.commanded)
+        values = ", ".join(
+            f"{name} {'on' if self.prepared.tool.release.set[name] else 'off'}"
+            for name in grip.commanded
+            if name in self.prepared.tool.release.set
+        )
+        return (
+            f"nothing counts as held, but the tool is commanded to grip ({names}): look at it, and hold what may fall; at the "
+            f"controller end the RSI program, switch {values or names} by hand, start the program anew, then ask again"
+        )
 
     def element_of(self, task: str) -> str:
         """Return the GlobalId of the element that a task places."""
@@ -410,7 +458,7 @@ class Desk:
             if memory.placed:
                 far = self.deviation(job.id)
                 where = pose_of_tuple(memory.base_T_element) if memory.base_T_element else facts.base_T_goal
-                wrong = far is not None and (far.distance > _OFF or far.angle > _OFF_ANGLE)
+                wrong = far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
                 found.append(Appearance(job.element, facts.name, "off" if wrong else "placed", where))
                 continue
             word = {job.id == following: "next", memory.state is TaskState.SKIPPED: "skipped"}.get(True, "todo")
@@ -460,6 +508,11 @@ class Desk:
             deviation=self.deviation(task),
             question=self._question(task),
             answers=memory.possible_answers(),
+            mass=facts.mass,
+            grip=memory.grip,
+            scheduled=self.prepared.scheduled.get(task, Scheduled()),
+            begun_ns=memory.begun_ns,
+            settled_ns=memory.settled_ns,
         )
 
     def _reason(self, task: str, now: int) -> str:
@@ -537,5 +590,5 @@ class Desk:
 #: A measured element further than this from its place was not measured in the robot's frame [m].
 _FARTHEST = 10.0
 #: A placed element further than this from where the model has it is shown as off [m], [rad].
-_OFF, _OFF_ANGLE = 0.005, 0.01
+OFF, OFF_ANGLE = 0.005, 0.01
 _SCHEDULES = {FROM_MODEL: "the model's own", FROM_PERSON: "accepted already"}

@@ -77,10 +77,13 @@ class Grip:
         The outputs have been read back.
     closed : bool
         An output commands it to hold, or an input says that it does; meaningless where it is not known.
+    commanded : tuple of str
+        The outputs that command it to hold, as they read back; empty where it is not known.
     """
 
     known: bool
     closed: bool
+    commanded: tuple[str, ...] = ()
 
     @property
     def surely_open(self) -> bool:
@@ -158,9 +161,9 @@ def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
 
 def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> Grip:
     """Return what a tool's outputs and inputs, read back, say of its grip."""
-    asked = any(outputs.get(name) == value for name, value in tool.grip.set.items())
+    asked = tuple(name for name, value in tool.grip.set.items() if outputs.get(name) == value)
     holds = any(inputs.get(name) == value for name, value in tool.grip.confirm.items())
-    return Grip(True, asked or holds)
+    return Grip(True, bool(asked) or holds, asked)
 
 
 class _Line:

@@ -1,7 +1,7 @@
 """What would have to be different for a task that cannot be planned: the first of a list of small changes with which it can.
 
-Tried: another grip, another order, another place of the work, a longer track. Nothing is changed anywhere; the
-answer is a sentence for the person who plans the cell. Metres; poses in the robot's base_link.
+Tried: another grip, another side that it comes from, another order, another place of the work, a longer track. Nothing is changed
+anywhere; the answer is a sentence for the person who plans the cell. Metres; poses in the robot's base_link.
 """
 
 from __future__ import annotations
@@ -22,13 +22,18 @@ from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.jobs import PlaceJob
+from construction_twin.work.phases import direction
 from construction_twin.work.pieces import Pieces
-from construction_twin.work.recipes import PROPERTY_SET, Recipes
-from construction_twin.work.task_planner import REACH, TaskPlanner
+from construction_twin.work.recipes import OVERRIDES, PROPERTY_SET, Direction, Recipes
+from construction_twin.work.task_planner import LIFT, REACH, SET_DOWN, TaskPlanner
 
 #: Shifts of the work that are tried, the smallest first [m], and turns about the vertical [deg].
 SHIFTS = (0.1, 0.2, 0.4)
 TURNS_DEG = (15.0, -15.0, 30.0, -30.0)
+#: By how much the directions of a recipe are raised, as unit vectors.
+RISES = (0.5, 1.0)
+#: Directions that point down by more than this are not tried.
+_FROM_BELOW = 0.1
 #: By how much a track is made longer at both ends [m].
 LONGER = (0.5, 1.0, 2.0)
 #: Most placed elements whose absence is tried.
@@ -45,12 +50,12 @@ class Change:
     Attributes
     ----------
     kind : str
-        ``grip``, ``order``, ``base`` or ``track``.
+        ``grip``, ``direction``, ``order``, ``base`` or ``track``.
     sentence : str
         What to do.
     """
 
-    kind: Literal["grip", "order", "base", "track"]
+    kind: Literal["grip", "direction", "order", "base", "track"]
     sentence: str
 
 
@@ -82,7 +87,8 @@ def nearest_change(
     going_on : callable, optional
         Asked before each attempt; when it returns false, None is returned.
     failure : TaskPlanningError, optional
-        Why it failed: where the arm does not reach, place and track are tried first, and other elements not at all.
+        Why it failed: where the arm does not reach, place and track are tried first, and other elements not at all; where it failed
+        on the way from the stock or to the place, other directions of that way are tried first.
     before : collection of str, optional
         GlobalIds of the elements that it waits for. It is never advised to be placed before these, nor before what it rests on.
     """
@@ -96,8 +102,10 @@ def nearest_change(
 
     grips, order = _other_grips(job, scene, planner), _other_order(job, scene, planner, placed, before)
     places, tracks = _other_places(job, scene, planner, placed), _longer(job, scene, longer)
-    reach = failure is not None and failure.stage == REACH
-    for candidate in itertools.chain(*((places, tracks, grips) if reach else (grips, order, places, tracks))):
+    stage = "" if failure is None else failure.stage
+    ways = _other_directions(job, scene, planner, stage)
+    first = (places, tracks, grips, ways) if stage == REACH else (ways, grips, order, places, tracks)
+    for candidate in itertools.chain(*first):
         if not going_on():
             return None
         if works(candidate):
@@ -155,7 +163,61 @@ def _other_grips(job: PlaceJob, scene: Scene, planner: TaskPlanner) -> Iterator[
         }
         sentence = f"allow {words} in its recipe ({key}), or in {PROPERTY_SET}"
         other = Recipes(recipes.file, wider)
-        yield _Candidate(Change("grip", sentence), job, scene, partial(planner.with_recipes, other))
+        asked = _without_overrides(job, [("grips", name) for name in update])
+        yield _Candidate(Change("grip", sentence), asked, scene, partial(planner.with_recipes, other))
+
+
+def _without_overrides(job: PlaceJob, keys: Collection[tuple[str, ...]]) -> PlaceJob:
+    """Return a job whose element does not override keys of its recipe: what is tried is then what is planned with."""
+    own = job.properties.get(PROPERTY_SET, {})
+    left = {name: value for name, value in own.items() if name not in OVERRIDES or OVERRIDES[name].key not in keys}
+    return job if len(left) == len(own) else replace(job, properties={**job.properties, PROPERTY_SET: left})
+
+
+def _other_directions(job: PlaceJob, scene: Scene, planner: TaskPlanner, stage: str) -> Iterator[_Candidate]:
+    """Yield other sides from which it is set down, or to which it is lifted off the stock, where that was not possible."""
+    if stage not in (LIFT, SET_DOWN):
+        return
+    part, key, words, pose = (
+        ("stock", "leave", "lift it towards", job.base_T_stock)
+        if stage == LIFT
+        else ("place", "arrive", "set it down from", job.base_T_goal)
+    )
+    recipes = planner.recipes
+    try:
+        name, recipe = recipes.of(job)
+    except TaskPlanningError:
+        return
+    part_of = getattr(recipe, part)
+    asked = _without_overrides(job, [(part, key)])
+    note = (
+        "" if asked.properties == job.properties else f", and take {PROPERTY_SET}.{key.capitalize()} from the element"
+    )
+    for other in _directions(getattr(part_of, key), pose):
+        changed = recipe.model_copy(update={part: part_of.model_copy(update={key: (other,)})})
+        shown = f"[{', '.join(f'{value:g}' for value in other)}]" if isinstance(other, tuple) else other
+        seen = (
+            "seen from the robot's base" if isinstance(other, tuple) else "of the element" if other != "up" else "above"
+        )
+        sentence = f"{words} {shown} ({seen}): {part}/{key} of its recipe {name!r}{note}"
+        with_it = Recipes(recipes.file, {**recipes.recipes, name: changed})
+        yield _Candidate(Change("direction", sentence), asked, scene, partial(planner.with_recipes, with_it))
+
+
+def _directions(given: Sequence[Direction], base_T_element: Pose) -> Iterator[Direction]:
+    """Yield directions that are near to those of a recipe, then the others: each raised, from above, along the element's axes."""
+    seen = [direction(one, base_T_element) for one in given]
+    others: list[Direction] = [
+        (round(float(one[0]), 2) + 0.0, round(float(one[1]), 2) + 0.0, round(float(one[2]) + rise, 2) + 0.0)
+        for one in list(seen)
+        for rise in RISES
+    ]
+    for other in (*others, "up", "+x", "-x", "+y", "-y", "+z", "-z"):
+        vector = direction(other, base_T_element)
+        # nothing is set down from below, and nothing is tried twice
+        if vector[2] > -_FROM_BELOW and all(vector @ one < 1.0 - 1e-3 for one in seen):
+            seen.append(vector)
+            yield other
 
 
 def _other_order(

@@ -209,7 +209,8 @@ def _all_far(
     if np.abs(np.concatenate((low, high))).max() > _MAP and np.abs(base.position).max() <= _MAP:
         return (
             f"{text}The elements stand at {_figures(low)} to {_figures(high)}: these are coordinates of a map. "
-            "Give model_T_base in the same coordinates, or write the file with its map conversion instead."
+            "Name the element that stands where the robot's base_link is in base_element, or write the file with its map "
+            "conversion."
         )
     if np.abs(base.position).max() > _MAP:
         return (

@@ -282,14 +282,19 @@ class Recipes:
         TaskPlanningError
             If no recipe fits, a property of `PROPERTY_SET` is wrong, the mass is not known, or too large for tool or load.
         """
-        asked = _Asked(job.element, job.ifc_class, job.element_name, job.type_name, job.properties)
-        own = {name: value for name, value in job.properties.get(PROPERTY_SET, {}).items() if name != "id"}
-        name = self._named(job, own) or self._first(job, asked)
-        recipe = self._overridden(job, self.recipes[name], own)
+        name, recipe = self.of(job)
+        own = job.properties.get(PROPERTY_SET, {})
         mass = recipe.mass if "Mass" in own or job.mass is None else job.mass
         _check_mass(job, name, mass, tool)
         assert mass is not None
         return Chosen(name, recipe, mass)
+
+    def of(self, job: PlaceJob) -> tuple[str, Recipe]:
+        """Return the name of the recipe for a job, and it with the overrides of the model; raises as `choose`, masses apart."""
+        asked = _Asked(job.element, job.ifc_class, job.element_name, job.type_name, job.properties)
+        own = {name: value for name, value in job.properties.get(PROPERTY_SET, {}).items() if name != "id"}
+        name = self._named(job, own) or self._first(job, asked)
+        return name, self._overridden(job, self.recipes[name], own)
 
     def check_tool(self, tool: Tool) -> None:
         """Check that every recipe names shapes that the tool has.

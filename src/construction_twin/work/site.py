@@ -26,7 +26,9 @@ from construction_twin.work.building import BuildingModel, Element
 from construction_twin.work.matching import Match
 from construction_twin.work.recipes import DELIVERED, PROPERTY_SET, Recipes, read_recipes
 
-_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
+#: Poses of the file are this close to the origin [m]; in binary fractions a map's coordinates would cost accuracy.
+FARTHEST = 1e4
+_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-FARTHEST, le=FARTHEST)]
 _Count = Annotated[int, pydantic.Field(ge=1, le=10000)]
 _Step = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=100.0)]
 _Vector = tuple[_Finite, _Finite, _Finite]
@@ -146,6 +148,17 @@ class CellFile(_Strict):
     base_element: str = ""
     supports: tuple[str, ...] = ()
     racks: Annotated[dict[_RackName, Rack], pydantic.Field(min_length=1)]
+
+    @pydantic.field_validator("model_T_base", mode="before")
+    @classmethod
+    def _near_the_origin(cls, given: object) -> object:
+        xyz = given.get("xyz") if isinstance(given, dict) else None
+        if isinstance(xyz, list) and any(isinstance(one, (int, float)) and FARTHEST < abs(one) < np.inf for one in xyz):
+            raise ValueError(
+                f"expected xyz within {FARTHEST:g} m of the model's origin; where the model stands in coordinates of a map, give "
+                "base_element instead: the element of the model that stands where the robot's base_link is"
+            )
+        return given
 
     @pydantic.model_validator(mode="after")
     def _one_place(self) -> CellFile:

@@ -13,22 +13,23 @@ from typing import Any
 import numpy as np
 
 from construction_twin.core.work_errors import TaskPlanningError
-from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.work.building import BuildingModel, Element
 from construction_twin.work.built import pose_of_tuple
 from construction_twin.work.contacts import tool_objects
-from construction_twin.work.desk import ElementFacts, Prepared
+from construction_twin.work.desk import ElementFacts, Prepared, Scheduled
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.jobs import WorkPlan
+from construction_twin.work.jobs import PlaceJob, WorkPlan
 from construction_twin.work.placement import check_placement
 from construction_twin.work.proposed_schedule import is_proposal, propose
 from construction_twin.work.schedule import Schedule
-from construction_twin.work.site import pose_of, read_site
+from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
 from construction_twin.work.standing import standing
 from construction_twin.work.task_planner import TaskPlanner
@@ -94,7 +95,7 @@ def prepare(
         read = building.element(element)
         elements[element] = ElementFacts(
             read.name or read.tag or element, read.ifc_class, read.type_name, pieces.get(element, ()),
-            layout.base_T_goal(element), element_triangles(read),
+            layout.base_T_goal(element), element_triangles(read), _mass(site, read),
         )  # fmt: skip
     notes = [
         *building.notes,
@@ -128,7 +129,30 @@ def prepare(
         notes=tuple(notes),
         unplannable={element: str(failure) for element, failure in failures.items()},
         standing=layout.standing,
+        scheduled=_scheduled(building, schedule),
     )
+
+
+def _mass(site: Site, element: Element) -> float | None:
+    """Return the mass that an element is planned with [kg]; None: nobody says, or its recipe is wrong, which planning tells."""
+    here = Pose(np.zeros(3), np.eye(3))
+    properties = {name: dict(group) for name, group in element.properties.items()}
+    job = PlaceJob(
+        "", element.id, element.name, element.ifc_class, element.type_name, properties, (), element.mass, here, here
+    )
+    try:
+        return site.recipes.choose(job, site.tool.tool).mass
+    except TaskPlanningError:
+        return element.mass
+
+
+def _scheduled(building: BuildingModel, schedule: Schedule) -> dict[str, Scheduled]:
+    """Return when the model's schedule has each job; the duration of a task that makes several elements is none of theirs."""
+    return {
+        job.id: Scheduled(task.start, task.duration if job.id == job.task else None)
+        for job in schedule.jobs
+        if (task := building.tasks.get(job.task)) is not None
+    }
 
 
 def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> WorkPlan:

@@ -73,6 +73,21 @@ def test_a_grip_that_does_not_close_ends_the_plan_at_the_stock():
     assert chain.executor.outcome != "finished" and [value for _, value in edges(chain)] == [True]
 
 
+def test_after_a_grip_that_did_not_close_a_person_opens_it_by_hand_and_a_new_session_takes_it_as_it_reads():
+    chain, _ = begun()
+    chain.faults.inject(Fault("grip_fails"))
+    assert chain.run_until(lambda: chain.executor.outcome != "", 20.0)
+    assert vacuum(chain)
+    chain.faults.inject(Fault("opened_by_hand"))
+    chain.run_for(1.0)
+    told = chain.gateway.status()["tool"]
+    assert not vacuum(chain) and not told["known"] and "vacuum reads back off, commanded on" in told["reason"]
+    chain.controller.restart()
+    chain.run_for(1.0)
+    told = chain.gateway.status()["tool"]
+    assert told["known"] and told["outputs"] == {"vacuum": False} and told["inputs"] == {"gripped": False}
+
+
 def test_a_stop_between_arming_and_firing_leaves_the_output_alone():
     chain, _ = begun()
     armed = lambda: any(s["state"] == "armed" for s in chain.gateway.status()["tool"]["switches"])  # noqa: E731

@@ -54,7 +54,7 @@ def test_inputs_begin_as_an_open_gripper_and_go_on_while_rsi_is_off():
 def test_a_mock_without_a_tool_has_no_gripper_to_fail():
     cell = Cell()
     assert cell.mock.tool is None
-    for name in ("grip_fails", "grip_lost", "no_read_back"):
+    for name in ("grip_fails", "grip_lost", "opened_by_hand", "no_read_back"):
         with pytest.raises(FaultError, match="an Ethernet XML with channels of a tool"):
             FaultBoard(cell.mock, 0).inject(Fault(name))
 

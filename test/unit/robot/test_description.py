@@ -195,6 +195,38 @@ def test_joint_the_twin_cannot_drive_is_named(description, type, limit):
     assert "joint j" in refused(ONE_JOINT.format(type=type, limit=limit), description).where
 
 
+ENDLESS = '<robot name="x"><link name="base_link"/><link name="tool0"/><joint name="j" type="continuous"><parent link="base_link"/>'
+ENDLESS += '<child link="tool0"/><axis xyz="0 0 1"/><limit effort="1" velocity="2"/></joint></robot>'
+TURNS = {"home_deg": 0.0, "acceleration_deg_s2": 10.0, "jerk_deg_s3": 100.0, "rsi": "A1", "sign": 1, "offset_deg": 0.0}
+
+
+def endless(urdf=ENDLESS, **keys):
+    joints = {"j": {**TURNS, **keys}}
+    return load_robot(urdf, {"name": "x", "base_link": "base_link", "tip_link": "tool0", "joints": joints})
+
+
+def test_a_joint_that_turns_without_end_has_the_range_of_the_yaml():
+    robot = endless(range_deg=[-360, 270])
+    assert (robot.lower, robot.upper) == (pytest.approx([-2 * math.pi]), pytest.approx([1.5 * math.pi]))
+    assert (robot.velocity, robot.linear) == ((2.0,), (False,))
+    with pytest.raises(JointRangeError):
+        robot.check_range([5.0])
+
+
+@pytest.mark.parametrize(
+    "keys", [{}, {"range_deg": [10, 10]}, {"range_deg": [-1e9, 1e9]}, {"range_deg": [float("nan"), 1]}]
+)
+def test_without_a_range_it_is_refused_with_the_key_that_gives_one(keys):
+    with pytest.raises(ConfigurationError, match="robot/joints/j/range_deg"):
+        endless(**keys)
+
+
+def test_a_range_in_the_yaml_is_refused_where_the_urdf_has_one():
+    urdf = ENDLESS.replace("continuous", "revolute").replace("<limit ", '<limit lower="-1" upper="1" ')
+    with pytest.raises(ConfigurationError, match="range_deg: .*the URDF has this joint's"):
+        endless(urdf, range_deg=[-90, 90])
+
+
 TRACK_XACRO = ROOT / "urdf" / "kr120_track.urdf.xacro"
 TRACK_YAML = ROOT / "config" / "kr120_track.yaml"
 

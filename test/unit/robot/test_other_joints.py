@@ -17,7 +17,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.other_frames import other_frames
 from construction_twin.robot.description import RobotModel, home_positions, load_robot, read_robot_files
-from construction_twin.robot.other_joints import OtherJoint, other_joints_text
+from construction_twin.robot.other_joints import Following, OtherJoint, other_joints_text
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.nodes import static_frames
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -163,26 +163,17 @@ def test_every_tree_has_a_floating_joint_because_no_joint_state_holds_it(monkeyp
 
 def test_a_follower_of_the_chain_has_no_frame_of_its_own():
     """robot_state_publisher moves it with its leader."""
-    robot = gripper(without_shapes(changed("hinge", mimic={"joint": "wrist_3"}), "camera"))
-    assert robot.other_joints[2] == OtherJoint("hinge", "revolute", None, "wrist_3")
+    robot = gripper(changed("hinge", mimic={"joint": "wrist_3"}))
+    assert robot.other_joints[2] == OtherJoint("hinge", "revolute", None, "wrist_3", Following("wrist_3", 1.0, 0.0))
     assert {frame.child for frame in other_frames(robot)} == {"finger_left", "finger_right"}
-    assert "hinge (revolute, moves with wrist_3)" in text(robot)
-    RobotBodies(robot)
+    assert text(robot).endswith("; others move with it: hinge (revolute, moves with wrist_3)")
 
 
-def without_shapes(urdf: str, link: str) -> str:
-    robot = ElementTree.fromstring(urdf)
-    element = robot.find(f"link[@name='{link}']")
-    for shape in element.findall("collision"):
-        element.remove(shape)
-    return ElementTree.tostring(robot, encoding="unicode")
-
-
-def test_shapes_that_follow_the_chain_are_refused_because_their_motion_is_not_checked():
-    with pytest.raises(ConfigurationError) as caught:
-        RobotBodies(gripper(changed("hinge", mimic={"joint": "wrist_3"})))
-    assert caught.value.where == "robot_description joint hinge"
-    assert "camera" in str(caught.value) and "follows wrist_3" in str(caught.value)
+def test_a_follower_of_a_follower_of_the_chain_has_the_product_of_their_factors():
+    urdf = changed("slide_left", mimic={"joint": "wrist_3", "multiplier": "0.5", "offset": "0.1"})
+    left, right, _ = gripper(urdf).other_joints
+    assert left.following == Following("wrist_3", 0.5, 0.1)
+    assert (right.follows, right.following) == ("slide_left", Following("wrist_3", 0.5, 0.1))
 
 
 def test_fingers_are_bodies_of_the_last_link_at_their_pose():

@@ -19,6 +19,7 @@ from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.robot.new_robot import ESTIMATED
 from construction_twin.ros.commands import preflight
 from construction_twin.ros.commands.new_arm import main
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
@@ -26,6 +27,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 
+DATA = Path(__file__).parents[2] / "data"
 QUICK = ("--samples", "400")
 
 
@@ -55,7 +57,7 @@ def test_one_command_per_arm(arm, tmp_path, capsys):
     robot = read_robot_files(given["robot_xacro"], given["robot_config"])
     assert (robot.name, robot.tip_link, given["robot"]) == (arm.name, arm.tip, arm.name)
     assert [axis.rsi for axis in robot.axes] == arm.axes
-    assert robot.estimates == ("accelerations", "axes")
+    assert robot.estimates == ESTIMATED
     # full speed within a second, to three digits
     assert robot.acceleration == pytest.approx(robot.velocity, rel=0.005)
     assert [jerk / 10 for jerk in robot.jerk] == pytest.approx(robot.acceleration, rel=0.005)
@@ -67,8 +69,45 @@ def test_one_command_per_arm(arm, tmp_path, capsys):
     said = capsys.readouterr().out
     assert f"{robot.name}: {len(arm.axes)} joints from {arm.base} to {arm.tip}" in said
     assert f"  roslaunch {folder / arm.name}.launch" in said
-    for key in ("acceleration_deg_s2", "rsi, sign and offset_deg", "IP_NUMBER", "scene"):
+    for key in (
+        "acceleration_deg_s2",
+        "jerk_deg_s3",
+        "rsi, sign and offset_deg",
+        "no other axis",
+        "IP_NUMBER",
+        "scene",
+    ):
         assert key in said[said.index("a person must still fill in") :]
+
+
+def robot_estimates(given: dict[str, str]) -> tuple[str, ...]:
+    return read_robot_files(given["robot_xacro"], given["robot_config"]).estimates
+
+
+def test_an_arm_with_a_counterbalance_that_mimic_joints_move(tmp_path, capsys):
+    given = made(tmp_path / "made", DATA / "balanced_like.urdf")
+    robot = read_robot_files(given["robot_xacro"], given["robot_config"])
+    pairs = read_self_collision(given["self_collision"], robot)
+    assert {"cylinder", "piston"} <= {link for pair in pairs.ignored for link in pair}
+    said = capsys.readouterr().out
+    assert "move with it: balance_cylinder (continuous, moves with shoulder), balance_piston" in said
+    check_home(robot, given)
+    check_start(given)
+    check_planning(robot, given)
+
+
+def test_an_arm_whose_joints_turn_without_end(tmp_path, capsys):
+    given = made(tmp_path / "made", DATA / "endless_like.urdf")
+    robot = read_robot_files(given["robot_xacro"], given["robot_config"])
+    assert robot.estimates == ("accelerations", "jerks", "ranges", "axes", "couplings")
+    turn = 2 * np.pi
+    assert robot.lower == pytest.approx([-turn, -2.2, -turn, -2.5, -turn, -2.0, -turn])
+    assert robot.upper == pytest.approx([turn, 2.2, turn, 2.5, turn, 2.0, turn])
+    said = capsys.readouterr().out
+    assert "range_deg of the joints that the URDF lets turn without end: from the maker" in said
+    check_home(robot, given)
+    check_start(given)
+    check_planning(robot, given)
 
 
 def check_home(robot: RobotModel, given: dict[str, str]) -> None:
@@ -93,7 +132,7 @@ def check_start(given: dict[str, str]) -> None:
         "gateway_account": "",
     }
     assert preflight.contents_problem(asked) == ""
-    assert "estimates: found ['accelerations', 'axes']" in preflight.contents_problem(asked | {"arm": "real"})
+    assert f"estimates: found {list(robot_estimates(given))}" in preflight.contents_problem(asked | {"arm": "real"})
     entered = yaml.safe_load(Path(given["robot_config"]).read_text()) | {"estimates": []}
     file = Path(given["robot_config"]).with_name("entered.yaml")
     file.write_text(yaml.safe_dump(entered, sort_keys=False))
@@ -129,7 +168,7 @@ def test_roslaunch_loads_the_whole_start(tmp_path):
     assert run.returncode == 0, run.stderr
     loaded = yaml.safe_load(run.stdout)
     assert loaded["/preflight"] is True
-    assert loaded["/ten_kilos/robot/estimates"] == ["accelerations", "axes"]
+    assert loaded["/ten_kilos/robot/estimates"] == list(ESTIMATED)
     assert loaded["/ten_kilos/scene/self_collision"] == f"{tmp_path}/made/ten_kilos_self_collision.yaml"
     assert "AK.A6" in loaded["/ten_kilos/gateway/ethernet_xml"]
 
@@ -196,7 +235,7 @@ def test_a_mesh_arm_comes_with_its_hulls(tmp_path, capsys):
         (["--base", "foot"], ("", ""), "--base: found 'foot', expected one of the URDF's links"),
         (["--base", "tool0", "--tip", "base_link"], ("", ""), "expected a descendant of tool0"),
         (["--tip", "base_link"], ("", ""), "expected a link that 1 to 12 joints move; 0 do"),
-        ([], ('type="revolute"', 'type="continuous"'), "give a continuous one a range"),
+        ([], ('type="revolute"', 'type="floating"'), "an independent revolute, continuous or prismatic joint"),
         ([], ('velocity="', 'velocity="0" was="'), "a positive number"),
         (["--full-speed-in", "0"], ("", ""), "expected positive numbers"),
         (["--name", "My Arm"], ("", ""), "name"),

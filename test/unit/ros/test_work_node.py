@@ -436,6 +436,35 @@ class TestTool:
         bench.run()
         assert bench.row.state == "carried"
 
+    @pytest.mark.parametrize("answer", ["in_stock", "gone"])
+    def test_the_way_out_after_a_grip_that_was_not_confirmed_is_named_and_works(self, bench, answer):
+        bench.planned().play(FETCH).play(GRIP).tool(False, commanded=True)
+        bench.play(GRIP, True)
+        bench.execution(Execution.IDLE, GRIP, plan_id=bench.plan.id, outcome="tool", reason="was not confirmed")
+        bench.run()
+        assert bench.row.state == "asks"
+        said = bench.node.on_decide(answered(answer))
+        assert said.success and "the tool is commanded to grip (vacuum)" in said.message
+        bench.run()
+        for read in (False, True):
+            # whether the cups have caught the element meanwhile or not
+            bench.tool(read, commanded=True)
+            refused = bench.ask()
+            assert not refused.success and "switch vacuum off by hand, start the program anew" in refused.message
+        # nor is it moved back while it may hang on the cups
+        bench.left_engaged("grip", bench.scene.hash)
+        assert not bench.ask().success and "plan_way_back" not in dict(bench.noted)
+        bench.tool(False)
+        assert bench.ask().message.startswith("the arm is engaged: the way back comes first")
+
+    def test_a_grip_that_holds_an_element_is_no_problem(self, bench):
+        bench.carrying()
+        bench.execution(Execution.IDLE, CARRY, plan_id=bench.plan.id, outcome="held")
+        bench.run()
+        said = bench.node.on_decide(answered("in_grip"))
+        assert said.success and "commanded" not in said.message
+        assert bench.ask().success
+
 
 def answered(answer: str) -> WorkDecideRequest:
     return WorkDecideRequest(task=TASK, decision="answer", answer=answer, person="Ada")

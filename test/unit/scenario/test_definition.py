@@ -122,4 +122,13 @@ def test_shipped_scenarios_change_only_parameters_that_there_are(path):
 def test_every_fault_is_in_a_scenario_or_is_motion_of_its_own_or_a_mere_word():
     """Those of the gripper are played with gateway and executor in chain/test_tool_chain.py: a scenario has no tool."""
     used = {step.inject.fault for path in FILES for step in read_scenario(path).steps if step.inject}
-    assert used == set(KINDS) - {"jog", "mode", "program", "override", "grip_fails", "grip_lost", "no_read_back"}
+    assert used == set(KINDS) - {
+        "jog",
+        "mode",
+        "program",
+        "override",
+        "grip_fails",
+        "grip_lost",
+        "opened_by_hand",
+        "no_read_back",
+    }

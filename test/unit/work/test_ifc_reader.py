@@ -106,6 +106,25 @@ def test_what_something_is_cut_from_is_no_extrusion(read):
     assert volume(body.vertices, body.triangles) == pytest.approx(4 * 0.2 * 2.5 - 0.2)
 
 
+#: Wall, opening and where it is [m]; the kernel's corners on two sides of an edge differ by 1e-16 m.
+CUT = [
+    ((3.0, 0.2, 2.6), (0.9, 1.0, 1.2), (0.3, 0.0, 0.8)),
+    ((1.2, 0.0125, 2.4), (0.068, 0.5, 0.068), (0.2, 0.0, 0.3)),
+    ((3.0, 0.2, 2.6), (0.333333, 1.0, 0.3), (0.1234567, 0.0, 0.1)),
+]
+
+
+@pytest.mark.parametrize("unit", ["mm", "m"])
+@pytest.mark.parametrize(("size", "opening", "at"), CUT)
+def test_a_wall_with_a_rectangular_opening_is_closed_and_has_its_volume(read, unit, size, opening, at):
+    model = IfcModel(unit=unit)
+    model.opening(model.box("wall", size, kind="IfcWall"), opening, at)
+    found = read(model)
+    (body,) = only(found).bodies
+    assert is_closed(body.triangles) and not found.notes
+    assert volume(body.vertices, body.triangles) == pytest.approx(np.prod(size) - opening[0] * size[1] * opening[2])
+
+
 PROFILES = {
     "IfcRectangleHollowProfileDef": {"XDim": 0.1, "YDim": 0.06, "WallThickness": 0.005},
     "IfcRoundedRectangleProfileDef": {"XDim": 0.1, "YDim": 0.06, "RoundingRadius": 0.01},

@@ -64,6 +64,48 @@ def test_a_neighbour_that_came_too_early_is_named(tmp_path):
     assert waits is None or waits.kind != "order"
 
 
+def beside_the_table(tmp_path, properties=None):
+    """Return job, scene, recipes and why a brick cannot come from the side: all the way it is within the padding of the floor."""
+    objects = {
+        "padding": 0.02,
+        "objects": {
+            "ground": {"shape": "box", "size": [2.0, 0.8, 0.6], "position": [0, 1.6, 0.29]},
+            "rack": {"shape": "box", "size": [2.0, 0.8, 0.6], "position": [0, -1.6, 0.3]},
+        },
+    }
+    found = layout(
+        site(tmp_path, {"supports": ["ground"]}, objects), building(element("b", properties=properties or {}))
+    )
+    brick = recipes().recipes["brick"]
+    place = brick.place.model_copy(update={"arrive": ("-y",)})
+    sideways = replace(recipes(), recipes={"brick": brick.model_copy(update={"place": place})})
+    scene = found.scene()
+    job = found.job_for("b", scene)
+    with pytest.raises(TaskPlanningError, match="would touch ground, or come closer") as caught:
+        planner(sideways, limits=SHORT).plan(job, HOME, scene)
+    return job, scene, sideways, caught.value
+
+
+def test_what_cannot_come_from_the_side_comes_from_a_little_above(tmp_path):
+    job, scene, sideways, why = beside_the_table(tmp_path)
+    assert why.stage == "set down"
+    change = nearest_change(job, HOME, scene, planner(sideways, limits=SHORT), {}, failure=why)
+    assert change.kind == "direction"
+    assert (
+        "set it down from [0, -1, 0.5]" in change.sentence and "place/arrive of its recipe 'brick'" in change.sentence
+    )
+    # what it says helps
+    place = sideways.recipes["brick"].place.model_copy(update={"arrive": ((0.0, -1.0, 0.5),)})
+    said = replace(sideways, recipes={"brick": sideways.recipes["brick"].model_copy(update={"place": place})})
+    assert planner(said, limits=SHORT).plan(job, HOME, scene).segments
+
+
+def test_a_property_that_would_override_the_advice_is_named(tmp_path):
+    job, scene, sideways, why = beside_the_table(tmp_path, {"CTwin_RobotTask": {"Arrive": "-y"}})
+    change = nearest_change(job, HOME, scene, planner(sideways, limits=SHORT), {}, failure=why)
+    assert change.kind == "direction" and change.sentence.endswith("take CTwin_RobotTask.Arrive from the element")
+
+
 class OnlyWithout:
     """A planner that finds a way only where an element is not in the scene."""
 

@@ -331,4 +331,6 @@ def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go
     ],
 )
 def test_a_grip_is_closed_when_it_is_told_to_hold_or_holds(output, inputs, closed):
-    assert grip_of(work_samples.tool().tool, {"vacuum": output}, inputs) == Grip(True, closed)
+    assert grip_of(work_samples.tool().tool, {"vacuum": output}, inputs) == Grip(
+        True, closed, ("vacuum",) if output else ()
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Annotated, Any
 import pydantic
 import rospy
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ExperimentError, RequestRefused
@@ -29,7 +31,7 @@ from construction_twin.ros.shared.params import read_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide, WorkPlanTask, WorkPlanTaskResponse
-from construction_twin.work.build_report import HEADS, TaskResult, rows, write_report
+from construction_twin.work.build_report import HEADS, Decision, TaskResult, rows, write_report
 
 #: Who approves, for the record.
 PERSON = "make build"
@@ -40,6 +42,8 @@ _MOST_PLANS = 5
 #: A plan may take that many times its duration, and the timeout of the settings: a hold, switches.
 _SLOWER = 4.0
 _POLL = 0.05
+#: Where there is no terminal, a line tells so often that it is waited [s].
+_LINE = 10.0
 
 
 class Settings(pydantic.BaseModel):
@@ -73,6 +77,7 @@ class _Times:
     planning: float = 0.0
     motion: float = 0.0
     plans: list[str] = field(default_factory=list)
+    people: list[str] = field(default_factory=list)
 
 
 class Builder:
@@ -92,6 +97,7 @@ class Builder:
         self._news = threading.Condition()
         self._newest: dict[str, Any] = {}
         self._times: dict[str, _Times] = {}
+        self._decisions: list[Decision] = []
         self._held = 0
         self._confirm = read_tool(settings.tool).tool.grip.confirm
         self._last: dict[str, str] = {}
@@ -104,8 +110,10 @@ class Builder:
             "tool": ToolState,
         }
         refuse = warn_of_refusals()
-        for topic, kind in (*reports.items(), ("scene", SceneMsg)):
-            Subscriber(topic, kind, partial(self._receive, topic), refuse, queue_size=5)
+        self._subscribers = {
+            topic: Subscriber(topic, kind, partial(self._receive, topic), refuse, queue_size=5)
+            for topic, kind in (*reports.items(), ("scene", SceneMsg))
+        }
 
     def run(self) -> tuple[Path, ...]:
         """Build, and write the report; return its files.
@@ -119,7 +127,7 @@ class Builder:
         check_writable(results)
         began = time.monotonic()
         self._wait(self._ready, "the system to get ready")
-        self._wait(lambda: self._tasks is not None and self._tasks.schedule, "the model to be read")
+        self._wait_for_model(began)
         self._accept()
         self._say(f"{self._tasks.model}: {len(self._tasks.tasks)} tasks, ready after {time.monotonic() - began:.0f} s")
         wanted = [task.id for task in self._tasks.tasks][: self._settings.most or None]
@@ -164,6 +172,8 @@ class Builder:
         times.planning, plan_id = time.monotonic() - asked, answer.plan_id
         times.plans.append(plan_id)
         self._approve(answer)
+        times.people.append(PERSON)
+        self._decided(f"approved plan {plan_id} of {self._row(task).name}, hash {answer.plan_hash[:12]}")
         began = time.monotonic()
         held = self._held
         patience = self._settings.timeout + _SLOWER * self._duration(plan_id)
@@ -201,11 +211,13 @@ class Builder:
             raise ExperimentError(f"{row.name}: {row.question}: none of {', '.join(row.answers)} is known to be true")
         self._say(f"asked: {row.question} Answer: {answer}")
         self._decide(row.id, "answer", answer)
+        self._decided(f"answered {answer} for {row.name}: {row.question}")
         self._wait(lambda: self._row(row.id).state != "asks", f"the answer to task {row.id} to be taken")
 
     def _accept(self) -> None:
         if self._tasks.schedule == "proposed":
             self._decide("", "accept_schedule")
+            self._decided(f"accepted the proposed schedule of {len(self._tasks.tasks)} tasks")
             self._wait(lambda: self._tasks.schedule == "accepted", "the schedule to be accepted")
 
     def _decide(self, task: str, decision: str, answer: str = "") -> None:
@@ -213,6 +225,28 @@ class Builder:
         taken = rospy.ServiceProxy("work/decide", WorkDecide)(task, decision, answer, PERSON, "a mock arm")
         if not taken.success:
             raise ExperimentError(taken.message)
+
+    def _decided(self, what: str) -> None:
+        self._decisions.append(Decision(time.time(), PERSON, what))
+
+    def _wait_for_model(self, began: float) -> None:
+        """Wait until the model is read, as long as the node works on it: a large model on a busy machine takes its time."""
+        limit = self._settings.timeout
+        with waiting(self._console, "reading the model", began) as tell:
+            heard = time.monotonic()
+            while self._tasks is None or not self._tasks.schedule:
+                tasks, now = self._tasks, time.monotonic()
+                if rospy.is_shutdown():
+                    raise ExperimentError("interrupted")
+                if tasks is not None and not tasks.reading:
+                    raise ExperimentError(f"the model cannot be read: {tasks.reason}")
+                if tasks is not None and self._subscribers["work/tasks"].get_num_connections():
+                    heard = now
+                if now - heard > limit:
+                    raise ExperimentError(f"waited {limit:g} s in vain for a work node that reads the model")
+                tell()
+                with self._news:
+                    self._news.wait(_POLL)
 
     # -- what is known
 
@@ -245,7 +279,9 @@ class Builder:
             found.append(
                 TaskResult(
                     row.element_name, row.element, row.state, times.planning, times.motion, len(times.plans),
-                    row.deviation_mm, row.deviation_deg,
+                    row.deviation_mm, row.deviation_deg, row.tolerance_mm, row.tolerance_deg, row.mass_kg, row.grip,
+                    tuple(dict.fromkeys(times.people)), row.scheduled_start, row.scheduled_duration, row.begun.to_sec(),
+                    row.settled.to_sec(),
                 )
             )  # fmt: skip
         table = Table(*HEADS)
@@ -260,6 +296,7 @@ class Builder:
             found,
             self._held,
             scene_from_msg(self._newest["scene"]),
+            self._decisions,
         )
         point_latest(results, directory)
         return files
@@ -291,6 +328,39 @@ class Builder:
 
     def _say(self, text: str) -> None:
         self._console.print(text, soft_wrap=True, highlight=False)
+
+
+@contextlib.contextmanager
+def waiting(console: Console, what: str, began: float) -> Iterator[Callable[[], None]]:
+    """Show that something is waited for: a bar on a terminal, elsewhere a line every `_LINE` seconds.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    what : str
+    began : float
+        Of the waiting, by the monotonic clock [s].
+
+    Yields
+    ------
+    tell : callable
+        To be called while it is waited for, as often as one likes.
+    """
+    if console.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True) as progress:
+            progress.add_task(what, total=None)
+            yield lambda: None
+        return
+    told = [began]
+
+    def tell() -> None:
+        now = time.monotonic()
+        if now - told[0] >= _LINE:
+            told[0] = now
+            console.print(f"{what}: {now - began:.0f} s", soft_wrap=True, highlight=False)
+
+    yield tell
 
 
 #: States of a task from which it still leads somewhere by itself.

@@ -23,6 +23,7 @@ def tasks_json(message: WorkTasks) -> bytes:
         "model_hash": message.model_hash,
         "schedule": message.schedule,
         "engaged": bool(message.engaged),
+        "reading": bool(message.reading),
         "next": message.next,
         "reason": message.reason,
         "tasks": [_task(task) for task in message.tasks],
@@ -46,9 +47,9 @@ def _object(item: SceneObject) -> dict:
 
 
 def _task(task: WorkTask) -> dict:
-    deviations = {
-        name: value if math.isfinite(value) else None
-        for name, value in (("deviation_mm", task.deviation_mm), ("deviation_deg", task.deviation_deg))
+    numbers = {
+        name: value if math.isfinite(value := getattr(task, name)) else None
+        for name in ("deviation_mm", "deviation_deg", "mass_kg", "scheduled_duration", "tolerance_mm", "tolerance_deg")
     }
     return {
         "id": task.id,
@@ -60,9 +61,13 @@ def _task(task: WorkTask) -> dict:
         "after": list(task.after),
         "robot": task.robot,
         "plan_id": task.plan_id,
-        **deviations,
+        **numbers,
         "question": task.question,
         "answers": list(task.answers),
+        "grip": task.grip,
+        "scheduled_start": task.scheduled_start,
+        "begun": task.begun.to_sec() if task.begun else None,
+        "settled": task.settled.to_sec() if task.settled else None,
     }
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import genpy
+
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.msg import Engagement, Execution, WorkTask, WorkTasks
 from construction_twin.msg import Segment as SegmentMsg
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
@@ -11,7 +14,7 @@ from construction_twin.ros.messages.convert import signal_to_msg, switch_from_ms
 from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.work_texts import TaskFacts, WorkFacts
-from construction_twin.work.desk import TaskRow
+from construction_twin.work.desk import OFF, OFF_ANGLE, TaskRow
 from construction_twin.work.engaged_scene import Left, Step
 from construction_twin.work.following import Report, SegmentEnd
 from construction_twin.work.jobs import WorkSegment
@@ -89,7 +92,19 @@ def task_to_msg(row: TaskRow) -> WorkTask:
         deviation_deg=math.degrees(far.angle) if far is not None else math.nan,
         question=row.question,
         answers=list(row.answers),
+        mass_kg=math.nan if row.mass is None else row.mass,
+        grip=row.grip,
+        scheduled_start=row.scheduled.start,
+        scheduled_duration=math.nan if row.scheduled.duration is None else row.scheduled.duration,
+        begun=_time(row.begun_ns),
+        settled=_time(row.settled_ns),
+        tolerance_mm=OFF * 1e3,
+        tolerance_deg=math.degrees(OFF_ANGLE),
     )
+
+
+def _time(since_1970: int) -> genpy.Time:
+    return genpy.Time(*divmod(since_1970, NANOSECONDS))
 
 
 def work_facts_from_msg(message: WorkTasks) -> WorkFacts:

@@ -324,6 +324,8 @@ class WorkNode:
 
     def _plan_task(self, asked: str) -> WorkPlanTaskResponse:
         heard = self._heard
+        if problem := self._left_closed():
+            raise WorkRefused(problem)
         if heard.engaged:
             heard.wait_for(lambda: not heard.unsaid, SCENE_TIME)
         if heard.engaged:
@@ -357,6 +359,11 @@ class WorkNode:
         desk.failures.pop(task, None)
         rospy.loginfo("%s: planned with %s in %.2f s", desk.title(task), plan.grip, time.monotonic() - began)
         return self._offer(task, plan, desk)
+
+    def _left_closed(self) -> str:
+        with self._shared.lock:
+            desk = self._shared.opened()
+            return desk.left_closed(self._heard.grip(desk.prepared.tool))
 
     def _allowed(self, asked: str) -> tuple[str, Desk]:
         with self._shared.lock:
@@ -415,6 +422,8 @@ class WorkNode:
         try:
             with self._shared.lock:
                 sentence = self._decided(self._shared.opened(), request)
+                problem = self._left_closed() if request.decision == "answer" else ""
+                sentence += f"; {problem}" if problem else ""
         except ConstructionTwinError as error:
             self._diagnostics.count(type(error).__name__, str(error))
             return WorkDecideResponse(False, str(error))
@@ -499,7 +508,12 @@ class WorkNode:
         engaged = self._heard.execution is not None and self._heard.execution.engaged
         desk, now = self._shared.desk, time.time_ns()
         if desk is None:
-            return WorkTasks(model=Path(self._settings.model).name, engaged=engaged, reason=self._shared.problem)
+            return WorkTasks(
+                model=Path(self._settings.model).name,
+                engaged=engaged,
+                reading=not self._shared.broken,
+                reason=self._shared.problem,
+            )
         reason = desk.summary(now)
         if engaged:
             reason = "the arm is engaged: only the way back can be planned"

@@ -14,6 +14,7 @@ import ifcopenshell.geom
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Body, Extrusion
@@ -34,6 +35,8 @@ _ANGLE = 0.5
 _SAME = 1e-5
 _SAME_VOLUME = 1e-5
 _CURVED_VOLUME = 0.06
+#: Corners that are closer are one where that closes a body [m, at 1 m].
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -201,6 +204,11 @@ def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: No
         notes.add("Bodies without any extent are left out of", about)
         return None
     if not is_closed(triangles):
+        # cut by an opening: the corners of both sides of an edge may differ by rounding
+        near = _welded(_rounding_removed(vertices), triangles)
+        if is_closed(near[1]):
+            vertices, triangles = near
+    if not is_closed(triangles):
         notes.add("Bodies that are not closed (their triangles stand as they are, without a volume) of", about)
         return Body(vertices, triangles)
     enclosed = volume(vertices, triangles)
@@ -216,6 +224,15 @@ def _welded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np
     triangles = index.reshape(-1)[triangles].astype(np.int32)
     a, b, c = triangles.T
     return places, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)])
+
+
+def _rounding_removed(vertices: np.ndarray) -> np.ndarray:
+    """Return corners, shape (v, 3) [m]: those that differ by rounding only are at the place of the first of them."""
+    pairs = cKDTree(vertices).query_pairs(_ROUNDING * max(1.0, float(np.abs(vertices).max())), output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=[len(vertices)] * 2)
+    _, group = connected_components(graph, directed=False)
+    _, first = np.unique(group, return_index=True)
+    return vertices[first[group]]
 
 
 def _agreeing(body: Body, candidates: list[tuple[Extrusion | None, bool]]) -> Extrusion | None:

@@ -1,0 +1,73 @@
+"""`make build` waits for a model as long as the work node reads it, and not for one that cannot come."""
+
+from __future__ import annotations
+
+import io
+import threading
+from types import SimpleNamespace
+
+import pytest
+from construction_twin.msg import WorkTasks
+from rich.console import Console
+
+from construction_twin.core.errors import ExperimentError
+from construction_twin.ros.commands import build
+from construction_twin.ros.commands.build import Builder
+
+
+class Clock:
+    """Time that goes on by 30 s whenever news are waited for; `said` is what the node says by then."""
+
+    def __init__(self, monkeypatch, said, connections=1):
+        self.now, self._said = 0.0, iter(said)
+        self.out = io.StringIO()
+        self.builder = object.__new__(Builder)
+        self.builder._settings = SimpleNamespace(timeout=120.0)
+        self.builder._console = Console(file=self.out, width=200)
+        self.builder._newest = {}
+        self.builder._news = threading.Condition()
+        self.builder._subscribers = {"work/tasks": SimpleNamespace(get_num_connections=lambda: connections)}
+        monkeypatch.setattr(self.builder._news, "wait", self._go_on, raising=False)
+        monkeypatch.setattr(build.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(build.rospy, "is_shutdown", lambda: False)
+
+    def _go_on(self, _timeout):
+        self.now += 30.0
+        message = next(self._said, None)
+        if message is not None:
+            self.builder._newest["work/tasks"] = message
+
+    def wait(self):
+        self.builder._wait_for_model(0.0)
+        return self.out.getvalue()
+
+
+READING = WorkTasks(model="wall.ifc", reading=True, reason="the model is being read")
+
+
+def test_a_model_that_takes_ten_minutes_is_waited_for_and_said(monkeypatch):
+    clock = Clock(monkeypatch, [READING] * 20 + [WorkTasks(model="wall.ifc", schedule="model")])
+    said = clock.wait()
+    assert clock.now >= 600.0
+    assert "reading the model: 30 s\n" in said and "reading the model: 600 s\n" in said
+
+
+def test_a_model_that_cannot_be_read_ends_it_at_once_with_the_reason(monkeypatch):
+    clock = Clock(monkeypatch, [READING, WorkTasks(model="wall.ifc", reason="wall.ifc: no length unit")])
+    with pytest.raises(ExperimentError, match="the model cannot be read: wall.ifc: no length unit"):
+        clock.wait()
+    assert clock.now < 120.0
+
+
+def test_a_node_that_is_gone_is_not_waited_for_any_longer_than_the_timeout(monkeypatch):
+    clock = Clock(monkeypatch, [READING], connections=0)
+    with pytest.raises(ExperimentError, match="waited 120 s in vain for a work node"):
+        clock.wait()
+
+
+def test_a_terminal_shows_a_bar():
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=100)
+    with build.waiting(console, "reading the model", 0.0) as tell:
+        tell()
+    assert "reading the model" in out.getvalue() and "━" in out.getvalue()
