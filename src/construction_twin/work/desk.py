@@ -93,13 +93,21 @@ class Prepared:
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
-        """What each job waits for, in the schedule's order."""
-        return {job.id: tuple(dict.fromkeys(wait.job for wait in job.after)) for job in self.schedule.jobs}
+        """What each removal and job waits for, in the schedule's order."""
+        return {
+            job.id: tuple(dict.fromkeys(wait.job for wait in job.after))
+            for job in (*self.schedule.removals, *self.schedule.jobs)
+        }
 
     @property
     def placed_by(self) -> dict[str, str]:
         """The element that each job places."""
         return {job.id: job.element for job in self.schedule.jobs}
+
+    @property
+    def removals(self) -> dict[str, str]:
+        """The element that each removal takes down."""
+        return {job.id: job.element for job in self.schedule.removals}
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +239,11 @@ class Desk:
             return f"{self.title(task)} waits for {missing}"
         if state not in PLANNABLE:
             return f"{self.title(task)} is {state.value}"
+        if task in self.prepared.removals:
+            return (
+                f"{self._element(task).name} is to be taken down by people; when it is gone, a person says so: "
+                f"`twin work removed {task}`"
+            )
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:
             return f"{self.title(task)} is for {' or '.join(robots)}, not for {self._robot}"
@@ -266,7 +279,26 @@ class Desk:
         if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
             raise WorkRefused(f"{self.title(task)} is {state.value} and cannot be skipped")
         self.ledger.add(Entry("skipped", task, self.element_of(task), person=person, reason=reason))
+        if task in self.prepared.removals:
+            return f"{self.title(task)} is skipped: what comes after it no longer waits; {self._element(task).name} stays"
         return f"{self.title(task)} is skipped: what comes after it no longer waits; take its element out of the stock"
+
+    def removed(self, task: str, person: str, reason: str) -> str:
+        """Take a person's word that what a removal takes down is gone: it is no obstacle from now on; return a sentence.
+
+        Raises
+        ------
+        WorkRefused
+        """
+        self._known(task)
+        self._named(person)
+        if task not in self.prepared.removals:
+            raise WorkRefused(f"{self.title(task)} takes nothing down: `removed` is for what the model has taken down")
+        memory = self.ledger.book.tasks[task]
+        if memory.state is TaskState.DONE:
+            raise WorkRefused(f"{self._element(task).name} is gone already")
+        self.ledger.add(Entry("removed", task, self.element_of(task), person=person, reason=reason))
+        return f"{person} says that {self._element(task).name} is gone: it is no obstacle from now on"
 
     def redo(self, task: str, person: str, reason: str) -> str:
         """Have a task done again, its element back in stock; of one that counts as carried, have it asked about; return a sentence.
@@ -287,6 +319,9 @@ class Desk:
         later = book.followers(task)
         if later:
             raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
+        if task in self.prepared.removals:
+            self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
+            return f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
         self._slot_free(task)
         self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
         return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"
@@ -357,7 +392,10 @@ class Desk:
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        wanted = {item.name: item for item in (*self.prepared.tool_objects, *self.prepared.standing)}
+        book = self.ledger.book
+        gone = {element for task, element in self.prepared.removals.items() if book.tasks[task].gone}
+        standing = [item for item in self.prepared.standing if item.name.split("/", 1)[0] not in gone]
+        wanted = {item.name: item for item in (*self.prepared.tool_objects, *standing)}
         # what stands, but is no longer in the model, goes only when a person takes it out
         alone = [element for element in self.ledger.book.left_behind if element not in self.prepared.elements]
         present = self._present()
@@ -463,6 +501,14 @@ class Desk:
         )
 
     def _reason(self, task: str, now: int) -> str:
+        """Return what a task waits for, with what a person should know of it and its element while that can still matter."""
+        reason = self._waits_for(task, now)
+        remarks = self.prepared.schedule.remarks.get(task, ())
+        if not remarks or self.ledger.book.tasks[task].state is TaskState.DONE:
+            return reason
+        return ". ".join([*filter(None, [reason]), *(f"Note: {remark}" for remark in remarks)])
+
+    def _waits_for(self, task: str, now: int) -> str:
         memory = self.ledger.book.tasks[task]
         if memory.state is TaskState.WAITING:
             return f"waits for {', '.join(map(self.title, self.ledger.book.missing(task)))}"
@@ -472,6 +518,8 @@ class Desk:
             return "its plan waits for a person's approval"
         if memory.state is TaskState.HELD:
             return "its element is gone: skip it, or put another into its stock and redo it"
+        if memory.state is TaskState.DONE and memory.gone:
+            return "taken down, as a person says"
         if memory.state is TaskState.DONE:
             if memory.as_planned:
                 return "placed; as planned, not measured"
