@@ -100,8 +100,12 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     if schema not in SCHEMAS:
         raise BuildingError(name, "schema", str(schema), ", ".join(SCHEMAS))
     with Where(name, "the file"):
-        present = {entity.id(): getattr(entity, "GlobalId", "") or "" for entity in file}
-    note_parser_log(ifcopenshell.get_log(), contents, present, name, schema, notes)
+        note_parser_log(
+            ifcopenshell.get_log(), read, set(file.entity_names()),
+            lambda number: getattr(file.by_id(number), "GlobalId", "") or "", name, schema, notes,
+        )  # fmt: skip
+    # it can be large, and the geometry needs room
+    del contents, read
     progress("open", 1, 1)
     found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes)
     _note_map(file, found)

@@ -7,7 +7,7 @@ of a kind that the schema does not have is left out with a note.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Collection
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Notes
@@ -15,6 +15,8 @@ from construction_twin.work.ifc.notes import Notes
 #: Texts and comments that end, and what is between them.
 _WHOLE = re.compile(rb"(?:[^'/]++|'[^']*+'|/\*(?:[^*]|\*(?!/))*+\*/|/(?!\*))*+")
 _TEXTS = re.compile(rb"'[^']*+'|/\*(?:[^*]|\*(?!/))*+\*/")
+#: A line without its end: another one, or the end of the section, comes before its semicolon.
+_BROKEN = re.compile(rb"#(\d+)\s*=[^;=]*=|[^;\s]\s*(ENDSEC)\s*;")
 _LINE = re.compile(rb"#(\d+)\s*=\s*(\w*)([^;]*)")
 _REFERENCE = re.compile(rb"#(\d+)")
 _OTHER_LETTERS = re.compile(rb"[^\x00-\x7f]+")
@@ -29,7 +31,7 @@ _LOST = "what they say, an order of tasks for instance, is lost"
 
 
 def check_whole(contents: bytes, name: str) -> None:
-    """Check that no text or comment of a file is left open.
+    """Check that every text, comment and line of a file ends.
 
     Raises
     ------
@@ -38,9 +40,15 @@ def check_whole(contents: bytes, name: str) -> None:
     found = _WHOLE.match(contents)
     end = 0 if found is None else found.end()
     if end < len(contents):
-        what = "a text" if contents[end : end + 1] == b"'" else "a comment"
         line = contents.count(b"\n", 0, end) + 1
-        raise BuildingError(name, "the file", f"{what} that does not end, begun in line {line}", "a whole IFC file")
+        raise BuildingError(name, "the file", f"a text or comment that does not end (line {line})", "a whole IFC file")
+    if (broken := _BROKEN.search(_without_texts(contents))) is not None:
+        which = f"line #{broken.group(1).decode()}, broken off" if broken.group(1) else "a last line that is broken off"
+        raise BuildingError(name, "the file", which, "a whole IFC file")
+
+
+def _without_texts(contents: bytes) -> bytes:
+    return _TEXTS.sub(b" ", contents)
 
 
 def in_ascii(contents: bytes, notes: Notes) -> bytes:
@@ -79,7 +87,9 @@ def _escaped(letter: str) -> bytes:
     return b"\\X2\\%04X\\X0\\" % number if number < 0x10000 else b"\\X4\\%08X\\X0\\" % number
 
 
-def note_parser_log(log: str, contents: bytes, present: Mapping[int, str], name: str, schema: str, notes: Notes) -> None:
+def note_parser_log(
+    log: str, contents: bytes, present: Collection[int], global_id: Callable[[int], str], name: str, schema: str, notes: Notes
+) -> None:
     """Note what the parser dropped or had to guess, and refuse what is not whole.
 
     Parameters
@@ -88,8 +98,10 @@ def note_parser_log(log: str, contents: bytes, present: Mapping[int, str], name:
         What the parser logged while it read.
     contents : bytes
         What it read.
-    present : mapping of int to str
-        GlobalIds by the numbers of the lines that it kept; empty: it has none.
+    present : collection of int
+        Numbers of the lines that it kept.
+    global_id : callable
+        Returns the GlobalId of a line that it kept; empty: it has none.
     name, schema : str
         For messages.
     notes : Notes
@@ -97,43 +109,44 @@ def note_parser_log(log: str, contents: bytes, present: Mapping[int, str], name:
     Raises
     ------
     BuildingError
-        If a line is broken off, refers to one that the file does not have, or has the number of another one.
+        If a line refers to one that the file does not have, or has the number of another one.
     """
-    written: dict[int, str] = {}
-    referred: dict[int, list[str]] = {}
-    for found_number, found_kind, values in _LINE.findall(_TEXTS.sub(b"''", contents)):
-        number = int(found_number)
-        written.setdefault(number, found_kind.decode().upper())
+    about = {int(number) for entry in log.splitlines() for number in re.findall(r"(?:instance|name) #(\d+)", entry)}
+    about |= {int(number) for entry in log.splitlines() for number in re.findall(r"reference #(\d+)", entry)}
+    kinds: dict[int, str] = {}
+    dropped: dict[int, list[int]] = {}
+    for line in _LINE.finditer(_without_texts(contents)):
+        number = int(line.group(1))
         if number not in present:
-            referred[number] = [present.get(int(each), "") for each in _REFERENCE.findall(values)]
-    other = []
+            dropped.setdefault(number, [int(each) for each in _REFERENCE.findall(line.group(3))])
+        if number in about or number in dropped:
+            kinds[number] = line.group(2).decode().upper()
+
+    def shown(number: int) -> str:
+        return f"#{number}={kinds.get(number, '')}"
+
     for entry in log.splitlines():
-        if (found := _UNKNOWN.search(entry)) is not None:
-            if found.group(1).startswith(("ENDSEC", "END-ISO")):
-                raise BuildingError(name, "the file", "a line that is broken off at its end", "a whole IFC file")
-        elif (found := _MISSING.search(entry)) is not None:
+        if (found := _MISSING.search(entry)) is not None:
             missing, by = map(int, found.groups())
-            if missing not in written:
-                broken = f"#{by}={written.get(by, '')} refers to #{missing}, which is not there: the file is not whole"
+            if missing not in dropped:
+                broken = f"{shown(by)} refers to #{missing}, which is not there: the file is not whole"
                 raise BuildingError(name, "the file", broken, "a whole IFC file")
         elif (found := _TWICE.search(entry)) is not None:
             raise BuildingError(name, f"#{found.group(1)}", "two lines of this number", "one")
         elif (found := _VALUES.search(entry)) is not None:
             expected, given, number = map(int, found.groups())
-            notes.add(
-                f"A line with {given} values instead of {expected} ({schema}), taken as if the others were not said",
-                f"#{number}={written.get(number, '')}",
-            )
-        elif (plain := _LOGGED.match(entry)) is not None and plain.group(1) in ("error", "warning"):
-            other.append(plain.group(3))
-    for number, about in referred.items():
+            sentence = f"A line with {given} values instead of {expected} ({schema}), taken as if the others were not said"
+            notes.add(sentence, shown(number), global_id(number) if number in present else "")
+        elif _UNKNOWN.search(entry) is None:
+            plain = _LOGGED.match(entry)
+            if plain is not None and plain.group(1) in ("error", "warning"):
+                notes.add("The parser says", plain.group(3)[:_SHOWN])
+    for number, references in dropped.items():
         sentence = f"LINES LEFT OUT, of a kind that {schema} does not have or that cannot be read: {_LOST}"
-        line = f"#{number}={written[number]}"
-        notes.add(sentence, line)
-        for each in filter(None, about):
-            notes.remark(f"{sentence}: {line}", each)
-    for sentence in other:
-        notes.add("The parser says", sentence[:_SHOWN])
+        notes.add(sentence, shown(number))
+        for each in references:
+            if each in present and (named := global_id(each)):
+                notes.remark(f"{sentence}: {shown(number)}", named)
 
 
 def kernel_says(log: str) -> list[tuple[str, str, bool]]:
