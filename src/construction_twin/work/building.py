@@ -84,7 +84,7 @@ class Element:
     mass : float or None
         [kg], from quantities, or density times volume; None: not known.
     status : str
-        ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: it is to be made, or nothing is said.
+        ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: neither is said.
     doubt : str
         Why its bodies are not what the model says, so that they are an obstacle at most; empty: they are.
     """

@@ -280,7 +280,9 @@ class Desk:
             raise WorkRefused(f"{self.title(task)} is {state.value} and cannot be skipped")
         self.ledger.add(Entry("skipped", task, self.element_of(task), person=person, reason=reason))
         if task in self.prepared.removals:
-            return f"{self.title(task)} is skipped: what comes after it no longer waits; {self._element(task).name} stays"
+            return (
+                f"{self.title(task)} is skipped: what comes after it no longer waits; {self._element(task).name} stays"
+            )
         return f"{self.title(task)} is skipped: what comes after it no longer waits; take its element out of the stock"
 
     def removed(self, task: str, person: str, reason: str) -> str:
@@ -321,7 +323,9 @@ class Desk:
             raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
         if task in self.prepared.removals:
             self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
-            return f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
+            return (
+                f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
+            )
         self._slot_free(task)
         self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
         return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"

@@ -110,8 +110,8 @@ class Place(_Strict):
     retreat : float
         Length of the straight way of the tool from the face, along its normal [m].
     fastened : bool
-        Something that the model does not show holds the element before the tool lets go: screws, glue, a clamp. Else an element that
-        nothing is under is refused: it would fall.
+        Something that the model does not show holds the element before the tool lets go: screws, glue, a clamp. Else an element
+        that nothing is under is refused: it would fall.
     """
 
     arrive: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)

@@ -155,8 +155,7 @@ class Schedule:
         unmade = reading.unmade(everything)
         ordered = _in_order(everything, model.tasks)
         remarks = {
-            job.id: (*model.remarks.get(job.task, ()), *model.remarks.get(job.element, ()))
-            for job in everything
+            job.id: (*model.remarks.get(job.task, ()), *model.remarks.get(job.element, ())) for job in everything
         }
         return cls(
             tuple(job for job in ordered if job.id not in reading.removals),

@@ -21,6 +21,11 @@ from construction_twin.core.work_errors import WorkError
 #: Added to the process's nice value.
 NICE = 10
 _LENGTH = 8
+#: What a function, its answer, or the reading of it can raise and nobody foresaw; what is none of these ends the process.
+UNFORESEEN = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError, MemoryError, OSError, RuntimeError,
+    TypeError, ValueError, pickle.PickleError,
+)  # fmt: skip
 #: A process whose pipe has closed is given so long to end [s].
 _ENDING = 5.0
 _PROTOCOL = pickle.HIGHEST_PROTOCOL
@@ -144,7 +149,7 @@ def _answer(question: bytes, functions: Mapping[str, Callable]) -> bytes:
         return pickle.dumps({"result": functions[name](**arguments)}, _PROTOCOL)
     except ConstructionTwinError as error:
         failure = type(error).__name__, str(error)
-    except Exception as error:
+    except UNFORESEEN as error:
         # what nobody foresaw must be an answer, too; the trace goes to the node's log
         traceback.print_exc()
         failure = _unforeseen(error)
@@ -155,7 +160,7 @@ def _understood(answer: bytes) -> dict[str, Any]:
     """Return an answer; one that cannot be read here is a failure as any other, and the process goes on."""
     try:
         return dict(pickle.loads(answer))
-    except Exception as error:
+    except UNFORESEEN as error:
         return {"failure": _unforeseen(error)}
 
 

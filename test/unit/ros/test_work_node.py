@@ -465,9 +465,8 @@ def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(benc
     for before, after in zip(tasks, (*tasks[1:], tasks[0])):
         model.sequence(before, after)
     path = model.save(tmp_path / "cycle.ifc")
-    worker = bench.node._worker = Worker()
-    files = {"model": str(path), "cell": str(ROOT / "config/work/timber_panel.yaml")}
-    bench.node._settings = bench.node._settings.model_copy(update=files)
+    worker = Worker()
+    bench.start(worker, model=str(path), cell=str(ROOT / "config/work/timber_panel.yaml"))
     try:
         bench.node.open()
         bench.node.go_on()
@@ -476,3 +475,13 @@ def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(benc
         worker.close()
     assert bench.tasks[-1].reason.startswith("tasks wait for each other in a circle: ")
     assert not answer.success and answer.message == bench.tasks[-1].reason
+
+
+def test_a_person_says_by_the_service_what_is_gone(bench):
+    bench.ready()
+    answer = bench.node.on_decide(WorkDecideRequest(TASK, "removed", "", "eva", ""))
+    assert not answer.success and "takes nothing down" in answer.message
+    assert (
+        "skip, redo, answer, removed or accept"
+        in bench.node.on_decide(WorkDecideRequest(TASK, "x", "", "eva", "")).message
+    )

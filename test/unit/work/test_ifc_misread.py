@@ -394,9 +394,7 @@ def test_a_line_with_too_few_values_is_told(read):
     assert said(found, "values instead of")
 
 
-@pytest.mark.parametrize(
-    ("code", "called"), [("utf-8", "UTF-8"), ("cp1252", "Latin-1"), ("utf-8-sig", "UTF-8")]
-)
+@pytest.mark.parametrize(("code", "called"), [("utf-8", "UTF-8"), ("cp1252", "Latin-1"), ("utf-8-sig", "UTF-8")])
 def test_letters_that_are_not_ascii_are_kept_and_told(read, code, called):
     model, _, _ = two_studs()
     found = read(model.text().replace("'a'", "'Brücke Süd'").encode(code))

@@ -86,7 +86,11 @@ def test_answers_errors_and_ends(worker):
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("untold", "lock.*please report it"), ("no_such", "KeyError.*please report it"), ("strange", "nothing_of_this_name")],
+    [
+        ("untold", "lock.*please report it"),
+        ("no_such", "KeyError.*please report it"),
+        ("strange", "nothing_of_this_name"),
+    ],
 )
 def test_what_cannot_be_asked_told_or_understood_is_a_sentence(worker, name, said):
     with pytest.raises(WorkerError, match=said):

@@ -134,9 +134,10 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
     notes = [*building.notes, *schedule.notes, *(remark.text for remark in placement.remarks)]
     if proposed:
         notes.insert(
-            0, "Not all of this order is the model's: it is proposed from the geometry, and a person must accept it."
+            0,
+            "Not all of this order is the model's: it is proposed from the geometry, and a person must accept it."
             if not missing
-            else "The model has no schedule: this order is proposed from its geometry, and a person must accept it."
+            else "The model has no schedule: this order is proposed from its geometry, and a person must accept it.",
         )
     return _Work(building, site, schedule, schedule.jobs, tuple(notes))
 
@@ -220,7 +221,9 @@ def _print(console: Console, checked: Checked, files: Iterable[Path], changes: f
         if not task.possible:
             console.print(f"{task.number + 1} {task.name} ({task.element}): {why(task)}", markup=False, soft_wrap=True)
         for remark in task.remarks:
-            console.print(f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True)
+            console.print(
+                f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True
+            )
     if not all(task.possible for task in checked.tasks):
         console.print(f"Changes were tried for {changes:g} s in all, the first task of each reason first (--changes)")
     count = sum(task.possible for task in checked.tasks)

@@ -24,7 +24,7 @@ _LONGEST_TEXT = 4000
 _MADE = {"NEW", "NOTKNOWN", "UNSET", "NOTDEFINED", ""}
 #: A weight and volume times density that differ by more than this factor are told.
 _UNLIKE = 1.5
-#: Smallest and largest likely density [kg/m³] by words in the name of a material, the first that fits; with room for what is hollow.
+#: Smallest and largest likely density [kg/m³] by words in a material's name, the first that fits; with room for what is hollow.
 _MATERIALS = (
     (("insul", "dämm", "daemm", "wool", "wolle", "styro", "eps", "xps"), (5.0, 400.0)),
     (("gyps", "gips", "gkb", "plasterboard", "drywall"), (400.0, 1700.0)),
@@ -32,7 +32,10 @@ _MATERIALS = (
     (("steel", "stahl"), (200.0, 8300.0)),
     (("alumin",), (50.0, 2950.0)),
     (("brick", "ziegel", "masonry", "mauer"), (400.0, 2800.0)),
-    (("wood", "timber", "holz", "spruce", "fichte", "pine", "kiefer", "oak", "eiche", "osb", "glulam"), (200.0, 1200.0)),
+    (
+        ("wood", "timber", "holz", "spruce", "fichte", "pine", "kiefer", "oak", "eiche", "osb", "glulam"),
+        (200.0, 1200.0),
+    ),
     (("glass", "glas"), (1500.0, 3500.0)),
 )
 #: The same of any other.
@@ -166,7 +169,9 @@ def _doubt(
         return
     shown, found = product.Name or product.GlobalId, mass / whole
     if density is not None and not 1 / _UNLIKE <= found / density <= _UNLIKE:
-        sentence = f"THE MASS IS DOUBTFUL: {mass:.3g} kg by its quantity, {density * whole:.3g} kg by volume and density"
+        sentence = (
+            f"THE MASS IS DOUBTFUL: {mass:.3g} kg by its quantity, {density * whole:.3g} kg by volume and density"
+        )
         notes.add(sentence, shown, product.GlobalId)
         return
     lightest, heaviest = _densities(material)

@@ -28,8 +28,8 @@ from construction_twin.work.ifc.relations import Relations, read_relations
 from construction_twin.work.ifc.representations import body_of
 from construction_twin.work.ifc.step_text import check_whole, in_ascii, kernel_says, note_parser_log
 from construction_twin.work.ifc.tasks import read_tasks, unique_id
-from construction_twin.work.ifc.unread import note_unread
 from construction_twin.work.ifc.units import Units, read_units
+from construction_twin.work.ifc.unread import note_unread
 from construction_twin.work.mesh_checks import volume
 from construction_twin.work.workpieces import is_workpiece
 
@@ -223,7 +223,9 @@ def _take_kernel_log(file: ifcopenshell.file, made: dict[int, Shape], notes: Not
             except RuntimeError:
                 number = 0
             if wrong and number in made and not made[number].doubt:
-                made[number] = made[number].doubted("the geometry kernel finds that a part of its shape crosses another")
+                made[number] = made[number].doubted(
+                    "the geometry kernel finds that a part of its shape crosses another"
+                )
         notes.add(f"The geometry kernel says: {sentence}", about)
 
 

@@ -1,4 +1,4 @@
-"""The text of an IFC file, looked at before and after the parser: whether it is whole, in which letters, and what the parser dropped.
+"""The text of an IFC file before and after the parser: whether it is whole, in which letters, and what the parser dropped.
 
 The parser reads what is there and goes on: what it logs or leaves out is found here. A file that is not whole is refused; a line
 of a kind that the schema does not have is left out with a note.
@@ -63,7 +63,7 @@ def in_ascii(contents: bytes, notes: Notes) -> bytes:
         code = "utf-8"
     except UnicodeDecodeError:
         code = "cp1252"
-    shown = []
+    shown: list[str] = []
 
     def written(found: re.Match[bytes]) -> bytes:
         letters = found.group().decode(code, errors="replace")
@@ -88,7 +88,13 @@ def _escaped(letter: str) -> bytes:
 
 
 def note_parser_log(
-    log: str, contents: bytes, present: Collection[int], global_id: Callable[[int], str], name: str, schema: str, notes: Notes
+    log: str,
+    contents: bytes,
+    present: Collection[int],
+    global_id: Callable[[int], str],
+    name: str,
+    schema: str,
+    notes: Notes,
 ) -> None:
     """Note what the parser dropped or had to guess, and refuse what is not whole.
 
@@ -135,7 +141,9 @@ def note_parser_log(
             raise BuildingError(name, f"#{found.group(1)}", "two lines of this number", "one")
         elif (found := _VALUES.search(entry)) is not None:
             expected, given, number = map(int, found.groups())
-            sentence = f"A line with {given} values instead of {expected} ({schema}), taken as if the others were not said"
+            sentence = (
+                f"A line with {given} values instead of {expected} ({schema}), taken as if the others were not said"
+            )
             notes.add(sentence, shown(number), global_id(number) if number in present else "")
         elif _UNKNOWN.search(entry) is None:
             plain = _LOGGED.match(entry)

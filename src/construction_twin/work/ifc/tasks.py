@@ -19,7 +19,9 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.ifc.notes import Notes, Where, label
 
-_CALENDAR = "Calendars are not read: lags and durations count around the clock, holidays and nights included, of tasks of one"
+_CALENDAR = (
+    "Calendars are not read: lags and durations count around the clock, holidays and nights included, of tasks of one"
+)
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
 #: Resources that do work; materials and products are no robots.
 _WORKERS = ("IfcConstructionEquipmentResource", "IfcCrewResource", "IfcLaborResource", "IfcSubContractResource")
@@ -237,7 +239,9 @@ def _kind(entity: ifcopenshell.entity_instance, task_id: str, shown: str, notes:
     own = (entity.ObjectType or "") if given in (None, "USERDEFINED") else ""
     if given in _TAKES_DOWN or any(word in own.casefold() for word in _TAKES_DOWN_WORDS):
         given = own or given
-        notes.add(f"Tasks of the kind {given}: the arm takes nothing down, a person says when it is gone", shown, task_id)
+        notes.add(
+            f"Tasks of the kind {given}: the arm takes nothing down, a person says when it is gone", shown, task_id
+        )
         return "takes_down"
     if given not in _MAKES:
         notes.add(f"Tasks of the kind {given}, which places nothing; kept for the order", shown, task_id)
@@ -267,7 +271,9 @@ def _completed(
         sentence = "Tasks that the file says are completed: not done again, what they made stands"
         notes.add(sentence, shown, task_id)
         if status in _NOT_BEGUN_WORDS or (status and status not in _DONE_WORDS):
-            notes.add(f"Tasks with the status {entity.Status!r} whose times say that they are completed", shown, task_id)
+            notes.add(
+                f"Tasks with the status {entity.Status!r} whose times say that they are completed", shown, task_id
+            )
         return True
     begun = getattr(time, "ActualStart", None) is not None or (isinstance(part, (int, float)) and part > 0)
     if begun or (status and status not in _NOT_BEGUN_WORDS):
@@ -378,7 +384,9 @@ def _lag(relation: ifcopenshell.entity_instance, before: Task, time_unit: float,
         else:
             seconds = _seconds(value.wrappedValue, about, notes)
         if lag.DurationType == "WORKTIME" and seconds:
-            sentence = "A lag in working time is waited for around the clock (no calendar is read), between the tasks of"
+            sentence = (
+                "A lag in working time is waited for around the clock (no calendar is read), between the tasks of"
+            )
             notes.add(sentence, about)
             notes.remark(sentence, before.id)
     if seconds is None or not math.isfinite(seconds):
