@@ -5,7 +5,7 @@ Pure but for the ledger's file. Times in ns since 1970, poses in the robot's bas
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +19,7 @@ from construction_twin.work.following import question
 from construction_twin.work.ledger import ACCEPTED, Entry, Ledger
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
+from construction_twin.work.site import inverse
 from construction_twin.work.task_states import ANSWERS, PLANNABLE, UNDER_WAY, TaskState
 
 #: Words for where the schedule comes from, as `WorkTasks.msg` has them.
@@ -76,6 +77,8 @@ class Prepared:
         Why an element can never be planned, by GlobalId; it has no slot.
     standing : tuple of SceneObject
         What stands where the model has it, and no task makes.
+    standing_at : mapping of str to Pose
+        Where the model has each element of those, by GlobalId.
     """
 
     model: str
@@ -90,6 +93,7 @@ class Prepared:
     notes: tuple[str, ...] = ()
     unplannable: Mapping[str, str] = field(default_factory=dict)
     standing: tuple[SceneObject, ...] = ()
+    standing_at: Mapping[str, Pose] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
@@ -398,8 +402,7 @@ class Desk:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
         book = self.ledger.book
         gone = {element for task, element in self.prepared.removals.items() if book.tasks[task].gone}
-        standing = [item for item in self.prepared.standing if item.name.split("/", 1)[0] not in gone]
-        wanted = {item.name: item for item in (*self.prepared.tool_objects, *standing)}
+        wanted = {item.name: item for item in (*self.prepared.tool_objects, *self._standing(gone))}
         # what stands, but is no longer in the model, goes only when a person takes it out
         alone = [element for element in self.ledger.book.left_behind if element not in self.prepared.elements]
         present = self._present()
@@ -413,6 +416,19 @@ class Desk:
             else:
                 wanted |= {item.name: item for item in objects}
         return wanted, tuple(alone)
+
+    def _standing(self, gone: Collection[str]) -> Iterator[SceneObject]:
+        """Return what stands without a task; what a former task of ours placed, where that task left it."""
+        left = self.ledger.book.left_behind
+        for item in self.prepared.standing:
+            element = item.name.split("/", 1)[0]
+            memory = left.get(element)
+            if element in gone or (memory is not None and not memory.placed):
+                continue
+            if memory is not None and memory.base_T_element and element in self.prepared.standing_at:
+                moved = product(pose_of_tuple(memory.base_T_element), inverse(self.prepared.standing_at[element]))
+                item = item.moved(product(moved, item.pose))
+            yield item
 
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""

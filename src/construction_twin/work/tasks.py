@@ -133,6 +133,7 @@ def prepare(
         notes=tuple(notes),
         unplannable=unplannable,
         standing=layout.standing,
+        standing_at={element: layout.base_T_goal(element) for element in stands.pieces},
     )
 
 

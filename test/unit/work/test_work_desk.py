@@ -461,3 +461,21 @@ def test_a_remark_stands_at_its_task_until_it_is_done(tmp_path, clock):
     assert row.reason == "can be planned. Note: THE MASS IS DOUBTFUL"
     build(one, "T1")
     assert "Note" not in next(row for row in one.rows(clock()) if row.id == "T1").reason
+
+
+def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    built = at(1.003, 1.0)
+    build(one, "T1", stands=built)
+    one.ledger.close()
+    later = replace(
+        one.prepared,
+        schedule=Schedule(JOBS[1:2], (), ()),
+        digest="b" * 64,
+        elements={"E2": one.prepared.elements["E2"]},
+        standing=(SceneObject("E1/0", "box", (0.1, 0.1, 0.1), (1.0, 1.0, 0.0), fixed=True),),
+        standing_at={"E1": at(1.0, 1.0)},
+    )
+    again = Desk(later, Ledger(tmp_path / "ledger", later.after, later.digest, clock), "kr120", "tool0")
+    wanted, alone = again.wanted_scene()
+    assert "E1" in alone and np.allclose(wanted["E1/0"].position, (1.003, 1.0, 0.0))
