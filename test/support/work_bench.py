@@ -146,12 +146,12 @@ class Bench:
             monkeypatch.setattr(rospy, level, lambda *_: None)
         self.start()
 
-    def start(self) -> None:
-        """Start a node that has heard nothing yet."""
+    def start(self, worker=None, **files: str) -> None:
+        """Start a node that has heard nothing yet, with a worker and files of its own if they are given."""
         settings = module.Settings(
             model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="", review_file=str(self.review_file),
             folder="work", arm="mock", max_pose_age=0.5, service_timeout=1.0, listen_time=0.02, retry_time=0.01,
-        )  # fmt: skip
+        ).model_copy(update=files)  # fmt: skip
         refuse = lambda *said: self.refused.append(said)  # noqa: E731
         self.desk = SharedDesk("the model is being read")
         self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)
@@ -159,7 +159,7 @@ class Bench:
             settings,
             ROBOT,
             {},
-            SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
+            worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
             self.desk,
             self.heard,
             module.Inputs(lambda: HOME, lambda: self.arm_pose(), lambda *_: None),

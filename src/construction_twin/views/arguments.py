@@ -223,6 +223,7 @@ def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
     for name, text in (
         ("skip", "take a task out: what comes after it no longer waits for it"),
         ("redo", "have a task done again: its element is back in its stock"),
+        ("removed", "say that what people were to take down is gone: it is no obstacle any more"),
     ):
         told = step(name, text)
         _add_task(told)

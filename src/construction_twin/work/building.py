@@ -83,6 +83,10 @@ class Element:
         Values by property set (or quantity set) and name, the type's own included; the element's win. Measures in SI.
     mass : float or None
         [kg], from quantities, or density times volume; None: not known.
+    status : str
+        ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: neither is said.
+    doubt : str
+        Why its bodies are not what the model says, so that they are an obstacle at most; empty: they are.
     """
 
     id: str
@@ -97,6 +101,8 @@ class Element:
     bodies: tuple[Body, ...]
     properties: Mapping[str, Mapping[str, Value]]
     mass: float | None
+    status: str = ""
+    doubt: str = ""
 
 
 @dataclass(frozen=True)
@@ -121,6 +127,10 @@ class Task:
         Scheduled, ISO 8601; empty: not said.
     duration : float or None
         [s]
+    kind : str
+        ``makes``; ``takes_down``: removes its products and inputs; ``other``: neither (maintenance, moving).
+    completed : bool
+        It was done before this work.
     """
 
     id: str
@@ -134,6 +144,8 @@ class Task:
     start: str = ""
     finish: str = ""
     duration: float | None = None
+    kind: str = "makes"
+    completed: bool = False
 
 
 @dataclass(frozen=True)
@@ -178,6 +190,8 @@ class BuildingModel:
     sequences : tuple of Sequence
     notes : tuple of str
         One sentence for each thing that was left out or understood in a way that the user should know.
+    remarks : mapping of str to tuple of str
+        The same by the id of the element or task that they are about, of those that there are any of.
     """
 
     file: str
@@ -189,6 +203,7 @@ class BuildingModel:
     tasks: Mapping[str, Task] = field(default_factory=dict)
     sequences: tuple[Sequence, ...] = ()
     notes: tuple[str, ...] = ()
+    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def element(self, global_id: str) -> Element:
         """Return the element of that GlobalId.

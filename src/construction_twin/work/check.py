@@ -65,6 +65,8 @@ class CheckedTask:
         What would help: it was tried, and a plan found; empty: nothing was found.
     tried : bool
         Whether changes were looked for.
+    remarks : tuple of str
+        What a person should know of the task or its element, as the model was read.
     path : tuple of tuple of float, length 3
         The tool's centre point in the base [m].
     """
@@ -85,6 +87,7 @@ class CheckedTask:
     reason: str = ""
     change: str = ""
     tried: bool = False
+    remarks: tuple[str, ...] = ()
     path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
 
 
@@ -106,6 +109,8 @@ class Checker:
     rng : numpy Generator
     limits : TaskLimits, optional
         For each task; by default those of the work node.
+    removals : sequence of Job
+        What people take down: gone for the jobs that wait for it, an obstacle for all others.
     """
 
     def __init__(
@@ -118,9 +123,10 @@ class Checker:
         clock: Callable[[], float],
         rng: np.random.Generator,
         limits: TaskLimits = TaskLimits(),
+        removals: Sequence[Job] = (),
     ):
         self._robot, self._layout, self._clock = robot, layout, clock
-        self._jobs = tuple(jobs)
+        self._jobs, self._removals = tuple(jobs), tuple(removals)
         self._chain = Chain(robot)
         solver = inverse_kinematics(self._chain, IkSettings(), rng, clock)
         site = layout.site
@@ -148,6 +154,8 @@ class Checker:
         element = self._layout.building.element(job.element)
         began = self._clock()
         found = CheckedTask(number, job.id, job.name, job.element, element.name, element.ifc_class, False)
+        if element.doubt:
+            return replace(found, reason=f"its body is doubtful: {element.doubt}")
         if job.element not in self._layout.order:
             return replace(found, reason="the element has no geometry")
         scene, place = self._turn(number)
@@ -183,7 +191,7 @@ class Checker:
 
     def _before(self, number: int) -> set[str]:
         """Return the elements that a job waits for, at first or second hand."""
-        jobs = {job.id: job for job in self._jobs}
+        jobs = {job.id: job for job in (*self._jobs, *self._removals)}
         open_jobs, elements = [self._jobs[number]], set()
         while open_jobs:
             for wait in open_jobs.pop().after:
@@ -196,7 +204,8 @@ class Checker:
     def _turn(self, number: int) -> tuple[Scene, PlaceJob]:
         """Return scene and job when everything before it stands, of what has geometry."""
         before = [job.element for job in self._jobs[:number] if job.element in self._layout.order]
-        scene = self._layout.scene(WorkState({one: self._layout.base_T_goal(one) for one in before}))
+        gone = frozenset(job.element for job in self._removals) & self._before(number)
+        scene = self._layout.scene(WorkState({one: self._layout.base_T_goal(one) for one in before}, gone))
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 
     def _described(self, found: CheckedTask, plan: WorkPlan) -> CheckedTask:

@@ -39,7 +39,7 @@ _COLUMNS = (
     "track, m",
     "clearance, mm",
     "time, s",
-    "why not, and what helps",
+    "why not, what helps, notes",
 )
 
 
@@ -147,7 +147,11 @@ def _table(tasks: Iterable[CheckedTask]) -> str:
         kinds = (' class="text"' if i in words else "" for i in range(len(values)))
         return "".join(f"<{tag}{kind}>{escape(value)}</{tag}>" for value, kind in zip(values, kinds, strict=True))
 
-    rows = "".join(f"<tr{'' if task.possible else ' class=not'}>{cells(row(task), 'td')}</tr>" for task in tasks)
+    def told(task: CheckedTask) -> tuple[str, ...]:
+        *figures, reason = row(task)
+        return *figures, ". ".join([*filter(None, [reason]), *(f"Note: {remark}" for remark in task.remarks)])
+
+    rows = "".join(f"<tr{'' if task.possible else ' class=not'}>{cells(told(task), 'td')}</tr>" for task in tasks)
     return f"<h2>Tasks</h2><table><tr>{cells(_COLUMNS, 'th')}</tr>{rows}</table>"
 
 

@@ -26,6 +26,10 @@ from construction_twin.scene.scene_change import SceneChange
 STEP = 0.01
 #: Objects whose balls are kept.
 _BALLS = 5000
+#: What is not held sinks; it is looked at whether it would come to lie on something within this way [m]. More than a mortar bed.
+FALL = 0.02
+#: Part of that way by which it would come deeper into what it lies on already; and a distance that is surely no contact [m].
+_SINKS, _CLEAR = 0.3, 1e-4
 #: Before the name of a shape of the tool.
 TOOL = "tool/"
 
@@ -106,6 +110,36 @@ class Shapes:
                 if self._distance(item, base_T_link, other, margin) <= margin:
                     return item.name, other.name
         return None
+
+    def holder(
+        self, items: Sequence[SceneObject], base_T_frame: Pose, others: Iterable[SceneObject], up: np.ndarray
+    ) -> str:
+        """Return the name of an object that something would come to lie on if nothing else held it; empty: it would fall.
+
+        That is one into which it would come, or deeper, if it sank by `FALL`. What it only touches at its side does not hold it.
+
+        Parameters
+        ----------
+        items : sequence of SceneObject
+            What would fall, in a frame.
+        base_T_frame : Pose
+        others : iterable of SceneObject
+            Those that stand.
+        up : array, shape (3,)
+            Against gravity, a unit vector in the base.
+        """
+        sunk = Pose(base_T_frame.position - FALL * up, base_T_frame.rotation)
+        for other in self._around(items, [base_T_frame, sunk], list(others), FALL):
+            solid = not isinstance(self._geometry(other), coal.BVHModelBase)
+            for item in items:
+                low = self._distance(item, sunk, other, 0.0)
+                if low > 0.0:
+                    continue
+                before = self._distance(item, base_T_frame, other, FALL)
+                # how deep something is in a surface nobody can say
+                if before > _CLEAR or before - low >= _SINKS * FALL or not solid:
+                    return other.name
+        return ""
 
     def _around(
         self, moving: Sequence[SceneObject], way: Sequence[Pose], others: Sequence[SceneObject], padding: float

@@ -5,7 +5,7 @@ Pure but for the ledger's file. Times in ns since 1970, poses in the robot's bas
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +19,7 @@ from construction_twin.work.following import Grip, question
 from construction_twin.work.ledger import ACCEPTED, Entry, Ledger
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
+from construction_twin.work.site import inverse
 from construction_twin.work.task_states import ANSWERS, PLANNABLE, UNDER_WAY, TaskState
 
 #: Words for where the schedule comes from, as `WorkTasks.msg` has them.
@@ -97,6 +98,8 @@ class Prepared:
         What stands where the model has it, and no task makes.
     scheduled : mapping of str to Scheduled
         By id of the job.
+    standing_at : mapping of str to Pose
+        Where the model has each element of those, by GlobalId.
     """
 
     model: str
@@ -112,16 +115,25 @@ class Prepared:
     unplannable: Mapping[str, str] = field(default_factory=dict)
     standing: tuple[SceneObject, ...] = ()
     scheduled: Mapping[str, Scheduled] = field(default_factory=dict)
+    standing_at: Mapping[str, Pose] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
-        """What each job waits for, in the schedule's order."""
-        return {job.id: tuple(dict.fromkeys(wait.job for wait in job.after)) for job in self.schedule.jobs}
+        """What each removal and job waits for, in the schedule's order."""
+        return {
+            job.id: tuple(dict.fromkeys(wait.job for wait in job.after))
+            for job in (*self.schedule.removals, *self.schedule.jobs)
+        }
 
     @property
     def placed_by(self) -> dict[str, str]:
         """The element that each job places."""
         return {job.id: job.element for job in self.schedule.jobs}
+
+    @property
+    def removals(self) -> dict[str, str]:
+        """The element that each removal takes down."""
+        return {job.id: job.element for job in self.schedule.removals}
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +270,11 @@ class Desk:
             return f"{self.title(task)} waits for {missing}"
         if state not in PLANNABLE:
             return f"{self.title(task)} is {state.value}"
+        if task in self.prepared.removals:
+            return (
+                f"{self._element(task).name} is to be taken down by people; when it is gone, a person says so: "
+                f"`twin work removed {task}`"
+            )
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:
             return f"{self.title(task)} is for {' or '.join(robots)}, not for {self._robot}"
@@ -314,7 +331,28 @@ class Desk:
         if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
             raise WorkRefused(f"{self.title(task)} is {state.value} and cannot be skipped")
         self.ledger.add(Entry("skipped", task, self.element_of(task), person=person, reason=reason))
+        if task in self.prepared.removals:
+            return (
+                f"{self.title(task)} is skipped: what comes after it no longer waits; {self._element(task).name} stays"
+            )
         return f"{self.title(task)} is skipped: what comes after it no longer waits; take its element out of the stock"
+
+    def removed(self, task: str, person: str, reason: str) -> str:
+        """Take a person's word that what a removal takes down is gone: it is no obstacle from now on; return a sentence.
+
+        Raises
+        ------
+        WorkRefused
+        """
+        self._known(task)
+        self._named(person)
+        if task not in self.prepared.removals:
+            raise WorkRefused(f"{self.title(task)} takes nothing down: `removed` is for what the model has taken down")
+        memory = self.ledger.book.tasks[task]
+        if memory.state is TaskState.DONE:
+            raise WorkRefused(f"{self._element(task).name} is gone already")
+        self.ledger.add(Entry("removed", task, self.element_of(task), person=person, reason=reason))
+        return f"{person} says that {self._element(task).name} is gone: it is no obstacle from now on"
 
     def redo(self, task: str, person: str, reason: str) -> str:
         """Have a task done again, its element back in stock; of one that counts as carried, have it asked about; return a sentence.
@@ -335,6 +373,11 @@ class Desk:
         later = book.followers(task)
         if later:
             raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
+        if task in self.prepared.removals:
+            self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
+            return (
+                f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
+            )
         self._slot_free(task)
         self.ledger.add(Entry("redone", task, self.element_of(task), person=person, reason=reason))
         return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"
@@ -405,7 +448,9 @@ class Desk:
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        wanted = {item.name: item for item in (*self.prepared.tool_objects, *self.prepared.standing)}
+        book = self.ledger.book
+        gone = {element for task, element in self.prepared.removals.items() if book.tasks[task].gone}
+        wanted = {item.name: item for item in (*self.prepared.tool_objects, *self._standing(gone))}
         # what stands, but is no longer in the model, goes only when a person takes it out
         alone = [element for element in self.ledger.book.left_behind if element not in self.prepared.elements]
         present = self._present()
@@ -419,6 +464,19 @@ class Desk:
             else:
                 wanted |= {item.name: item for item in objects}
         return wanted, tuple(alone)
+
+    def _standing(self, gone: Collection[str]) -> Iterator[SceneObject]:
+        """Return what stands without a task; what a former task of ours placed, where that task left it."""
+        left = self.ledger.book.left_behind
+        for item in self.prepared.standing:
+            element = item.name.split("/", 1)[0]
+            memory = left.get(element)
+            if element in gone or (memory is not None and not memory.placed):
+                continue
+            if memory is not None and memory.base_T_element and element in self.prepared.standing_at:
+                moved = product(pose_of_tuple(memory.base_T_element), inverse(self.prepared.standing_at[element]))
+                item = item.moved(product(moved, item.pose))
+            yield item
 
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
@@ -516,6 +574,14 @@ class Desk:
         )
 
     def _reason(self, task: str, now: int) -> str:
+        """Return what a task waits for, with what a person should know of it and its element while that can still matter."""
+        reason = self._waits_for(task, now)
+        remarks = self.prepared.schedule.remarks.get(task, ())
+        if not remarks or self.ledger.book.tasks[task].state is TaskState.DONE:
+            return reason
+        return ". ".join([*filter(None, [reason]), *(f"Note: {remark}" for remark in remarks)])
+
+    def _waits_for(self, task: str, now: int) -> str:
         memory = self.ledger.book.tasks[task]
         if memory.state is TaskState.WAITING:
             return f"waits for {', '.join(map(self.title, self.ledger.book.missing(task)))}"
@@ -525,6 +591,8 @@ class Desk:
             return "its plan waits for a person's approval"
         if memory.state is TaskState.HELD:
             return "its element is gone: skip it, or put another into its stock and redo it"
+        if memory.state is TaskState.DONE and memory.gone:
+            return "taken down, as a person says"
         if memory.state is TaskState.DONE:
             if memory.as_planned:
                 return "placed; as planned, not measured"

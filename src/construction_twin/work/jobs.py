@@ -34,6 +34,8 @@ class PlaceJob:
         ``base_T_element`` before and after.
     supports : tuple of str
         Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
+    up : tuple of float, length 3
+        Against gravity, a unit vector: the model's z axis.
     """
 
     task: str
@@ -47,6 +49,7 @@ class PlaceJob:
     base_T_stock: Pose
     base_T_goal: Pose
     supports: tuple[str, ...] = ()
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -312,6 +312,9 @@ class Ledger:
 def _touched(memory: TaskMemory) -> bool:
     """Return whether an element may be elsewhere than in its stock, or is asked about."""
     doubtful = (TaskState.PLANNED, TaskState.ASKS, *UNDER_WAY)
+    if memory.state is TaskState.DONE and memory.gone:
+        # what was taken down is gone, whatever the model says since
+        return False
     return memory.placed or memory.in_grip or memory.state is TaskState.DONE or memory.state in doubtful
 
 

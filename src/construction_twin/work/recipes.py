@@ -109,11 +109,15 @@ class Place(_Strict):
         Lengths of that straight way [m], tried one after the other.
     retreat : float
         Length of the straight way of the tool from the face, along its normal [m].
+    fastened : bool
+        Something that the model does not show holds the element before the tool lets go: screws, glue, a clamp. Else an element
+        that nothing is under is refused: it would fall.
     """
 
     arrive: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
     lengths: Annotated[tuple[_Length, ...], pydantic.Field(min_length=1)] = (0.1,)
     retreat: _Length = 0.1
+    fastened: bool = False
 
 
 class Recipe(_Strict):
@@ -213,6 +217,9 @@ OVERRIDES: Mapping[str, Override] = {
     "Arrive": Override(("place", "arrive"), "IfcLabel", "from which side it is set down: `up -y`", _words),
     "ArriveLengths": Override(("place", "lengths"), "IfcLabel", "lengths of that way [m]", _numbers),
     "Retreat": Override(("place", "retreat"), "IfcReal", "straight way of the tool from the element [m]", _same),
+    "Fastened": Override(
+        ("place", "fastened"), "IfcBoolean", "something not in the model holds it before the tool lets go", _same
+    ),
     "Speed": Override(("speed",), "IfcReal", "of the tool on the straight ways [m/s]", _same),
     "CarrySpeedScale": Override(
         ("carry_speed_scale",), "IfcReal", "fraction of the joints' limits while it is carried", _same

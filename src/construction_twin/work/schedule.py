@@ -6,7 +6,10 @@ makes no sense. Times are arguments, in seconds of any one clock. Plans nothing 
 A job is one element that a task without subtasks makes. A sequence of a nesting task holds for all that it nests: with
 ``START_START`` everything in the first must have started before anything in the second may. An arm cannot end a placing later than
 it is done, so what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without
-product passes order and lags on and takes no time.
+product passes order and lags on and takes no time, and so does one that is completed.
+
+A removal is one element that a task takes down, or that is to be taken down without a task. It is no job: people do it, and the
+element stands until one of them says that it is gone; what comes after it waits for that.
 """
 
 from __future__ import annotations
@@ -14,11 +17,13 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
+from types import MappingProxyType
 
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Sequence, Task
+from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.workpieces import workpieces
 
 _KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
@@ -109,12 +114,25 @@ class Schedule:
     unmade : tuple of str
         GlobalIds of the workpieces that no job makes.
     proposed : bool
-        It is not the planner's but a proposal from the geometry, which a person must accept.
+        It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
+    removals : tuple of Job
+        Elements that people take down; what each waits for is in `after`.
+    remarks : mapping of str to tuple of str
+        Notes by the id of the job or removal that they are about.
     """
 
-    def __init__(self, jobs: tuple[Job, ...], notes: tuple[str, ...], unmade: tuple[str, ...], proposed: bool = False):
+    def __init__(
+        self,
+        jobs: tuple[Job, ...],
+        notes: tuple[str, ...],
+        unmade: tuple[str, ...],
+        proposed: bool = False,
+        removals: tuple[Job, ...] = (),
+        remarks: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+    ):
         self.jobs, self.notes, self.unmade, self.proposed = jobs, notes, unmade, proposed
-        self._by_id = {job.id: job for job in jobs}
+        self.removals, self.remarks = removals, dict(remarks)
+        self._by_id = {job.id: job for job in (*jobs, *removals)}
 
     @classmethod
     def of(cls, model: BuildingModel, proposed: bool = False) -> Schedule:
@@ -133,9 +151,20 @@ class Schedule:
             or a nesting with a task that is not there.
         """
         reading = _Reading(model)
-        jobs = reading.jobs()
-        unmade = reading.unmade(jobs)
-        return cls(_in_order(jobs, model.tasks), tuple(reading.notes), unmade, proposed)
+        everything = reading.jobs()
+        unmade = reading.unmade(everything)
+        ordered = _in_order(everything, model.tasks)
+        remarks = {
+            job.id: (*model.remarks.get(job.task, ()), *model.remarks.get(job.element, ())) for job in everything
+        }
+        return cls(
+            tuple(job for job in ordered if job.id not in reading.removals),
+            tuple(reading.notes),
+            unmade,
+            proposed or reading.guessed,
+            tuple(job for job in ordered if job.id in reading.removals),
+            {name: said for name, said in remarks.items() if said},
+        )
 
     def job(self, identifier: str) -> Job:
         """Return the job of that id.
@@ -215,6 +244,9 @@ class _Reading:
     def __init__(self, model: BuildingModel):
         self._model, self._tasks = model, model.tasks
         self.notes: list[str] = []
+        self.removals: set[str] = set()
+        self.guessed = False
+        self._standing: set[str] = set()
         if not model.tasks:
             raise ScheduleError(
                 f"{model.file}: it has no tasks; have an order proposed from the geometry and accept it"
@@ -225,25 +257,52 @@ class _Reading:
         self._products = self._checked_products()
 
     def jobs(self) -> tuple[Job, ...]:
-        """Return the jobs in the file's order."""
+        """Return jobs and removals in the file's order; the ids of the latter are in `removals`."""
         waits = self._all_waits()
         jobs: list[Job] = []
         for identifier, products in self._products.items():
             task, after = self._tasks[identifier], waits[identifier]
+            down = self._takes_down(identifier)
             for number, product in enumerate(products, 1):
                 own = self._job_id(identifier, number)
                 before = {(self._job_id(identifier, number - 1), True): 0.0} if number > 1 else after
                 found = tuple(Wait(job, finished, lag) for (job, finished), lag in before.items())
-                jobs.append(Job(own, identifier, task.name, product, self._robots(identifier), found))
+                jobs.append(Job(own, identifier, task.name, product, () if down else self._robots(identifier), found))
+                if down:
+                    self.removals.add(own)
+        taken_down = {job.element for job in jobs if job.id in self.removals}
+        for element in self._model.elements.values():
+            if element.status == "demolish" and element.bodies and element.id not in taken_down:
+                own = f"{element.id}/removal"
+                self.removals.add(own)
+                name = f"Take down {element.name or element.id}"
+                jobs.append(Job(own, own, name, element.id, (), ()))
+        for job in jobs:
+            if job.id in self.removals:
+                name = self._model.elements[job.element].name or job.element
+                self.notes.append(
+                    f"{name} ({job.element}) is to be taken down ({job.name}): it is an obstacle until a person says "
+                    f"that it is gone (`twin work removed {job.id}`)."
+                )
         return tuple(jobs)
 
     def unmade(self, jobs: tuple[Job, ...]) -> tuple[str, ...]:
-        """Return the workpieces without job, and note them."""
-        made = {job.element for job in jobs}
+        """Return the workpieces that neither a job makes nor stand, and note them."""
+        made = {job.element for job in jobs} | self._standing
         left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
         if left:
             self.notes.append(f"No task makes {_counted(left, 'element')}: {_listed(left)}; the arm leaves them alone.")
         return left
+
+    def _takes_down(self, identifier: str) -> bool:
+        """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
+        task = self._tasks[identifier]
+        known = [self._model.elements[one] for one in task.products if one in self._model.elements]
+        demolish = bool(known) and all(element.status == "demolish" for element in known)
+        return task.kind == "takes_down" or (task.kind == "makes" and demolish)
+
+    def _is_completed(self, identifier: str) -> bool:
+        return any(self._tasks[at].completed for at in self._above(identifier))
 
     def _job_id(self, task: str, number: int) -> str:
         return task if len(self._products[task]) == 1 else f"{task}/{number}"
@@ -306,6 +365,8 @@ class _Reading:
                 raise ScheduleError(f"the sequence from {ids[0]} to {ids[1]} has a lag of {sequence.lag} s", ids)
             if sequence.lag < 0.0:
                 leads.append(ids)
+            if sequence.lag > 0.0 and self._is_completed(sequence.before):
+                self.notes.append(f"The lag after {ids[0]}, which is completed, is not waited for by {ids[1]}.")
             into[sequence.after].append(sequence)
         for ids in needless:
             self.notes.append(f"The sequence from {ids[0]} to {ids[1]} is left out: one of them nests in the other.")
@@ -320,7 +381,8 @@ class _Reading:
         empty: list[str] = []
         for identifier, task in self._tasks.items():
             nested = self._children[identifier]
-            known = tuple(dict.fromkeys(one for one in task.products if one in self._model.elements))
+            given = (*task.products, *(task.inputs if task.kind == "takes_down" else ()))
+            known = tuple(dict.fromkeys(one for one in given if one in self._model.elements))
             unknown = tuple(one for one in task.products if one not in self._model.elements)
             if unknown and not nested:
                 self.notes.append(
@@ -333,10 +395,11 @@ class _Reading:
                 )
             if nested:
                 continue
+            known = self._to_do(identifier, known)
             if not known:
                 empty.append(identifier)
                 continue
-            for element in known:
+            for element in () if self._takes_down(identifier) else known:
                 if element in maker:
                     raise ScheduleError(
                         f"element {element} ({self._model.elements[element].name!r}) is made twice, by tasks "
@@ -345,12 +408,90 @@ class _Reading:
                     )
                 maker[element] = identifier
             found[identifier] = known
-        idle = [one for one in empty if not self._tasks[one].milestone]
+        self._leave_temporary(found, maker)
+        idle = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
+        idle = [one for one in idle if not self._is_completed(one)]
         if idle:
             self.notes.append(
                 f"{_counted(idle, 'task')} without element: {_listed(idle)}; kept for the order, no time is waited for."
             )
         return found
+
+    def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
+        """Return what is left for a task to place or to take down: what stands is not placed again."""
+        task, elements = self._tasks[identifier], self._model.elements
+        if self._takes_down(identifier):
+            # what the file calls completed still stands here until a person says that it does not
+            every = dict.fromkeys(part for one in known for part in (one, *self._parts(one)))
+            return tuple(one for one in every if elements[one].bodies)
+        if task.kind != "makes":
+            return ()
+        if self._is_completed(identifier):
+            self._standing |= {*known, *(part for one in known for part in self._parts(one))}
+            return ()
+        there = tuple(one for one in known if elements[one].status)
+        if there:
+            self._standing |= set(there)
+            self.notes.append(
+                f"Task {identifier} ({task.name!r}) makes {_listed(there)}, which the model has as existing or to be taken "
+                "down: not placed."
+            )
+        found: list[str] = []
+        for one in known:
+            if one not in there:
+                found += self._of_assembly(identifier, one)
+        return tuple(dict.fromkeys(found))
+
+    def _parts(self, whole: str) -> list[str]:
+        """Return what is a part of an element, or of a part of it."""
+        found, left = [], [whole]
+        while left:
+            at = left.pop()
+            parts = [element.id for element in self._model.elements.values() if element.assembly == at]
+            found += parts
+            left += parts
+        return found
+
+    def _of_assembly(self, identifier: str, element: str) -> tuple[str, ...]:
+        """Return an element; of one without a body that has parts: its workpieces that no other task makes, as proposed."""
+        model = self._model
+        if model.elements[element].bodies:
+            return (element,)
+        parts = set(self._parts(element))
+        if not parts:
+            return (element,)
+        elsewhere = {one for name, task in self._tasks.items() if name != identifier for one in task.products}
+        wanted = [one for one in workpieces(model) if one in parts - elsewhere]
+        task = self._tasks[identifier]
+        if wanted:
+            alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
+            proposal = propose(alone)
+            wanted = [one for part in proposal.tasks for one in part.products]
+            self.guessed = self.guessed or len(wanted) > 1
+        how = "its parts are placed one after the other, in an order from the geometry that a person must accept"
+        self.notes.append(
+            f"Task {identifier} ({task.name!r}) makes {model.elements[element].name or element}, an assembly without a body of "
+            f"its own: {how if wanted else 'none of its parts is left for this task'}: {_listed(wanted)}."
+        )
+        return tuple(wanted)
+
+    def _leave_temporary(self, found: dict[str, tuple[str, ...]], maker: Mapping[str, str]) -> None:
+        """Leave out of removals what a task of the same schedule places first: it does not stand yet."""
+        removed: set[str] = set()
+        for identifier in [one for one in found if self._takes_down(one)]:
+            placed = [element for element in found[identifier] if element in maker]
+            twice = [element for element in found[identifier] if element in removed]
+            removed |= set(found[identifier])
+            if placed:
+                self.notes.append(
+                    f"Task {identifier} ({self._tasks[identifier].name!r}) takes down {_listed(placed)}, which another task "
+                    "places: not read, it stays; what comes after does not wait for it to be gone."
+                )
+            left = tuple(element for element in found[identifier] if element not in {*placed, *twice})
+            if left:
+                found[identifier] = left
+            else:
+                del found[identifier]
 
     def _all_waits(self) -> dict[str, _Waits]:
         """Return what the start of each task waits for, in terms of jobs.
@@ -458,12 +599,14 @@ def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple
     """Return date and number of each job, by which they are sorted; no dates where one is missing or cannot be compared."""
     numbers = {job.id: number for number, job in enumerate(jobs)}
     try:
-        starts = {job.id: datetime.fromisoformat(tasks[job.task].start) for job in jobs}
+        # what is to be taken down without a task has no date and comes first
+        starts = {job.id: datetime.fromisoformat(tasks[job.task].start) for job in jobs if job.task in tasks}
     except ValueError:
         return {identifier: (0.0, number) for identifier, number in numbers.items()}
     if len({start.tzinfo is None for start in starts.values()}) > 1:
         return {identifier: (0.0, number) for identifier, number in numbers.items()}
-    return {identifier: (starts[identifier].timestamp(), number) for identifier, number in numbers.items()}
+    moments = {identifier: start.timestamp() for identifier, start in starts.items()}
+    return {identifier: (moments.get(identifier, -math.inf), number) for identifier, number in numbers.items()}
 
 
 def _counted(ids: Iterable[str], what: str) -> str:

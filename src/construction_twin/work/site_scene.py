@@ -33,7 +33,7 @@ class WorkState:
     placed : mapping of str to Pose
         ``base_T_element`` of the elements that stand, as built.
     gone : frozenset of str
-        Elements that are neither in stock nor placed: lost, or in the grip.
+        Elements that are neither in stock nor placed: lost, in the grip, or taken down.
     """
 
     placed: Mapping[str, Pose] = field(default_factory=dict)
@@ -122,7 +122,8 @@ class Layout:
         state : WorkState
         """
         surroundings = self.site.scene
-        objects = [*surroundings.objects, *self.standing, *self._tool]
+        standing = [item for item in self.standing if item.name.split("/", 1)[0] not in state.gone]
+        objects = [*surroundings.objects, *standing, *self._tool]
         for element in self.delivered(state):
             objects += self._standing(element, self.slot(element).base_T_element)
         for element, pose in state.placed.items():
@@ -153,11 +154,12 @@ class Layout:
             for pose in (slot.base_T_element, goal)
             for name in self._shapes.near(self._pieces[element], [pose], others, scene.padding)
         }
+        x, y, z = map(float, self._base_T_model.rotation[:, 2])
         fixed = {*self.site.file.supports, slot.surface} & set(scene.names)
         return PlaceJob(
             task or element, element, built.name, built.ifc_class, built.type_name,
             {name: dict(values) for name, values in built.properties.items()}, self._pieces[element], built.mass,
-            slot.base_T_element, goal, tuple(sorted(beside | fixed)),
+            slot.base_T_element, goal, tuple(sorted(beside | fixed)), (x, y, z),
         )  # fmt: skip
 
     def _standing(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:

@@ -72,10 +72,13 @@ def standing_elements(building: BuildingModel, made: Collection[str], site: Site
     """Return the elements with bodies that no task makes, wherever they are; see `standing`."""
     left_out = set(made)
     for identifier in made:
+        above: list[str] = []
         parent = building.element(identifier).assembly
-        while parent and parent not in left_out:
-            left_out.add(parent)
-            parent = building.elements[parent].assembly if parent in building.elements else ""
+        while parent in building.elements and parent not in above:
+            above.append(parent)
+            parent = building.elements[parent].assembly
+        # what exists stands, whatever new is a part of it
+        left_out |= {one for one in above if not building.elements[one].status}
     if site.file.base_element:
         left_out.add(site.base(building).id)
     return tuple(one for one in building.elements.values() if one.bodies and one.id not in left_out)

@@ -33,7 +33,7 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.work.contacts import Shapes, deepest, difference, tool_objects
+from construction_twin.work.contacts import FALL, Shapes, deepest, difference, tool_objects
 from construction_twin.work.grips import Grip, find_grips
 from construction_twin.work.jobs import PlaceJob, WorkPlan, WorkSegment
 from construction_twin.work.phases import Scenes, Ways, direction, scenes, ways
@@ -211,6 +211,8 @@ class TaskPlanner:
         for item in job.bodies:
             if item.name not in carried:
                 raise TaskPlanningError(job.task, f"{item.name} is not carried in the scene; expected it in the grip")
+        if falls := self._falls(job, scene, chosen.recipe):
+            raise TaskPlanningError(job.task, falls, SET_DOWN)
         worlds = _Worlds(self._world_of)
         q = np.array(start, dtype=float)
         self._check_start(job, q, worlds.of(scene))
@@ -263,6 +265,18 @@ class TaskPlanner:
                     job.task, f"the tool's {item.name!r} {problem}; put the tool into the scene first"
                 )
 
+    def _falls(self, job: PlaceJob, scene: Scene, recipe: Recipe) -> str:
+        """Return why the element would fall when the tool lets go of it at its place; empty: something is under it."""
+        own = {item.name for item in job.bodies}
+        others = [item for item in scene.objects if not item.link and item.name not in own]
+        if recipe.place.fastened or self._shapes.holder(job.bodies, job.base_T_goal, others, np.array(job.up)):
+            return ""
+        return (
+            f"nothing holds {job.element_name or job.element} when the tool lets go: nothing that stands is under it within "
+            f"{1e3 * FALL:.0f} mm. If it is fastened before, by what the model does not show, say so: `fastened: true` in the "
+            "recipe's `place`, or the property CTwin_RobotTask.Fastened"
+        )
+
     def _check_start(self, job: PlaceJob, start: np.ndarray, world: CollisionWorld) -> None:
         try:
             self._robot.check_range(start)
@@ -279,6 +293,7 @@ class TaskPlanner:
         """Return the plan with one grip; the ways from the stock and to the place in the recipe's order."""
         recipe, job = search.chosen.recipe, search.job
         failed: _Failed | None = None
+        falls = self._falls(job, search.scene, recipe)
         for leave, arrive in itertools.product(
             _options(recipe.stock.leave, recipe.stock.lengths, job.base_T_stock),
             _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal),
@@ -288,6 +303,8 @@ class TaskPlanner:
             at = ways(job, grip, recipe, self._tool, leave, arrive)
             try:
                 self._check_reach(at, grip, search)
+                if falls:
+                    raise _Failed(SET_DOWN, grip.name, falls, True)
                 there = scenes(search.scene, job, recipe, self._tool, self._robot.tip_link, at, self._shapes)
                 self._check_bodies(at, there, grip)
                 return _OneWay(self._parts(), search, grip, at, there, self._limits).plan(began)

@@ -53,6 +53,7 @@ class TaskEvent(Enum):
     MEASURED = "measured"
     SKIPPED = "skipped"
     REDONE = "redone"
+    REMOVED = "removed"
 
 
 class Guard(Enum):
@@ -77,6 +78,7 @@ class Action(Enum):
     PLACED = "the element counts as placed, where the arm let go of it"
     PLACED_AS_TOLD = "the element counts as placed, where the model has it until it is measured"
     GONE = "the element counts as gone; the plan is forgotten"
+    REMOVED = "the element counts as taken down"
     DOUBTED = "the plan is forgotten; where the element was said to be is kept"
     MEASURED = "the element counts as placed where it was measured"
 
@@ -135,7 +137,9 @@ TABLE: tuple[Row, ...] = (
     *_rows([_S.ASKS], _E.ANSWERED, _S.HELD, _A.GONE, _G.SAYS_GONE),
     *_rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, _A.MEASURED),
     *_rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
-    # a person says that the element is back in its stock
+    # only of what people take down: a person says that it is gone
+    *_rows((_S.WAITING, _S.READY, _S.SKIPPED), _E.REMOVED, _S.DONE, _A.REMOVED),
+    # a person says that the element is back in its stock; of what was taken down, that it stands
     *_rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, _A.NOT_IN_GRIP),
     # the model was changed: what the record of the former one says of its elements is no longer sure; of what is
     # in the grip also a person may doubt, and the tool
@@ -187,7 +191,7 @@ class TaskMemory:
         The element is held by the tool, as far as is known.
     placed : bool
     gone : bool
-        It is neither in its stock nor placed.
+        It is neither in its stock nor placed; of a task that is done: taken down.
     tool0_T_element, base_T_element : tuple of float, length 7 or 0
         How it is held, or will be, and where it stands as built: x, y, z [m], quaternion x, y, z, w. Empty: not known.
     measured : str
@@ -320,6 +324,9 @@ class TaskMemory:
     def _gone(self, *_) -> None:
         self._not_in_grip()
         self.gone = True
+
+    def _removed(self, *_) -> None:
+        self._gone()
 
     def _measured(self, _plan: str, _offer: str, _grip: str, pose: tuple[float, ...], person: str) -> None:
         self.placed, self.gone, self.base_T_element, self.measured = True, False, pose, person

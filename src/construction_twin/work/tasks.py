@@ -84,14 +84,19 @@ def prepare(
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
     base = site.base(building).id if site.file.base_element else ""
     placement = check_placement(building, site.model_T_base(building), reach, base)
-    shapes, failures = element_shapes(map(building.element, order), Path(cache) / "bodies")
+    # of a body that is doubted a hull stands, as an obstacle
+    sure = [element for element in order if not building.element(element).doubt]
+    shapes, failures = element_shapes(map(building.element, sure), Path(cache) / "bodies")
     pieces = {element: shape.objects for element, shape in shapes.items()}
-    stands = standing(building, order, site, robot, Path(cache) / "bodies")
+    stands = standing(building, sure, site, robot, Path(cache) / "bodies")
     # one element without usable body does not stop the others
     usable = [element for element in order if element in pieces]
     layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces)
+    unplannable = {element: str(failure) for element, failure in failures.items()}
+    unplannable |= {element: building.element(element).doubt for element in order if element not in sure}
+    removed = [job.element for job in schedule.removals]
     elements = {}
-    for element in order:
+    for element in dict.fromkeys((*order, *removed)):
         read = building.element(element)
         elements[element] = ElementFacts(
             read.name or read.tag or element, read.ifc_class, read.type_name, pieces.get(element, ()),
@@ -127,9 +132,10 @@ def prepare(
         tool=site.tool.tool,
         tool_objects=tool_objects(site.tool, robot.tip_link),
         notes=tuple(notes),
-        unplannable={element: str(failure) for element, failure in failures.items()},
+        unplannable=unplannable,
         standing=layout.standing,
         scheduled=_scheduled(building, schedule),
+        standing_at={element: layout.base_T_goal(element) for element in stands.pieces},
     )
 
 

@@ -13,7 +13,6 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -22,6 +21,14 @@ from construction_twin.core.work_errors import WorkError
 #: Added to the process's nice value.
 NICE = 10
 _LENGTH = 8
+#: What a function, its answer, or the reading of it can raise and nobody foresaw; what is none of these ends the process.
+UNFORESEEN = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError, MemoryError, OSError, RuntimeError,
+    TypeError, ValueError, pickle.PickleError,
+)  # fmt: skip
+#: A process whose pipe has closed is given so long to end [s].
+_ENDING = 5.0
+_PROTOCOL = pickle.HIGHEST_PROTOCOL
 
 
 class WorkerError(WorkError):
@@ -36,12 +43,6 @@ class WorkerError(WorkError):
     def __init__(self, kind: str, sentence: str):
         self.kind = kind
         super().__init__(sentence)
-
-
-@dataclass(frozen=True)
-class _Failure:
-    kind: str
-    sentence: str
 
 
 class Worker:
@@ -76,38 +77,42 @@ class Worker:
         with self._busy:
             try:
                 answer = self._answer(name, arguments)
-            except (OSError, EOFError, pickle.UnpicklingError) as error:
-                code = self._end()
+            except (OSError, EOFError) as error:
+                code = self._end(_ENDING)
                 raise WorkerError(
                     "", f"the process that reads and plans has ended ({_how(code)}); ask again"
                 ) from error
-        if isinstance(answer, _Failure):
-            raise WorkerError(answer.kind, answer.sentence)
-        return answer
+        if "failure" in answer:
+            raise WorkerError(*answer["failure"])
+        return answer["result"]
 
     def close(self) -> None:
         """End the process, whatever it does."""
         self._end()
 
-    def _answer(self, name: str, arguments: dict[str, Any]) -> Any:
+    def _answer(self, name: str, arguments: dict[str, Any]) -> dict[str, Any]:
         questions = [(name, arguments)]
         if self._process is None or self._process.poll() is not None:
             self._end()
             self._process = subprocess.Popen(self._program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
             questions = [*([self._first] if self._first is not None else []), *questions]
-        answer = None
+        answer: dict[str, Any] = {}
         for question in questions:
-            _write(self._process.stdin, question)
-            answer = _read(self._process.stdout)
-            if isinstance(answer, _Failure):
+            _write(self._process.stdin, pickle.dumps(question, _PROTOCOL))
+            answer = _understood(_read(self._process.stdout))
+            if "failure" in answer:
                 break
         return answer
 
-    def _end(self) -> int:
+    def _end(self, patience: float = 0.0) -> int:
+        """End the process; one that ends by itself has so long for it [s], so that its own exit code is told."""
         process, self._process = self._process, None
         if process is None:
             return 0
-        process.kill()
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            process.kill()
         for pipe in (process.stdin, process.stdout):
             if pipe is not None:
                 try:
@@ -128,40 +133,48 @@ def serve(questions: BinaryIO, answers: BinaryIO, functions: Mapping[str, Callab
     """
     while True:
         try:
-            name, arguments = _read(questions)
+            question = _read(questions)
         except EOFError:
             return
-        _write(answers, _answer(functions[name], arguments))
+        _write(answers, _answer(question, functions))
 
 
-def _answer(function: Callable, arguments: dict) -> Any:
+def _answer(question: bytes, functions: Mapping[str, Callable]) -> bytes:
+    """Return the answer to a question: what the function returns, or kind and sentence of its error.
+
+    It is made of built-in types, so that it can be read by a process to which this module is not `__main__`.
+    """
     try:
-        return function(**arguments)
+        name, arguments = pickle.loads(question)
+        return pickle.dumps({"result": functions[name](**arguments)}, _PROTOCOL)
     except ConstructionTwinError as error:
-        return _Failure(type(error).__name__, str(error))
-    except (
-        ArithmeticError,
-        LookupError,
-        MemoryError,
-        OSError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        RuntimeError,
-    ) as error:
+        failure = type(error).__name__, str(error)
+    except UNFORESEEN as error:
         # what nobody foresaw must be an answer, too; the trace goes to the node's log
         traceback.print_exc()
-        kind = type(error).__name__
-        return _Failure(kind, f"it cannot be computed ({kind}: {error}); please report it")
+        failure = _unforeseen(error)
+    return pickle.dumps({"failure": failure}, _PROTOCOL)
 
 
-def _write(pipe: Any, content: object) -> None:
-    data = pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
+def _understood(answer: bytes) -> dict[str, Any]:
+    """Return an answer; one that cannot be read here is a failure as any other, and the process goes on."""
+    try:
+        return dict(pickle.loads(answer))
+    except UNFORESEEN as error:
+        return {"failure": _unforeseen(error)}
+
+
+def _unforeseen(error: Exception) -> tuple[str, str]:
+    kind = type(error).__name__
+    return kind, f"it cannot be computed ({kind}: {error}); please report it"
+
+
+def _write(pipe: Any, data: bytes) -> None:
     pipe.write(len(data).to_bytes(_LENGTH, "big") + data)
     pipe.flush()
 
 
-def _read(pipe: Any) -> Any:
+def _read(pipe: Any) -> bytes:
     header = pipe.read(_LENGTH)
     if len(header) < _LENGTH:
         raise EOFError
@@ -169,7 +182,7 @@ def _read(pipe: Any) -> Any:
     data = pipe.read(length)
     if len(data) < length:
         raise EOFError
-    return pickle.loads(data)
+    return bytes(data)
 
 
 def _how(code: int) -> str:

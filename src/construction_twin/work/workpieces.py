@@ -37,7 +37,8 @@ def is_workpiece(element: Element, has_parts: bool) -> bool:
     has_parts : bool
         Whether other elements are parts of it.
     """
-    if not element.bodies or plain_class(element.ifc_class) not in CLASSES:
+    # what stands already is no workpiece
+    if not element.bodies or element.status or plain_class(element.ifc_class) not in CLASSES:
         return False
     # a wall of several bodies, or one that is made of parts, is built and not placed
     return plain_class(element.ifc_class) != "IfcWall" or (len(element.bodies) == 1 and not has_parts)
@@ -80,6 +81,7 @@ def workpieces(model: BuildingModel, also: Iterable[str] = (), only: Iterable[st
         element.id
         for element in model.elements.values()
         if element.bodies
+        and not element.status
         and (
             (not only and is_workpiece(element, element.id in parents))
             or element.id in wanted

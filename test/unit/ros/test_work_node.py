@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from construction_twin.msg import Engagement, Execution, Plan, Scene, SceneObject, Segment
 from construction_twin.srv import WorkDecideRequest
+from executor_bench import ROOT
+from ifc_models import IfcModel
 from work_bench import (
     AT_GOAL,
     CARRY,
@@ -24,6 +26,7 @@ from construction_twin.core.work_errors import LedgerError
 from construction_twin.scene.objects import SceneObject as Body
 from construction_twin.work.built import pose_of_tuple
 from construction_twin.work.ledger import Ledger
+from construction_twin.work.worker import Worker
 
 FENCE = Body("fence", "box", (0.1, 0.1, 0.1), (-3.0, 0.0, 0.5))
 UP_TO_GRIPPED = ["offered", "planned", "begun", "gripping", "gripped"]
@@ -482,3 +485,32 @@ def test_messages_that_cannot_be_read_are_refused_and_change_nothing(bench):
 def test_before_the_model_is_read_the_node_says_so(bench):
     assert [message.reason for message in bench.tasks] == ["the model is being read"]
     assert bench.ask().message == "the model is being read"
+
+
+def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(bench, tmp_path):
+    model = IfcModel()
+    studs = [model.box(name, (0.1, 0.1, 1.0), at=(1.0 + k, 0, 0)) for k, name in enumerate("abc")]
+    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
+    for before, after in zip(tasks, (*tasks[1:], tasks[0])):
+        model.sequence(before, after)
+    path = model.save(tmp_path / "cycle.ifc")
+    worker = Worker()
+    bench.start(worker, model=str(path), cell=str(ROOT / "config/work/timber_panel.yaml"))
+    try:
+        bench.node.open()
+        bench.node.go_on()
+        answer = bench.ask()
+    finally:
+        worker.close()
+    assert bench.tasks[-1].reason.startswith("tasks wait for each other in a circle: ")
+    assert not answer.success and answer.message == bench.tasks[-1].reason
+
+
+def test_a_person_says_by_the_service_what_is_gone(bench):
+    bench.ready()
+    answer = bench.node.on_decide(WorkDecideRequest(TASK, "removed", "", "eva", ""))
+    assert not answer.success and "takes nothing down" in answer.message
+    assert (
+        "skip, redo, answer, removed or accept"
+        in bench.node.on_decide(WorkDecideRequest(TASK, "x", "", "eva", "")).message
+    )

@@ -163,7 +163,8 @@ def test_a_work_that_is_too_far_away_comes_nearer(tmp_path):
 
 def test_a_longer_track_helps_where_the_work_is_beyond_its_end(tmp_path):
     found = layout(
-        site(tmp_path, {"model_T_base": {"xyz": [-3.9, -1.2, -0.6]}, "supports": []}), building(element("b"))
+        site(tmp_path, {"model_T_base": {"xyz": [-3.9, -1.2, -0.6]}, "supports": []}),
+        building(element("b", properties={"CTwin_RobotTask": {"Fastened": True}})),
     )
     job, scene, why = failed(found, "b")
     assert why.stage == "reach"

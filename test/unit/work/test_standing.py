@@ -52,3 +52,19 @@ def test_an_element_whose_geometry_is_unusable_is_named(tmp_path):
     model = building(element("b"), replace(wall("odd"), bodies=(flat,)))
     found = standing(model, ["b"], site(tmp_path), robot(), tmp_path)
     assert not found.pieces and len(found.notes) == 1 and "'odd'" in found.notes[0]
+
+
+def test_a_whole_that_exists_stands_though_a_part_of_it_is_placed(tmp_path):
+    at = site(tmp_path)
+    board = replace(element("board"), assembly="wall")
+    model = building(board, wall("wall", status="existing"))
+    assert set(standing(model, ["board"], at, robot(), tmp_path).pieces) == {"wall"}
+
+
+def test_what_was_taken_down_is_in_no_scene(tmp_path):
+    at = site(tmp_path)
+    model = building(element("b"), wall("old", status="demolish"))
+    found = standing(model, ["b"], at, robot(), tmp_path)
+    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
+    assert "old/0" in layout.scene().names
+    assert "old/0" not in layout.scene(WorkState(gone=frozenset({"old"}))).names

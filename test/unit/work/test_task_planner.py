@@ -18,7 +18,7 @@ from construction_twin.planning.work_plan import AskedSegment, plan_work
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.contacts import deepest, tool_objects
+from construction_twin.work.contacts import Shapes, deepest, tool_objects
 from construction_twin.work.jobs import WorkPlan
 from construction_twin.work.site_scene import Layout, WorkState
 from construction_twin.work.task_planner import TaskLimits
@@ -277,3 +277,60 @@ def test_an_arm_in_contact_is_not_planned_from(work):
     scene = with_object(work.scene(), "block", (0.3, 0.3, 0.3), tuple(np.array([HOME[0] + 1.35, 0.0, 1.9])))
     with pytest.raises(TaskPlanningError, match="where the arm stands"):
         planner().plan(work.job_for("brick0", scene), HOME, scene)
+
+
+# -- what would fall
+
+
+@pytest.mark.parametrize("properties", [{}, {"CTwin_RobotTask": {"Fastened": True}}])
+def test_an_element_that_nothing_is_under_is_refused_unless_it_is_fastened(tmp_path, properties):
+    above = layout(site(tmp_path), building(element("tile", (0.0, 0.0, 0.25), properties=properties)))
+    scene = above.scene()
+    job = above.job_for("tile", scene)
+    if properties:
+        assert planner().plan(job, HOME, scene).segments[-1].name == "retreat"
+        return
+    with pytest.raises(TaskPlanningError, match="nothing holds tile when the tool lets go.*fastened: true") as caught:
+        planner().plan(job, HOME, scene)
+    assert caught.value.stage == "set down"
+
+
+def test_an_element_in_the_grip_is_not_let_go_in_mid_air_either(tmp_path):
+    above = layout(site(tmp_path), building(element("tile", (0.0, 0.0, 0.25))))
+    scene = above.scene()
+    job = above.job_for("tile", scene)
+    held = Pose(np.array([0.0, 0.0, 0.3]), np.eye(3))
+    carried = SceneChange(tuple(item.moved(product(held, item.pose), robot().tip_link) for item in job.bodies))
+    with pytest.raises(TaskPlanningError, match="nothing holds tile"):
+        planner().plan_carried(job, HOME, carried.apply(scene), held)
+
+
+BOX = SceneObject("box", "box", (0.2, 0.2, 0.1))
+UP = np.array([0.0, 0.0, 1.0])
+ALIKE = Pose(np.array([0.0, 0.0, 1.05]), np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("position", "holds"),
+    [
+        ((0.0, 0.0, 0.95), True),
+        ((0.19, 0.0, 0.95), True),
+        ((0.0, 0.0, 0.938), True),
+        ((0.0, 0.0, 0.955), True),
+        ((0.0, 0.0, 0.92), False),
+        ((0.2, 0.0, 1.05), False),
+        ((0.199, 0.0, 1.05), False),
+        ((0.205, 0.0, 0.95), False),
+        ((0.0, 0.0, 1.15), False),
+    ],
+    ids=["below", "below its edge", "a mortar bed", "5 mm inside", "too low", "beside", "pressed in", "past", "above"],
+)
+def test_only_what_is_under_an_element_holds_it(position, holds):
+    other = replace(BOX, name="other", position=position)
+    assert Shapes().holder([BOX], ALIKE, [other], UP) == ("other" if holds else "")
+
+
+def test_what_is_under_is_so_by_gravity_and_not_by_the_base():
+    wall = replace(BOX, name="wall", position=(-0.2, 0.0, 1.05))
+    assert Shapes().holder([BOX], ALIKE, [wall], UP) == ""
+    assert Shapes().holder([BOX], ALIKE, [wall], np.array([1.0, 0.0, 0.0])) == "wall"

@@ -398,3 +398,84 @@ def test_the_forms_of_an_element_are_what_the_record_can_have(tmp_path, clock):
     one.ledger.add(Entry("released", "T1", "E1", plan="p", pose=pose_tuple(at(1.01, 1.0))))
     placed, _ = one.wanted_scene()
     assert placed["E1/0"].contents() in [form[0].contents() for form in one.forms("T1")]
+
+
+# -- what people take down
+
+
+def with_removal(tmp_path: Path, clock: Clock) -> Desk:
+    """A desk whose first job waits for an element to be taken down."""
+    ready = prepared()
+    down = Job("D1", "D1", "Take down wall", "W1", (), ())
+    jobs = (replace(JOBS[0], after=(Wait("D1", True, 0.0),)), *JOBS[1:])
+    remarks = {"D1": ("the arm takes nothing down",), "T1": ("THE MASS IS DOUBTFUL",)}
+    wall = SceneObject("W1/0", "box", (1.0, 0.1, 1.0), fixed=True)
+    facts = ElementFacts("wall", "IfcWall", "", (), at(0.0), np.zeros((1, 3, 3)))
+    ready = replace(
+        ready,
+        schedule=Schedule(jobs, (), (), False, (down,), remarks),
+        elements={**ready.elements, "W1": facts},
+        standing=(wall, SceneObject("W2/0", "box", (1.0, 0.1, 1.0), fixed=True)),
+    )
+    return Desk(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
+
+
+def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_it_is_gone(tmp_path, clock):
+    one = with_removal(tmp_path, clock)
+    assert one.next(clock()) == "" and "waits for 'Take down wall' (D1)" in one.obstacle("T1", clock())
+    assert "`twin work removed D1`" in one.obstacle("D1", clock())
+    assert "`twin work removed D1`" in one.summary(clock())
+    assert "W1/0" in one.wanted_scene()[0]
+    with pytest.raises(WorkRefused, match="name of a person"):
+        one.removed("D1", "", "")
+    with pytest.raises(WorkRefused, match="takes nothing down"):
+        one.removed("T1", "eva", "")
+    assert "no obstacle from now on" in one.removed("D1", "eva", "seen")
+    scene = Scene((*one.prepared.standing, *one.prepared.tool_objects), 0.01)
+    wanted, alone = one.wanted_scene()
+    assert "W1/0" not in wanted and "W2/0" in wanted and change(scene, wanted, alone).remove == ("W1/0",)
+    assert one.next(clock()) == "T1"
+    row = next(row for row in one.rows(clock()) if row.id == "D1")
+    assert (row.state, row.reason) == ("done", "taken down, as a person says")
+    with pytest.raises(WorkRefused, match="gone already"):
+        one.removed("D1", "eva", "")
+
+
+def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_back(tmp_path, clock):
+    one = with_removal(tmp_path, clock)
+    one.removed("D1", "eva", "")
+    one.ledger.close()
+    again = Ledger(tmp_path / "ledger", one.prepared.after, "b" * 64, clock, "", one.prepared.placed_by)
+    other = Desk(one.prepared, again, "kr120", "tool0")
+    assert "W1/0" not in other.wanted_scene()[0] and again.book.in_state(TaskState.ASKS) == ()
+    assert "standing again" in other.redo("D1", "eva", "wrong wall")
+    assert "W1/0" in other.wanted_scene()[0] and other.next(clock()) == ""
+    assert "wall stays" in other.skip("D1", "eva", "it may stay")
+    assert "W1/0" in other.wanted_scene()[0] and other.next(clock()) == "T1"
+
+
+def test_a_remark_stands_at_its_task_until_it_is_done(tmp_path, clock):
+    one = with_removal(tmp_path, clock)
+    one.removed("D1", "eva", "")
+    row = next(row for row in one.rows(clock()) if row.id == "T1")
+    assert row.reason == "can be planned. Note: THE MASS IS DOUBTFUL"
+    build(one, "T1")
+    assert "Note" not in next(row for row in one.rows(clock()) if row.id == "T1").reason
+
+
+def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(tmp_path, clock):
+    one = desk(tmp_path, clock)
+    built = at(1.003, 1.0)
+    build(one, "T1", stands=built)
+    one.ledger.close()
+    later = replace(
+        one.prepared,
+        schedule=Schedule(JOBS[1:2], (), ()),
+        digest="b" * 64,
+        elements={"E2": one.prepared.elements["E2"]},
+        standing=(SceneObject("E1/0", "box", (0.1, 0.1, 0.1), (1.0, 1.0, 0.0), fixed=True),),
+        standing_at={"E1": at(1.0, 1.0)},
+    )
+    again = Desk(later, Ledger(tmp_path / "ledger", later.after, later.digest, clock), "kr120", "tool0")
+    wanted, alone = again.wanted_scene()
+    assert "E1" in alone and np.allclose(wanted["E1/0"].position, (1.003, 1.0, 0.0))

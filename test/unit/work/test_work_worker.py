@@ -7,13 +7,15 @@ import sys
 import textwrap
 
 import pytest
+from chain_samples import ROBOT, ROOT
+from ifc_models import IfcModel
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.work.worker import Worker, WorkerError, serve
 
+#: The module as it is started, with other functions in the place of those that read and plan.
 PROGRAM = """
-    import os, sys
-    from construction_twin.work.worker import serve
+    import runpy, sys, threading, types
     from construction_twin.core.errors import ConfigurationError
 
     told = []
@@ -31,16 +33,37 @@ PROGRAM = """
     def unforeseen():
         return 1 / 0
 
+    def untold():
+        return threading.Lock()
+
+    def strange():
+        return ReadAsAnError()
+
+    class ReadAsAnError:
+        def __reduce__(self):
+            return getattr, (0, "nothing_of_this_name")
+
     def end():
         sys.exit(3)
 
-    serve(sys.stdin.buffer, sys.stdout.buffer, dict(first=first, known=known, wrong=wrong, unforeseen=unforeseen, end=end))
+    tasks = types.ModuleType("construction_twin.work.tasks")
+    tasks.FUNCTIONS = {name: one for name, one in globals().items() if isinstance(one, types.FunctionType)}
+    sys.modules[tasks.__name__] = tasks
+    runpy.run_module("construction_twin.work.worker", run_name="__main__", alter_sys=True)
 """
 
 
 @pytest.fixture
 def worker():
     one = Worker((sys.executable, "-c", textwrap.dedent(PROGRAM)))
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    """The worker as the node starts it."""
+    one = Worker()
     yield one
     one.close()
 
@@ -59,6 +82,49 @@ def test_answers_errors_and_ends(worker):
     assert worker.ask("known") == ["model"], "the new process knows what the first was told"
     worker.close()
     assert worker.ask("known") == ["model"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("untold", "lock.*please report it"),
+        ("no_such", "KeyError.*please report it"),
+        ("strange", "nothing_of_this_name"),
+    ],
+)
+def test_what_cannot_be_asked_told_or_understood_is_a_sentence(worker, name, said):
+    with pytest.raises(WorkerError, match=said):
+        worker.ask(name)
+    assert worker.ask("first", word="again") == "again"
+
+
+def test_the_worker_that_ships_says_what_it_cannot_plan_and_lives(shipped):
+    with pytest.raises(WorkerError, match="T1: the model has not been read in this process yet") as caught:
+        shipped.ask("plan", task="T1", element="E1", start=(), scene=None)
+    assert caught.value.kind == "TaskPlanningError"
+    with pytest.raises(WorkerError, match="TypeError.*please report it"):
+        shipped.ask("plan")
+
+
+def test_the_worker_that_ships_says_which_tasks_wait_for_each_other(shipped, cyclic):
+    with pytest.raises(WorkerError, match="tasks wait for each other in a circle: .*'place a'.*'place b'") as caught:
+        shipped.ask("prepare", **cyclic)
+    assert caught.value.kind == "ScheduleError"
+
+
+@pytest.fixture
+def cyclic(tmp_path):
+    """What is asked of a model whose tasks wait for each other."""
+    model = IfcModel()
+    studs = [model.box(name, (0.1, 0.1, 1.0), at=(1.0 + k, 0, 0)) for k, name in enumerate("abc")]
+    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
+    for before, after in zip(tasks, (*tasks[1:], tasks[0])):
+        model.sequence(before, after)
+    cell = str(ROOT / "config/work/timber_panel.yaml")
+    return {
+        "model": str(model.save(tmp_path / "cycle.ifc")), "cell": cell, "robot": ROBOT, "self_collision": "",
+        "planner": {}, "cache": str(tmp_path / "cache"),
+    }  # fmt: skip
 
 
 def test_half_a_question_is_the_end_of_questions():

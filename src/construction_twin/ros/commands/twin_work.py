@@ -17,7 +17,7 @@ from construction_twin.views.arguments import Exit
 from construction_twin.views.goals import pose_goal
 from construction_twin.views.work_texts import WorkFacts, chosen, list_lines, note_lines, show_lines
 
-_DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "accept": "accept_schedule"}
+_DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "removed", "accept": "accept_schedule"}
 
 
 class WorkCommand:

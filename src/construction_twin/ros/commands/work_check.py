@@ -12,7 +12,7 @@ import sys
 import tempfile
 from collections.abc import Iterable
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -85,15 +85,17 @@ def main(arguments: list[str]) -> int:
             # needs the packages of `check_extras`
             from construction_twin.work.standing import standing
 
-            stands = standing(work.building, [job.element for job in work.jobs], work.site, robot, Path(folder))
+            # of a body that is doubted a hull stands, as an obstacle
+            placed = [job.element for job in work.jobs if not work.building.element(job.element).doubt]
+            stands = standing(work.building, placed, work.site, robot, Path(folder))
             notes = (*work.notes, *inexact, *stands.notes)
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)
             setup = Setup(
                 arm, options.cell, work.building, pieces, work.jobs, changes=options.changes, robot=options.robot,
-                standing=stands.pieces,
+                standing=stands.pieces, removals=work.schedule.removals,
             )  # fmt: skip
-            checked = _check(setup, options.processes, console)
+            checked = _remarked(_check(setup, options.processes, console), work.schedule)
             header = _header(options, work, notes, robot, checked)
             files = _write(directory, header, checked.tasks, setup.layout(robot))
     except (ConstructionTwinError, OSError) as error:
@@ -109,7 +111,7 @@ def main(arguments: list[str]) -> int:
 def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
     building = read_building(options.model)
     site = read_site(options.cell)
-    proposed = not building.tasks
+    missing = proposed = not building.tasks
     if proposed:
         proposal = propose(building)
         if options.write_schedule:
@@ -122,6 +124,7 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
             )  # fmt: skip
         building = proposal.applied(building)
     schedule = Schedule.of(building, proposed)
+    proposed = schedule.proposed
     model_T_base = site.model_T_base(building)
     base = site.base(building).id if site.file.base_element else ""
     tool = pose_of(site.tool.tool.tool0_T_tcp)
@@ -131,7 +134,10 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
     notes = [*building.notes, *schedule.notes, *(remark.text for remark in placement.remarks)]
     if proposed:
         notes.insert(
-            0, "The model has no schedule: this order is proposed from its geometry, and a person must accept it."
+            0,
+            "Not all of this order is the model's: it is proposed from the geometry, and a person must accept it."
+            if not missing
+            else "The model has no schedule: this order is proposed from its geometry, and a person must accept it.",
         )
     return _Work(building, site, schedule, schedule.jobs, tuple(notes))
 
@@ -142,7 +148,8 @@ def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...
     from construction_twin.work.element_bodies import element_shapes
 
     elements = [work.building.element(job.element) for job in work.jobs]
-    shapes, failures = element_shapes([element for element in elements if element.bodies], folder)
+    sure = [element for element in elements if element.bodies and not element.doubt]
+    shapes, failures = element_shapes(sure, folder)
     notes = [str(failure) for failure in failures.values()]
     notes += [
         f"{work.building.element(name).name!r} ({name}) is checked with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
@@ -159,6 +166,11 @@ def _check(setup: Setup, processes: int, console: Console) -> Checked:
         bar = progress.add_task("check", total=len(setup.numbers))
         progress.refresh()
         return check_all(setup, processes, lambda _: progress.update(bar, advance=1, refresh=True))
+
+
+def _remarked(checked: Checked, schedule: Schedule) -> Checked:
+    tasks = (replace(task, remarks=schedule.remarks.get(task.job, ())) for task in checked.tasks)
+    return replace(checked, tasks=tuple(tasks))
 
 
 def _header(
@@ -208,6 +220,10 @@ def _print(console: Console, checked: Checked, files: Iterable[Path], changes: f
     for task in checked.tasks:
         if not task.possible:
             console.print(f"{task.number + 1} {task.name} ({task.element}): {why(task)}", markup=False, soft_wrap=True)
+        for remark in task.remarks:
+            console.print(
+                f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True
+            )
     if not all(task.possible for task in checked.tasks):
         console.print(f"Changes were tried for {changes:g} s in all, the first task of each reason first (--changes)")
     count = sum(task.possible for task in checked.tasks)

@@ -73,6 +73,8 @@ class Setup:
         Only jobs that this robot may do are checked; empty: all. The others' elements are placed in their turn as well.
     standing : dict of str to tuple of SceneObject
         See `Layout`.
+    removals : tuple of Job
+        What people take down before jobs that wait for it.
     """
 
     arm: Arm
@@ -84,6 +86,7 @@ class Setup:
     changes: float = 60.0
     robot: str = ""
     standing: dict[str, tuple[SceneObject, ...]] = field(default_factory=dict)
+    removals: tuple[Job, ...] = ()
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -113,7 +116,7 @@ class Setup:
         layout = self.layout(robot)
         rng = np.random.default_rng(self.seed)
         collision = read_self_collision(self.arm.self_collision, robot)
-        return Checker(robot, collision, settings, layout, self.jobs, time.monotonic, rng)
+        return Checker(robot, collision, settings, layout, self.jobs, time.monotonic, rng, removals=self.removals)
 
 
 @dataclass(frozen=True)

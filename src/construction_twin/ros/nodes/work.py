@@ -283,9 +283,11 @@ class WorkNode:
 
     def _show_building(self, prepared: Prepared, files: PrivateFiles) -> None:
         """Write the model where a console serves it; without it everything else goes on."""
+        placed = {job.element for job in prepared.schedule.jobs}
         shown = [
             ShownElement(key, facts.name, facts.triangles, facts.base_T_goal)
             for key, facts in prepared.elements.items()
+            if key in placed
         ]
         try:
             files.write_building(glb(shown, prepared.digest))
@@ -441,7 +443,9 @@ class WorkNode:
             return desk.redo(request.task, request.person, request.reason)
         if request.decision == "answer":
             return desk.answer(request.task, request.answer, request.person, request.reason)
-        raise WorkRefused(f"decision {request.decision!r}; expected skip, redo, answer or accept_schedule")
+        if request.decision == "removed":
+            return desk.removed(request.task, request.person, request.reason)
+        raise WorkRefused(f"decision {request.decision!r}; expected skip, redo, answer, removed or accept_schedule")
 
     def on_measured(self, request: WorkMeasuredRequest) -> WorkMeasuredResponse:
         """Take where a person has measured an element."""

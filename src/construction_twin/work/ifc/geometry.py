@@ -7,20 +7,20 @@ the kernel's triangles: the two know nothing of each other.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import ifcopenshell
 import ifcopenshell.geom
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Body, Extrusion
 from construction_twin.work.ifc.notes import Notes, Where
 from construction_twin.work.ifc.profiles import is_curved
-from construction_twin.work.ifc.representations import Items, extent, extrusion
+from construction_twin.work.ifc.representations import Item, Items, corners_of, crosses_itself, extent, extrusion
 from construction_twin.work.mesh_checks import is_closed, volume
 
 #: Triangles of a file.
@@ -37,6 +37,8 @@ _SAME_VOLUME = 1e-5
 _CURVED_VOLUME = 0.06
 #: Corners that are closer are one where that closes a body [m, at 1 m].
 _ROUNDING = 1e-9
+#: Why a body is doubted.
+CROSSED = "its profile crosses itself, and nobody can say what of it is solid"
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,19 @@ class Shape:
         In the frame of `model_T_shape`.
     model_T_shape : array, shape (4, 4)
         [m]
+    doubt : str
+        Why the bodies are not what the model says; they are one hull then, around everything it can mean. Empty: they are.
     """
 
     id: int
     bodies: tuple[Body, ...]
     model_T_shape: np.ndarray
+    doubt: str = ""
+
+    def doubted(self, why: str) -> Shape:
+        """Return the shape with a hull in place of its bodies."""
+        points = [body.vertices for body in self.bodies]
+        return replace(self, bodies=hull(np.concatenate(points)) if points else (), doubt=why)
 
 
 def shapes(
@@ -109,15 +119,46 @@ def shapes(
                 vertices, triangles, owners = _arrays(shape.geometry)
                 total += len(triangles)
                 check_mesh(name, product, vertices, total)
-                resolved = [] if shape.id in cut else items.resolved(bodies[shape.id])
-                found = tuple(_bodies(vertices, triangles, owners, resolved, unit, product.GlobalId, notes))
+                resolved = items.resolved(bodies[shape.id])
+                crossed = _crossed(resolved, unit)
+                resolved = [] if shape.id in cut else resolved
+                if crossed:
+                    found = hull(np.concatenate([vertices, *crossed]))
+                else:
+                    found = tuple(_bodies(vertices, triangles, owners, resolved, unit, product.GlobalId, notes))
                 matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
             # a product with two bodies in two contexts comes twice: the one that was chosen is looked for
             if _is_of(shape.geometry.id, bodies[shape.id]):
                 made.add(shape.id)
                 progress(len(made), len(bodies))
-                yield Shape(shape.id, found, matrix)
+                yield Shape(shape.id, found, matrix, CROSSED if crossed else "")
         more = bool(iterator.next())
+
+
+def _crossed(items: list[Item], unit: float) -> list[np.ndarray]:
+    """Return the corners of the extrusions whose profile crosses itself."""
+    given = (extrusion(item, unit) for item in items)
+    return [corners_of(each) for each in given if each is not None and crosses_itself(each)]
+
+
+def hull(points: np.ndarray) -> tuple[Body, ...]:
+    """Return the convex hull of points as one body; none where they lie in a plane.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+    """
+    try:
+        found = ConvexHull(points)
+    except QhullError:
+        return ()
+    corners, triangles = np.unique(found.simplices, return_inverse=True)
+    vertices = points[corners]
+    triangles = triangles.reshape(-1, 3)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return (Body(vertices, triangles.astype(np.int32)),)
 
 
 def _is_of(geometry: str, representation: ifcopenshell.entity_instance) -> bool:

@@ -30,7 +30,7 @@ _ARRAYS = {
     "extrusions": (np.float64, 16),
     "corners": (np.float64, 2),
 }
-_TEXTS = ("id", "ifc_class", "name", "type_name", "tag", "storey", "material", "assembly")
+_TEXTS = ("id", "ifc_class", "name", "type_name", "tag", "storey", "material", "assembly", "status", "doubt")
 
 
 def save(model: BuildingModel, path: Path) -> None:
@@ -68,6 +68,7 @@ def save(model: BuildingModel, path: Path) -> None:
         "tasks": [asdict(task) for task in model.tasks.values()],
         "sequences": [asdict(sequence) for sequence in model.sequences],
         "notes": model.notes,
+        "remarks": model.remarks,
     }
     poses = [[*e.model_T_element.position, *e.model_T_element.rotation.ravel()] for e in model.elements.values()]
     text = np.frombuffer(json.dumps(document, allow_nan=False).encode(), dtype=np.uint8)
@@ -183,6 +184,7 @@ class _Decoder:
             tasks,
             sequences,
             tuple(map(_text, document["notes"])),
+            {_text(name): tuple(map(_text, remarks)) for name, remarks in document["remarks"].items()},
         )
 
     def _take(self, name: str, count: int) -> np.ndarray:
@@ -233,6 +235,7 @@ def _values(values: dict[str, Any]) -> dict[str, Any]:
 
 def _task(fields: dict[str, Any]) -> Task:
     lists = {name: tuple(map(_text, fields[name])) for name in ("products", "inputs", "robots")}
-    texts = {name: _text(fields[name]) for name in ("id", "name", "description", "parent", "start", "finish")}
+    texts = {name: _text(fields[name]) for name in ("id", "name", "description", "parent", "start", "finish", "kind")}
     duration = None if fields["duration"] is None else float(fields["duration"])
-    return Task(**texts, **lists, milestone=bool(fields["milestone"]), duration=duration)  # type: ignore[arg-type]
+    marks = {name: bool(fields[name]) for name in ("milestone", "completed")}
+    return Task(**texts, **lists, **marks, duration=duration)  # type: ignore[arg-type]

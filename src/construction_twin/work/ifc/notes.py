@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from construction_twin.core.work_errors import BuildingError
 
 _NAMED = 5
+#: Remarks of one element or task.
+_REMARKS = 20
 
 
 class Notes:
@@ -15,8 +19,9 @@ class Notes:
 
     def __init__(self) -> None:
         self._about: dict[str, list[str]] = {}
+        self._at: dict[str, list[str]] = {}
 
-    def add(self, sentence: str, about: str = "") -> None:
+    def add(self, sentence: str, about: str = "", at: str = "") -> None:
         """Add a sentence, or one more thing that an earlier one holds for.
 
         Parameters
@@ -25,8 +30,23 @@ class Notes:
             Without a full stop; must make sense for one and for many: ``geometry that could not be made, left out``.
         about : str
             Name or GlobalId; empty: the sentence says it all.
+        at : str
+            Id of the element or task whose remark it is; by default what it is about.
         """
         self._about.setdefault(sentence, []).append(about)
+        self.remark(sentence, at or about)
+
+    def remark(self, sentence: str, at: str) -> None:
+        """Add a sentence to an element or task only."""
+        sentence = sentence.removesuffix(" of").removesuffix(",")
+        remarks = self._at.setdefault(at, [])
+        # a file can be wrong in the same way very often
+        if sentence not in remarks and len(remarks) < _REMARKS:
+            remarks.append(sentence)
+
+    def remarks(self, ids: Collection[str]) -> dict[str, tuple[str, ...]]:
+        """Return the sentences that hold for each of these elements and tasks, of those that any holds for."""
+        return {name: tuple(remarks) for name, remarks in self._at.items() if name in ids}
 
     def sentences(self) -> tuple[str, ...]:
         """Return them; beyond the first few a sentence only counts what it is about."""

@@ -10,7 +10,7 @@ import ifcopenshell.util.element
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Body, Value
 from construction_twin.work.ifc.notes import Notes, Where, label
-from construction_twin.work.ifc.units import Units
+from construction_twin.work.ifc.units import KINDS, Units, si_factor
 from construction_twin.work.mesh_checks import is_closed, volume
 
 Sets = dict[str, dict[str, Value]]
@@ -20,6 +20,26 @@ _WEIGHTS = ("NetWeight", "GrossWeight", "Weight", "Mass")
 #: Densities [kg/m³] of what is built with, from insulation to lead, with much room.
 _LIGHTEST, _HEAVIEST = 1.0, 25000.0
 _LONGEST_TEXT = 4000
+#: Values of `Status` of what is to be made, or of which nothing is said.
+_MADE = {"NEW", "NOTKNOWN", "UNSET", "NOTDEFINED", ""}
+#: A weight and volume times density that differ by more than this factor are told.
+_UNLIKE = 1.5
+#: Smallest and largest likely density [kg/m³] by words in a material's name, the first that fits; with room for what is hollow.
+_MATERIALS = (
+    (("insul", "dämm", "daemm", "wool", "wolle", "styro", "eps", "xps"), (5.0, 400.0)),
+    (("gyps", "gips", "gkb", "plasterboard", "drywall"), (400.0, 1700.0)),
+    (("concrete", "beton"), (250.0, 3200.0)),
+    (("steel", "stahl"), (200.0, 8300.0)),
+    (("alumin",), (50.0, 2950.0)),
+    (("brick", "ziegel", "masonry", "mauer"), (400.0, 2800.0)),
+    (
+        ("wood", "timber", "holz", "spruce", "fichte", "pine", "kiefer", "oak", "eiche", "osb", "glulam"),
+        (200.0, 1200.0),
+    ),
+    (("glass", "glas"), (1500.0, 3500.0)),
+)
+#: The same of any other.
+_ANY = (5.0, 23000.0)
 
 
 def read_properties(product: ifcopenshell.entity_instance, units: Units, notes: Notes) -> Sets:
@@ -32,23 +52,28 @@ def read_properties(product: ifcopenshell.entity_instance, units: Units, notes: 
         with Where("", product):
             for set_name, values in ifcopenshell.util.element.get_psets(product, verbose=True).items():
                 sets[str(set_name)] = {
-                    str(name): _value(value, units, notes)
+                    str(name): _value(value, units, f"{set_name}.{name}", product, notes)
                     for name, value in values.items()
                     if name is not None and isinstance(value, dict)
                 }
     except BuildingError:
-        notes.add("Property sets that cannot be read are left out of", label(product))
+        notes.add("Property sets that cannot be read are left out of", label(product), product.GlobalId)
     return sets
 
 
-def _value(entry: dict, units: Units, notes: Notes) -> Value:
+def _value(entry: dict, units: Units, what: str, product: ifcopenshell.entity_instance, notes: Notes) -> Value:
     value = entry.get("value")
-    factor = units.factor(entry.get("value_type") or entry.get("class") or "")
+    measure = entry.get("value_type") or entry.get("class") or ""
     if isinstance(value, bool) or value is None:
         return value
     if isinstance(value, (int, float)):
         if not math.isfinite(value):
-            notes.add("Values that are no finite numbers are left out", "")
+            notes.add("Values that are no finite numbers are left out", "", product.GlobalId)
+            return None
+        factor = _factor(product.file.by_id(entry["id"]), measure, units) if "id" in entry else units.factor(measure)
+        if factor is None:
+            about = f"{product.Name or product.GlobalId} ({what})"
+            notes.add("Values with a unit of their own that is none of theirs, left out, of", about, product.GlobalId)
             return None
         return value if factor == 1.0 else value * factor
     if isinstance(value, str):
@@ -60,6 +85,18 @@ def _value(entry: dict, units: Units, notes: Notes) -> Value:
     return str({key: each for key, each in value.items() if key not in ("id", "type")})[:_LONGEST_TEXT]
 
 
+def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) -> float | None:
+    """Return SI units per unit of a property or quantity: of its own unit, else of the project's; None: nobody can say."""
+    own = getattr(holder, "Unit", None)
+    if own is None:
+        return units.factor(measure)
+    kind = KINDS.get(measure)
+    if kind is not None and getattr(own, "UnitType", kind) != kind:
+        return None
+    factor = si_factor(own)
+    return factor if factor is not None and math.isfinite(factor) and factor > 0 else None
+
+
 def read_material(product: ifcopenshell.entity_instance, notes: Notes) -> str:
     """Return the names of the materials, those of layers and constituents from the first to the last, without repeats."""
     try:
@@ -67,55 +104,155 @@ def read_material(product: ifcopenshell.entity_instance, notes: Notes) -> str:
             materials = ifcopenshell.util.element.get_materials(product)
             return ", ".join(dict.fromkeys(material.Name for material in materials if material.Name))
     except BuildingError:
-        notes.add("Materials that cannot be read are left out of", label(product))
+        notes.add("Materials that cannot be read are left out of", label(product), product.GlobalId)
+    return ""
+
+
+def read_status(product: ifcopenshell.entity_instance, sets: Sets, notes: Notes) -> str:
+    """Return ``existing``, ``demolish`` or nothing: the property `Status` of a set ``Pset_...Common``."""
+    for name, values in sets.items():
+        given = values.get("Status")
+        if not (name.startswith("Pset_") and name.endswith("Common") and isinstance(given, str)):
+            continue
+        words = {word.strip(" .").upper() for word in given.split(",")}
+        if any(word.startswith(("DEMOLISH", "REMOVE")) for word in words):
+            return "demolish"
+        if "EXISTING" in words:
+            return "existing"
+        for word in sorted(words - _MADE):
+            about = product.Name or product.GlobalId
+            notes.add(f"Elements with the status {word!r}, taken as still to be made", about, product.GlobalId)
     return ""
 
 
 def read_mass(
-    product: ifcopenshell.entity_instance, sets: Sets, bodies: tuple[Body, ...], units: Units, notes: Notes
+    product: ifcopenshell.entity_instance,
+    sets: Sets,
+    material: str,
+    bodies: tuple[Body, ...],
+    units: Units,
+    notes: Notes,
 ) -> float | None:
-    """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies."""
+    """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies.
+
+    It is compared with volume and material; what does not fit is a note.
+    """
+    closed = bool(bodies) and all(is_closed(body.triangles) for body in bodies)
+    whole = sum(volume(body.vertices, body.triangles) for body in bodies) if closed else 0.0
+    density = _density(product, units, notes)
     for quantity in _WEIGHTS:
         for name, values in sets.items():
             value = values.get(quantity)
             if "quantit" not in name.lower() and not name.startswith("Qto_"):
                 continue
             if isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0:
+                if not units.weighs:
+                    notes.add("The project has no unit of mass; weights are taken as kilograms")
+                _doubt(product, float(value), whole, material, density, notes)
                 return float(value)
-    if not bodies or not all(is_closed(body.triangles) for body in bodies):
+    if density is None or whole <= 0.0:
         return None
-    density = _density(product, units, notes)
-    return None if density is None else density * sum(volume(body.vertices, body.triangles) for body in bodies)
+    _doubt(product, density * whole, whole, material, None, notes)
+    return density * whole
+
+
+def _doubt(
+    product: ifcopenshell.entity_instance,
+    mass: float,
+    whole: float,
+    material: str,
+    density: float | None,
+    notes: Notes,
+) -> None:
+    """Note a mass that its volume [m³] and material or density [kg/m³] do not bear out."""
+    if whole <= 0.0:
+        return
+    shown, found = product.Name or product.GlobalId, mass / whole
+    if density is not None and not 1 / _UNLIKE <= found / density <= _UNLIKE:
+        sentence = (
+            f"THE MASS IS DOUBTFUL: {mass:.3g} kg by its quantity, {density * whole:.3g} kg by volume and density"
+        )
+        notes.add(sentence, shown, product.GlobalId)
+        return
+    lightest, heaviest = _densities(material)
+    if not lightest <= found <= heaviest:
+        of = f" of {material}" if material else ""
+        sentence = (
+            f"THE MASS IS DOUBTFUL: {mass:.3g} kg for {1e3 * whole:.3g} l{of} is {found:.3g} kg/m³, "
+            f"expected {lightest:g} to {heaviest:g}"
+        )
+        notes.add(sentence, shown, product.GlobalId)
+
+
+def _densities(material: str) -> tuple[float, float]:
+    """Return the smallest and largest density [kg/m³] that is likely for materials of these names."""
+    low = material.casefold()
+    return next((span for words, span in _MATERIALS if any(word in low for word in words)), _ANY)
 
 
 def _density(product: ifcopenshell.entity_instance, units: Units, notes: Notes) -> float | None:
     try:
         with Where("", product):
             materials = ifcopenshell.util.element.get_materials(product)
-            density = _material_density(materials[0]) if len({each.id() for each in materials}) == 1 else None
+            found = _material_density(materials[0]) if len({each.id() for each in materials}) == 1 else None
+            factor = None if found is None else _density_factor(found, units)
     except BuildingError:
         # told when its name was read
         return None
-    if not isinstance(density, (int, float)) or isinstance(density, bool) or density == 0:
+    if found is None:
         return None
-    # most authors write kg/m³ whatever the project's units are; the others mean the project's
-    for factor in (1.0, units.mass / units.volume):
-        if _LIGHTEST <= density * factor <= _HEAVIEST:
-            return float(density * factor)
-    notes.add(
-        f"A density of {density:g} is neither kg/m³ nor in the project's units; the mass is not known of",
-        label(product),
-    )
-    return None
+    shown = f"{found[0]:g}"
+    if factor is None:
+        notes.add(
+            f"A density of {shown} without a unit can be kg/m³ or of the project's units of mass and volume, or is "
+            "none of either; the mass is not known of",
+            product.Name or label(product),
+            product.GlobalId,
+        )
+        return None
+    if units.density is None and found[1] is None and factor == 1.0 and not _is_metric(units):
+        notes.add(f"The project has no unit of density; {shown} is taken as kg/m³")
+    return float(found[0] * factor)
 
 
-def _material_density(material: ifcopenshell.entity_instance) -> object:
+def _density_factor(found: tuple[float, ifcopenshell.entity_instance | None], units: Units) -> float | None:
+    """Return kg/m³ per unit of a density that was found; None: nobody can say, or no material is so light or heavy."""
+    density, holder = found
+    if holder is not None:
+        candidates = [_factor(holder, "IfcMassDensityMeasure", units)]
+    elif units.density is not None:
+        candidates = [units.density]
+    else:
+        # most authors write kg/m³ whatever the project's units are; the others mean the project's
+        candidates = [1.0, units.mass / units.volume]
+    likely = [each for each in candidates if each is not None and _LIGHTEST <= density * each <= _HEAVIEST]
+    if len(likely) == 2 and units.weighs and not math.isclose(*likely, rel_tol=0.01):
+        return None
+    return likely[0] if likely else None
+
+
+def _is_metric(units: Units) -> bool:
+    return all(math.isclose(each, 10.0 ** round(math.log10(each)), rel_tol=1e-9) for each in (units.length, units.mass))
+
+
+def _material_density(
+    material: ifcopenshell.entity_instance,
+) -> tuple[float, ifcopenshell.entity_instance | None] | None:
+    """Return the density that a material has, and the property that holds it if that has a unit of its own."""
+    found: object = None
+    holder = None
     if material.file.schema == "IFC2X3":
         for properties in material.file.get_inverse(material):
             if properties.is_a("IfcGeneralMaterialProperties"):
-                return properties.MassDensity
+                found = properties.MassDensity
+                break
+    else:
+        for values in ifcopenshell.util.element.get_psets(material, verbose=True).values():
+            if isinstance(entry := values.get("MassDensity"), dict):
+                found = entry.get("value")
+                given = material.file.by_id(entry["id"])
+                holder = given if getattr(given, "Unit", None) is not None else None
+                break
+    if not isinstance(found, (int, float)) or isinstance(found, bool) or not math.isfinite(found) or found <= 0:
         return None
-    for values in ifcopenshell.util.element.get_psets(material).values():
-        if "MassDensity" in values:
-            return values["MassDensity"]
-    return None
+    return float(found), holder

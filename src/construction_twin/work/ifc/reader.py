@@ -6,6 +6,7 @@ A broken file can end this process (the geometry kernel is C++); `reading.read_b
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,11 +23,13 @@ from construction_twin.work.building import Body, BuildingModel, Element
 from construction_twin.work.ifc.geometry import Shape, shapes
 from construction_twin.work.ifc.notes import Notes, Where
 from construction_twin.work.ifc.placements import Placements, check_rigid
-from construction_twin.work.ifc.properties import read_mass, read_material, read_properties
+from construction_twin.work.ifc.properties import read_mass, read_material, read_properties, read_status
 from construction_twin.work.ifc.relations import Relations, read_relations
 from construction_twin.work.ifc.representations import body_of
+from construction_twin.work.ifc.step_text import check_whole, in_ascii, kernel_says, note_parser_log
 from construction_twin.work.ifc.tasks import read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
+from construction_twin.work.ifc.unread import note_unread
 from construction_twin.work.mesh_checks import volume
 from construction_twin.work.workpieces import is_workpiece
 
@@ -47,6 +50,10 @@ _NOT_THERE = (
     "IfcExternalSpatialElement",
     "IfcExternalSpatialStructureElement",
 )
+_STATUS = {
+    "existing": "Existing elements: obstacles, never placed",
+    "demolish": "Elements that are to be taken down: obstacles until a person says that they are gone (`twin work removed`)",
+}
 _SPATIAL = ("IfcSpatialElement", "IfcSpatialStructureElement")
 
 
@@ -76,32 +83,60 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     """
     name = Path(path).name
     progress("open", 0, 1)
-    digest = _digest(path, name, most_bytes)
-    file = _open(path, name)
-    if _digest(path, name, most_bytes) != digest:
-        raise BuildingError(name, "the file", "other contents at the end of reading", "a file that nobody writes")
+    contents = _contents(path, name, most_bytes)
+    digest = hashlib.sha256(contents).hexdigest()
+    check_whole(contents, name)
+    notes = Notes()
+    # what other files left in it is not of this one
+    ifcopenshell.get_log()
+    read = in_ascii(contents, notes)
+    if read is contents:
+        file = _open(path, name)
+        if hashlib.sha256(_contents(path, name, most_bytes)).hexdigest() != digest:
+            raise BuildingError(name, "the file", "other contents at the end of reading", "a file that nobody writes")
+    else:
+        file = _open_copy(read, name)
     schema = file.schema
     if schema not in SCHEMAS:
         raise BuildingError(name, "schema", str(schema), ", ".join(SCHEMAS))
+    with Where(name, "the file"):
+        note_parser_log(
+            ifcopenshell.get_log(), read, set(file.entity_names()),
+            lambda number: getattr(file.by_id(number), "GlobalId", "") or "", name, schema, notes,
+        )  # fmt: skip
+    # it can be large, and the geometry needs room
+    del contents, read
     progress("open", 1, 1)
-    notes = Notes()
     found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes)
     _note_map(file, found)
     elements, ids = _elements(file, found, progress)
     parents = {element.assembly for element in elements.values()}
     workpieces = [element.id for element in elements.values() if is_workpiece(element, element.id in parents)]
     tasks, sequences = read_tasks(file, name, ids, workpieces, found.units.time, notes)
+    note_unread(file, name, elements, notes)
     project = file.by_type("IfcProject")[0]
     with Where(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
-    return BuildingModel(name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences())
+    return BuildingModel(
+        name, digest, schema, title, found.units.length, elements, tasks, sequences, notes.sentences(),
+        notes.remarks({*elements, *tasks}),
+    )  # fmt: skip
 
 
-def _digest(path: str | Path, name: str, most_bytes: int) -> str:
+def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
     try:
-        return hashlib.sha256(read_file(path, most_bytes)).hexdigest()
+        return read_file(path, most_bytes)
     except OSError as error:
         raise BuildingError(name, "the file", error.strerror or str(error), "an IFC file that can be read") from error
+
+
+def _open_copy(contents: bytes, name: str) -> ifcopenshell.file:
+    """Parse what is not the file's own contents; no file of it is left, however this process ends."""
+    copy = os.memfd_create("ifc")
+    with os.fdopen(copy, "wb") as written:
+        written.write(contents)
+        written.flush()
+        return _open(f"/proc/self/fd/{copy}", name)
 
 
 def _open(path: str | Path, name: str) -> ifcopenshell.file:
@@ -157,20 +192,41 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
             lambda done, total: progress("geometry", done, total),
         )
     }  # fmt: skip
+    _take_kernel_log(file, made, found.notes)
     elements = {}
     for count, product in enumerate(products):
         if count % 100 == 0:
             progress("elements", count, len(products))
         if product.id() in bodies and (product.id() not in made or not made[product.id()].bodies):
             found.notes.add("Geometry that the kernel cannot make is left out of", ids[product.id()])
+        if product.id() in made and (doubt := made[product.id()].doubt):
+            sentence = f"THE BODY IS DOUBTFUL: {doubt}; a hull stands for it as an obstacle, the arm does not place it"
+            found.notes.add(sentence, product.Name or ids[product.id()], ids[product.id()])
         with Where(found.name, product):
             element = _element(product, ids, matrices[product.id()], made.get(product.id()), found)
         if element is not None:
             elements[element.id] = element
     progress("elements", len(products), len(products))
+    _hand_down_status(elements, found.notes)
     return _without_doubles(elements, found.notes), {
         entity: element for entity, element in ids.items() if element in elements
     }
+
+
+def _take_kernel_log(file: ifcopenshell.file, made: dict[int, Shape], notes: Notes) -> None:
+    """Note what the kernel said of shapes; where a part of one is missing, it is doubted as a whole."""
+    for name, sentence, wrong in kernel_says(ifcopenshell.get_log()):
+        about = name
+        if name:
+            try:
+                number = file.by_guid(name).id()
+            except RuntimeError:
+                number = 0
+            if wrong and number in made and not made[number].doubt:
+                made[number] = made[number].doubted(
+                    "the geometry kernel finds that a part of its shape crosses another"
+                )
+        notes.add(f"The geometry kernel says: {sentence}", about)
 
 
 def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entity_instance]:
@@ -213,7 +269,9 @@ def _element(
         bodies = _in_frame(shape, matrix)
     if np.abs(matrix[:3, 3]).max() > _FAR:
         found.notes.add("More than 10 km from the model's origin (map coordinates in a placement?)", element_id)
+    doubt = "" if shape is None else shape.doubt
     properties = read_properties(product, found.units, found.notes)
+    material = read_material(product, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
     assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
     return Element(
@@ -223,12 +281,14 @@ def _element(
         type_name=(kind.Name if kind is not None else product.ObjectType) or "",
         tag=getattr(product, "Tag", None) or "",
         storey=found.relations.storey(product),
-        material=read_material(product, found.notes),
+        material=material,
         assembly=assembly,
         model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
         bodies=bodies,
         properties=properties,
-        mass=read_mass(product, properties, bodies, found.units, found.notes),
+        mass=read_mass(product, properties, material, () if doubt else bodies, found.units, found.notes),
+        status=read_status(product, properties, found.notes),
+        doubt=doubt,
     )
 
 
@@ -241,6 +301,17 @@ def _in_frame(shape: Shape, matrix: np.ndarray) -> tuple[Body, ...]:
         replace(body, vertices=body.vertices @ offset[:3, :3].T + offset[:3, 3], extrusion=None)
         for body in shape.bodies
     )
+
+
+def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
+    """Give parts the status of the nearest whole that has one; note what is not to be made."""
+    for name, element in elements.items():
+        status, whole = element.status, element.assembly
+        while not status and whole in elements:
+            status, whole = elements[whole].status, elements[whole].assembly
+        if status:
+            elements[name] = replace(element, status=status)
+            notes.add(_STATUS[status], element.name or name, name)
 
 
 def _without_doubles(elements: dict[str, Element], notes: Notes) -> dict[str, Element]:

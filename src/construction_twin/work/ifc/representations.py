@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import ifcopenshell
 import ifcopenshell.util.placement
 import numpy as np
+import shapely
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
@@ -194,12 +195,22 @@ def extent(given: Extrusion) -> tuple[np.ndarray, np.ndarray, float, float]:
     volume, outer : float
         With its holes, and as if it had none [m³].
     """
-    flat = np.column_stack([given.outline, np.zeros(len(given.outline))])
-    corners = np.concatenate([flat, flat + given.direction * given.depth])
-    corners = corners @ given.element_T_profile.rotation.T + given.element_T_profile.position
+    corners = corners_of(given)
     outer, *holes = (_area(loop) for loop in (given.outline, *given.holes))
     length = given.depth * abs(float(given.direction[2]))
     return corners.min(axis=0), corners.max(axis=0), (outer + sum(holes)) * length, outer * length
+
+
+def corners_of(given: Extrusion) -> np.ndarray:
+    """Return the corners of an extrusion's outline at both of its ends, in the element's frame [m], shape (2 k, 3)."""
+    flat = np.column_stack([given.outline, np.zeros(len(given.outline))])
+    corners = np.concatenate([flat, flat + given.direction * given.depth])
+    return corners @ given.element_T_profile.rotation.T + given.element_T_profile.position
+
+
+def crosses_itself(given: Extrusion) -> bool:
+    """Return whether the profile of an extrusion crosses itself: nobody can say then what of it is solid."""
+    return not shapely.Polygon(given.outline, given.holes).is_valid
 
 
 def _area(corners: np.ndarray) -> float:

@@ -19,13 +19,23 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.ifc.notes import Notes, Where, label
 
+_CALENDAR = (
+    "Calendars are not read: lags and durations count around the clock, holidays and nights included, of tasks of one"
+)
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
 #: Resources that do work; materials and products are no robots.
 _WORKERS = ("IfcConstructionEquipmentResource", "IfcCrewResource", "IfcLaborResource", "IfcSubContractResource")
 #: Schedules that are not what is to be done.
 _OTHER_SCHEDULES = ("ACTUAL", "BASELINE")
-#: Tasks that make nothing of what they are given.
-_NO_MAKING = ("DEMOLITION", "DISMANTLE", "DISPOSAL", "REMOVAL", "MAINTENANCE", "ATTENDANCE", "LOGISTIC", "MOVE")
+#: Kinds of tasks that put in place what is assigned to them; all others but those below make nothing.
+_MAKES = (None, "CONSTRUCTION", "INSTALLATION", "NOTDEFINED", "USERDEFINED")
+#: Kinds of tasks after which what is assigned to them is no longer there.
+_TAKES_DOWN = ("DEMOLITION", "DISMANTLE", "DISPOSAL", "REMOVAL")
+#: The same in the words of an author's own kind.
+_TAKES_DOWN_WORDS = ("demol", "dismantl", "remov", "tear", "abbruch", "abbau", "abriss", "rückbau")
+#: Words of the status of a task, upper case and without spaces: done, and not begun.
+_DONE_WORDS = ("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED")
+_NOT_BEGUN_WORDS = ("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "TODO", "NOTDEFINED")
 
 
 @dataclass
@@ -38,6 +48,7 @@ class _Assigned:
     parents: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     schedules: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     times: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
+    calendars: dict[int, str] = field(default_factory=dict)
 
 
 def read_tasks(
@@ -79,6 +90,9 @@ def read_tasks(
             task_ids[entity.id()] = unique_id(entity, task_ids.values(), notes)
     tasks = {}
     for entity in entities:
+        if (calendar := assigned.calendars.get(entity.id())) is not None:
+            about = entity.Name or task_ids[entity.id()]
+            notes.add(f"{_CALENDAR} ({calendar})", about, task_ids[entity.id()])
         with Where(name, entity):
             task = _task(entity, name, task_ids, assigned, ids, set(workpieces), time_unit, notes)
             tasks[task.id] = task
@@ -135,6 +149,8 @@ def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
             for each in relation.RelatedObjects:
                 if not each.is_a("IfcTask"):
                     continue
+                if relation.RelatingControl.is_a("IfcWorkCalendar"):
+                    found.calendars[each.id()] = relation.RelatingControl.Name or label(relation.RelatingControl)
                 if relation.RelatingControl.is_a("IfcWorkControl"):
                     found.schedules.setdefault(each.id(), relation.RelatingControl)
                 if getattr(relation, "TimeForTask", None) is not None:
@@ -188,13 +204,14 @@ def _task(
 ) -> Task:
     task_id = task_ids[entity.id()]
     shown = entity.Name or task_id
-    products = _elements(assigned.products[entity.id()], ids, shown, notes)
-    inputs = _elements(assigned.inputs[entity.id()], ids, shown, notes)
-    kind = getattr(entity, "PredefinedType", None)
-    if not products and inputs and kind not in _NO_MAKING and (made := [each for each in inputs if each in workpieces]):
+    products = _elements(assigned.products[entity.id()], ids, shown, task_id, notes)
+    inputs = _elements(assigned.inputs[entity.id()], ids, shown, task_id, notes)
+    kind = _kind(entity, task_id, shown, notes)
+    if not products and inputs and kind == "makes" and (made := [each for each in inputs if each in workpieces]):
         notes.add(
             "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make",
             shown,
+            task_id,
         )
         products, inputs = made, [each for each in inputs if each not in made]
     parent = assigned.parents.get(entity.id())
@@ -211,13 +228,70 @@ def _task(
         start=start,
         finish=finish,
         duration=duration,
+        kind=kind,
+        completed=_completed(entity, assigned.times.get(entity.id()), task_id, shown, notes),
     )
 
 
-def _elements(entities: list[ifcopenshell.entity_instance], ids: dict[int, str], task: str, notes: Notes) -> list[str]:
+def _kind(entity: ifcopenshell.entity_instance, task_id: str, shown: str, notes: Notes) -> str:
+    given = getattr(entity, "PredefinedType", None)
+    # of IFC2x3, and of a kind of its own: the author's word for it
+    own = (entity.ObjectType or "") if given in (None, "USERDEFINED") else ""
+    if given in _TAKES_DOWN or any(word in own.casefold() for word in _TAKES_DOWN_WORDS):
+        given = own or given
+        notes.add(
+            f"Tasks of the kind {given}: the arm takes nothing down, a person says when it is gone", shown, task_id
+        )
+        return "takes_down"
+    if given not in _MAKES:
+        notes.add(f"Tasks of the kind {given}, which places nothing; kept for the order", shown, task_id)
+        return "other"
+    if given == "USERDEFINED":
+        notes.add(f"Tasks of a kind of their own ({own!r}), taken as placing", shown, task_id)
+    return "makes"
+
+
+def _completed(
+    entity: ifcopenshell.entity_instance,
+    control: ifcopenshell.entity_instance | None,
+    task_id: str,
+    shown: str,
+    notes: Notes,
+) -> bool:
+    """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
+    time = control if control is not None else getattr(entity, "TaskTime", None)
+    status = (entity.Status or "").strip().upper().replace(" ", "").replace("_", "")
+    part = getattr(time, "Completion", None)
+    signs = [
+        status in _DONE_WORDS,
+        isinstance(part, (int, float)) and part >= (100.0 if part > 1.0 else 1.0),
+        getattr(time, "ActualFinish", None) is not None,
+    ]
+    if any(signs):
+        sentence = "Tasks that the file says are completed: not done again, what they made stands"
+        notes.add(sentence, shown, task_id)
+        if status in _NOT_BEGUN_WORDS or (status and status not in _DONE_WORDS):
+            notes.add(
+                f"Tasks with the status {entity.Status!r} whose times say that they are completed", shown, task_id
+            )
+        return True
+    begun = getattr(time, "ActualStart", None) is not None or (isinstance(part, (int, float)) and part > 0)
+    if begun or (status and status not in _NOT_BEGUN_WORDS):
+        said = f"status {entity.Status!r}" if status else "a start or a part that is done"
+        notes.add(
+            f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands already, skip them",
+            shown,
+            task_id,
+        )
+    return False
+
+
+def _elements(
+    entities: list[ifcopenshell.entity_instance], ids: dict[int, str], task: str, at: str, notes: Notes
+) -> list[str]:
     for entity in entities:
         if entity.id() not in ids:
-            notes.add(f"Assigned to a task but no element ({entity.is_a()}); left out of", task)
+            notes.add(f"Assigned to a task but no element ({entity.is_a()}); left out of", task, at)
     return list(dict.fromkeys(ids[entity.id()] for entity in entities if entity.id() in ids))
 
 
@@ -309,6 +383,12 @@ def _lag(relation: ifcopenshell.entity_instance, before: Task, time_unit: float,
             notes.add("A lag that is a part of the duration of the task before, of", about)
         else:
             seconds = _seconds(value.wrappedValue, about, notes)
+        if lag.DurationType == "WORKTIME" and seconds:
+            sentence = (
+                "A lag in working time is waited for around the clock (no calendar is read), between the tasks of"
+            )
+            notes.add(sentence, about)
+            notes.remark(sentence, before.id)
     if seconds is None or not math.isfinite(seconds):
         return 0.0
     return float(seconds)

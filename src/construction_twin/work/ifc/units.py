@@ -19,6 +19,15 @@ _VOLUME = {"IfcVolumeMeasure", "IfcQuantityVolume"}
 _MASS = {"IfcMassMeasure", "IfcQuantityWeight"}
 _ANGLE = {"IfcPlaneAngleMeasure", "IfcPositivePlaneAngleMeasure"}
 _TIME = {"IfcTimeMeasure", "IfcQuantityTime"}
+_DENSITY = {"IfcMassDensityMeasure"}
+#: Powers of the prefix of an SI unit whose name has one.
+_POWERS = {"SQUARE_METRE": 2, "CUBIC_METRE": 3}
+#: Kinds of units of quantities of weight and the like, whose own unit must be of their kind.
+KINDS = {
+    "IfcQuantityLength": "LENGTHUNIT", "IfcQuantityArea": "AREAUNIT", "IfcQuantityVolume": "VOLUMEUNIT",
+    "IfcQuantityWeight": "MASSUNIT", "IfcQuantityTime": "TIMEUNIT", "IfcMassMeasure": "MASSUNIT",
+    "IfcMassDensityMeasure": "MASSDENSITYUNIT",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -29,6 +38,10 @@ class Units:
     ----------
     length, area, volume, mass, angle, time : float
         [m], [m²], [m³], [kg], [rad], [s]
+    density : float or None
+        [kg/m³]; None: the project has no unit of density.
+    weighs : bool
+        The project has a unit of mass; else it is the kilogram.
     """
 
     length: float
@@ -37,6 +50,8 @@ class Units:
     mass: float
     angle: float
     time: float
+    density: float | None = None
+    weighs: bool = True
 
     def factor(self, measure: str) -> float:
         """Return SI units per unit of a measure or quantity of the schema; 1 for what has no unit or one that is not converted."""
@@ -47,6 +62,7 @@ class Units:
             (self.mass, _MASS),
             (self.angle, _ANGLE),
             (self.time, _TIME),
+            (1.0 if self.density is None else self.density, _DENSITY),
         ):
             if measure in measures:
                 return factor
@@ -87,7 +103,44 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
         _scale(file, name, "MASSUNIT") / 1e3 if "MASSUNIT" in given else 1.0,
         _scale(file, name, "PLANEANGLEUNIT") if "PLANEANGLEUNIT" in given else 1.0,
         _scale(file, name, "TIMEUNIT") if "TIMEUNIT" in given else 1.0,
+        _density(assignment, name) if "MASSDENSITYUNIT" in given else None,
+        "MASSUNIT" in given,
     )
+
+
+def _density(assignment: ifcopenshell.entity_instance, name: str) -> float:
+    unit = next(unit for unit in assignment.Units if getattr(unit, "UnitType", None) == "MASSDENSITYUNIT")
+    with Where(name, unit):
+        factor = si_factor(unit)
+    if factor is None or not (math.isfinite(factor) and factor > 0):
+        raise BuildingError(name, "MASSDENSITYUNIT of the project", str(factor), "a unit of known units")
+    return factor
+
+
+def si_factor(unit: ifcopenshell.entity_instance) -> float | None:
+    """Return SI units (of mass: kilograms) per unit; None: only people know what it is.
+
+    Parameters
+    ----------
+    unit : entity
+        An IfcUnit.
+    """
+    if unit.is_a("IfcSIUnit"):
+        factor = ifcopenshell.util.unit.get_prefix_multiplier(unit.Prefix) ** _POWERS.get(unit.Name, 1)
+        return float(factor) / 1e3 if unit.Name == "GRAM" else float(factor)
+    if unit.is_a("IfcConversionBasedUnit"):
+        of = unit.ConversionFactor
+        base = si_factor(of.UnitComponent)
+        return None if base is None else float(of.ValueComponent.wrappedValue) * base
+    if unit.is_a("IfcDerivedUnit"):
+        whole = 1.0
+        for element in unit.Elements:
+            factor = si_factor(element.Unit)
+            if factor is None:
+                return None
+            whole *= factor**element.Exponent
+        return whole
+    return None
 
 
 def _scale(file: ifcopenshell.file, name: str, kind: str) -> float:

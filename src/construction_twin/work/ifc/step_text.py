@@ -1,0 +1,182 @@
+"""The text of an IFC file before and after the parser: whether it is whole, in which letters, and what the parser dropped.
+
+The parser reads what is there and goes on: what it logs or leaves out is found here. A file that is not whole is refused; a line
+of a kind that the schema does not have is left out with a note.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.work.ifc.notes import Notes
+
+#: Texts and comments that end, and what is between them.
+_WHOLE = re.compile(rb"(?:[^'/]++|'[^']*+'|/\*(?:[^*]|\*(?!/))*+\*/|/(?!\*))*+")
+_TEXTS = re.compile(rb"'[^']*+'|/\*(?:[^*]|\*(?!/))*+\*/")
+#: A line without its end: another one, or the end of the section, comes before its semicolon.
+_BROKEN = re.compile(rb"#(\d+)\s*=[^;=]*=|[^;\s]\s*(ENDSEC)\s*;")
+_LINE = re.compile(rb"#(\d+)\s*=\s*(\w*)([^;]*)")
+_REFERENCE = re.compile(rb"#(\d+)")
+_OTHER_LETTERS = re.compile(rb"[^\x00-\x7f]+")
+#: What is beyond the letters of the file, as the parser's log has it.
+_UNKNOWN = re.compile(r"Entity with name '([^']*)' not found in schema '([^']*)'")
+_MISSING = re.compile(r"Instance reference #(\d+) used by instance #(\d+)")
+_TWICE = re.compile(r"Overwriting instance with name #(\d+)")
+_VALUES = re.compile(r"Expected (\d+) attribute values, found (\d+) for instance #(\d+)")
+_LOGGED = re.compile(r"^\[(\w+)\](?: \[(\w+)\])? \[[^\]]*\] (.*)$")
+_SHOWN = 200
+_LOST = "what they say, an order of tasks for instance, is lost"
+
+
+def check_whole(contents: bytes, name: str) -> None:
+    """Check that every text, comment and line of a file ends.
+
+    Raises
+    ------
+    BuildingError
+    """
+    found = _WHOLE.match(contents)
+    end = 0 if found is None else found.end()
+    if end < len(contents):
+        line = contents.count(b"\n", 0, end) + 1
+        raise BuildingError(name, "the file", f"a text or comment that does not end (line {line})", "a whole IFC file")
+    if (broken := _BROKEN.search(_without_texts(contents))) is not None:
+        which = f"line #{broken.group(1).decode()}, broken off" if broken.group(1) else "a last line that is broken off"
+        raise BuildingError(name, "the file", which, "a whole IFC file")
+
+
+def _without_texts(contents: bytes) -> bytes:
+    return _TEXTS.sub(b" ", contents)
+
+
+def in_ascii(contents: bytes, notes: Notes) -> bytes:
+    """Return a file with letters that are not ASCII written as IFC wants them; what they were taken for is noted.
+
+    The parser drops such letters. They are taken as UTF-8 if all of them are, else as Latin-1 (Windows-1252).
+    """
+    if not _OTHER_LETTERS.search(contents):
+        return contents
+    try:
+        contents.decode("utf-8")
+        code = "utf-8"
+    except UnicodeDecodeError:
+        code = "cp1252"
+    shown: list[str] = []
+
+    def written(found: re.Match[bytes]) -> bytes:
+        letters = found.group().decode(code, errors="replace")
+        if len(shown) < 5:
+            shown.append(letters)
+        return b"".join(_escaped(letter) for letter in letters)
+
+    # a byte order mark is no letter
+    marked = contents.startswith(b"\xef\xbb\xbf")
+    result = _OTHER_LETTERS.sub(written, contents[3:] if marked else contents)
+    if shown:
+        said = {"utf-8": "UTF-8", "cp1252": "Latin-1 (Windows-1252)"}[code]
+        notes.add(
+            f"The file has letters that are not ASCII, which IFC does not allow; taken as {said}: {', '.join(shown)}"
+        )
+    return result
+
+
+def _escaped(letter: str) -> bytes:
+    number = ord(letter)
+    return b"\\X2\\%04X\\X0\\" % number if number < 0x10000 else b"\\X4\\%08X\\X0\\" % number
+
+
+def note_parser_log(
+    log: str,
+    contents: bytes,
+    present: Collection[int],
+    global_id: Callable[[int], str],
+    name: str,
+    schema: str,
+    notes: Notes,
+) -> None:
+    """Note what the parser dropped or had to guess, and refuse what is not whole.
+
+    Parameters
+    ----------
+    log : str
+        What the parser logged while it read.
+    contents : bytes
+        What it read.
+    present : collection of int
+        Numbers of the lines that it kept.
+    global_id : callable
+        Returns the GlobalId of a line that it kept; empty: it has none.
+    name, schema : str
+        For messages.
+    notes : Notes
+
+    Raises
+    ------
+    BuildingError
+        If a line refers to one that the file does not have, or has the number of another one.
+    """
+    about = {int(number) for entry in log.splitlines() for number in re.findall(r"(?:instance|name) #(\d+)", entry)}
+    about |= {int(number) for entry in log.splitlines() for number in re.findall(r"reference #(\d+)", entry)}
+    kinds: dict[int, str] = {}
+    dropped: dict[int, list[int]] = {}
+    for line in _LINE.finditer(_without_texts(contents)):
+        number = int(line.group(1))
+        if number not in present:
+            dropped.setdefault(number, [int(each) for each in _REFERENCE.findall(line.group(3))])
+        if number in about or number in dropped:
+            kinds[number] = line.group(2).decode().upper()
+
+    def shown(number: int) -> str:
+        return f"#{number}={kinds.get(number, '')}"
+
+    for entry in log.splitlines():
+        if (found := _MISSING.search(entry)) is not None:
+            missing, by = map(int, found.groups())
+            if missing not in dropped:
+                broken = f"{shown(by)} refers to #{missing}, which is not there: the file is not whole"
+                raise BuildingError(name, "the file", broken, "a whole IFC file")
+        elif (found := _TWICE.search(entry)) is not None:
+            raise BuildingError(name, f"#{found.group(1)}", "two lines of this number", "one")
+        elif (found := _VALUES.search(entry)) is not None:
+            expected, given, number = map(int, found.groups())
+            sentence = (
+                f"A line with {given} values instead of {expected} ({schema}), taken as if the others were not said"
+            )
+            notes.add(sentence, shown(number), global_id(number) if number in present else "")
+        elif _UNKNOWN.search(entry) is None:
+            plain = _LOGGED.match(entry)
+            if plain is not None and plain.group(1) in ("error", "warning"):
+                notes.add("The parser says", plain.group(3)[:_SHOWN])
+    for number, references in dropped.items():
+        sentence = f"LINES LEFT OUT, of a kind that {schema} does not have or that cannot be read: {_LOST}"
+        notes.add(sentence, shown(number))
+        for each in references:
+            if each in present and (named := global_id(each)):
+                notes.remark(f"{sentence}: {shown(number)}", named)
+
+
+def kernel_says(log: str) -> list[tuple[str, str, bool]]:
+    """Return what the geometry kernel logged of shapes, its own statistics left out.
+
+    Returns
+    -------
+    list of (str, str, bool)
+        GlobalId (empty: of none), the sentence, and whether the shape is not what the model says.
+    """
+    found = []
+    for entry in log.splitlines():
+        line = _LOGGED.match(entry)
+        if line is None or line.group(1) not in ("error", "warning") or line.group(2) in _NOT_SHAPE:
+            continue
+        about = re.match(r"\{([^}]*)\} ?(.*)", line.group(3))
+        name, sentence = about.groups() if about else ("", line.group(3))
+        found.append((name, sentence[:_SHOWN], line.group(2) in _WRONG_SHAPE))
+    return found
+
+
+#: Messages of the kernel that are not about shapes: no style for a colour, a precision of the whole file, a style that is missing.
+_NOT_SHAPE = ("GEO031", "SYS033", "GEO301")
+#: Those after which a part of the shape is missing: a curve that crosses itself.
+_WRONG_SHAPE = ("GEO161",)

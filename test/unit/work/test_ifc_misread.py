@@ -1,0 +1,482 @@
+"""Models that are easily misread: each is read right, refused, or noted at the element or task that it is about."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ifc_models import IfcModel
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.work.ifc.model_file import load, save
+from construction_twin.work.ifc.reader import read_ifc
+from construction_twin.work.mesh_checks import is_closed, volume
+from construction_twin.work.proposed_schedule import propose
+from construction_twin.work.schedule import Schedule
+from construction_twin.work.workpieces import workpieces
+
+BOARD = (1.2, 2.4, 0.0125)
+LITRES = 36.0
+POUND, CUBIC_FOOT = 0.45359237, 0.3048**3
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Write a model or its text, and read it again, through the file in which another process hands it over."""
+
+    def write_and_read(model):
+        path = tmp_path / "model.ifc"
+        if isinstance(model, IfcModel):
+            model.save(path)
+        else:
+            path.write_bytes(model if isinstance(model, bytes) else model.encode("ascii"))
+        found = read_ifc(path, 1 << 24)
+        save(found, tmp_path / "model.npz")
+        return load(tmp_path / "model.npz", found.file, found.digest)
+
+    return write_and_read
+
+
+def said(model, words: str) -> bool:
+    """Whether a note has these words."""
+    return any(words in note for note in model.notes)
+
+
+def remarked(model, one, words: str) -> bool:
+    """Whether these words are said at one element or task."""
+    return any(words in remark for remark in model.remarks.get(one.GlobalId, ()))
+
+
+def add_units(model: IfcModel, *units) -> None:
+    """Give the project more units."""
+    assignment = model.project.UnitsInContext
+    assignment.Units = [*assignment.Units, *units]
+
+
+def pound(model: IfcModel):
+    """A pound."""
+    kilogram = model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM")
+    factor = model.make("IfcMeasureWithUnit", model.make("IfcMassMeasure", POUND), kilogram)
+    exponents = model.make("IfcDimensionalExponents", 0, 1, 0, 0, 0, 0, 0)
+    return model.make("IfcConversionBasedUnit", exponents, "MASSUNIT", "pound", factor)
+
+
+def density_unit(model: IfcModel, mass, length):
+    """A mass per cube of a length."""
+    elements = [model.make("IfcDerivedUnitElement", mass, 1), model.make("IfcDerivedUnitElement", length, -3)]
+    return model.make("IfcDerivedUnit", elements, "MASSDENSITYUNIT")
+
+
+def length_unit(model: IfcModel):
+    """The project's."""
+    return model.project.UnitsInContext.Units[0]
+
+
+def of_material(model: IfcModel, element, name: str, density: float | None = None, unit=None):
+    """Give an element a material with a density."""
+    material = model.make("IfcMaterial", name)
+    if density is not None:
+        measure = model.make("IfcMassDensityMeasure", density)
+        value = model.make("IfcPropertySingleValue", "MassDensity", None, measure, unit)
+        model.make("IfcMaterialProperties", "Pset_MaterialCommon", None, [value], material)
+    model.root("IfcRelAssociatesMaterial", RelatedObjects=[element], RelatingMaterial=material)
+
+
+def weigh(model: IfcModel, element, weight: float, unit=None):
+    """Give an element a weight."""
+    quantity = model.make("IfcQuantityWeight", "NetWeight", None, unit, weight)
+    quantities = model.root("IfcElementQuantity", Name="Qto_PlateBaseQuantities", Quantities=[quantity])
+    model.root("IfcRelDefinesByProperties", RelatedObjects=[element], RelatingPropertyDefinition=quantities)
+
+
+def board(model: IfcModel):
+    """A plate of 36 l."""
+    return model.box("board", BOARD, kind="IfcPlate")
+
+
+# -- units and masses
+
+
+def test_a_density_in_the_projects_own_unit_is_converted(read):
+    model = IfcModel(unit="foot")
+    heavy = pound(model)
+    add_units(model, heavy, density_unit(model, heavy, length_unit(model)))
+    plate = board(model)
+    of_material(model, plate, "Gyp", 50.0)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass == pytest.approx(50.0 * POUND / CUBIC_FOOT * LITRES / 1e3)
+    assert found.notes == ()
+
+
+def test_a_quantity_and_a_property_have_units_of_their_own(read):
+    model = IfcModel(unit="foot")
+    tonne = model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="MEGA", Name="GRAM")
+    plate, panel = board(model), board(model)
+    add_units(model, pound(model))
+    weigh(model, plate, 0.0288, tonne)
+    metre = model.make("IfcSIUnit", UnitType="LENGTHUNIT", Name="METRE")
+    of_material(model, panel, "Gypsum", 0.8, density_unit(model, tonne, metre))
+    model.properties(panel, "Pset_PlateCommon", Reference="p")
+    width = model.make("IfcPropertySingleValue", "Width", None, model.make("IfcPositiveLengthMeasure", 1.2), metre)
+    own = model.root("IfcPropertySet", Name="Own", HasProperties=[width])
+    model.root("IfcRelDefinesByProperties", RelatedObjects=[panel], RelatingPropertyDefinition=own)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass == pytest.approx(28.8)
+    assert found.elements[panel.GlobalId].mass == pytest.approx(0.8 * LITRES)
+    assert found.elements[panel.GlobalId].properties["Own"]["Width"] == pytest.approx(1.2)
+
+
+def test_a_weight_in_a_unit_of_length_is_left_out_and_told(read):
+    model = IfcModel()
+    plate = board(model)
+    weigh(model, plate, 28.8, length_unit(model))
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass is None
+    assert remarked(found, plate, "a unit of their own that is none of theirs")
+
+
+def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
+    model = IfcModel(unit="foot")
+    add_units(model, pound(model))
+    plate = board(model)
+    of_material(model, plate, "Gyp", 50.0)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass is None
+    assert remarked(found, plate, "without a unit can be kg/m³ or of the project's units")
+
+
+def test_what_a_unit_was_taken_for_is_told(read):
+    model = IfcModel(unit="foot")
+    plate, panel = board(model), board(model)
+    of_material(model, plate, "Gypsum", 800.0)
+    weigh(model, panel, 28.8)
+    found = read(model)
+    assert [found.elements[one.GlobalId].mass for one in (plate, panel)] == pytest.approx([28.8, 28.8])
+    assert said(found, "800 is taken as kg/m³") and said(found, "weights are taken as kilograms")
+
+
+@pytest.mark.parametrize(
+    ("weight", "material", "density", "words"),
+    [
+        (0.0288, "Gyp", 800.0, "0.0288 kg by its quantity, 28.8 kg"),
+        (63.5, "Gypsum board", None, "expected 400 to 1700"),
+        (None, "Gypsum", 50.0, "expected 400 to 1700"),
+        (2.0e6, "unobtainium", None, "expected 5 to 23000"),
+        (28.8, "Gypsum board", 800.0, ""),
+        (None, "unobtainium", 800.0, ""),
+    ],
+)
+def test_a_mass_that_volume_and_material_do_not_bear_out_is_doubted(read, weight, material, density, words):
+    model = IfcModel()
+    add_units(model, model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM"))
+    plate = board(model)
+    of_material(model, plate, material, density)
+    if weight is not None:
+        weigh(model, plate, weight)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass is not None
+    if words:
+        assert remarked(found, plate, "THE MASS IS DOUBTFUL") and remarked(found, plate, words)
+    else:
+        assert found.notes == ()
+
+
+# -- what is done, what stands, what goes
+
+
+def two_studs(schema="IFC4"):
+    """A model with two studs, each placed by a task, the second after the first."""
+    model = IfcModel(schema)
+    studs = [model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
+    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
+    model.sequence(*tasks)
+    return model, studs, tasks
+
+
+def completed_by_status(model, task):
+    task.Status = "COMPLETED"
+
+
+def completed_by_part(model, task):
+    task.TaskTime = model.make("IfcTaskTime", Completion=1.0)
+
+
+def completed_by_percent(model, task):
+    task.TaskTime = model.make("IfcTaskTime", Completion=100.0)
+
+
+def completed_by_finish(model, task):
+    task.TaskTime = model.make("IfcTaskTime", ActualFinish="2026-01-01T10:00:00")
+
+
+def completed_by_what_it_nests_in(model, task):
+    model.root("IfcRelNests", RelatingObject=model.task("before", Status="Completed"), RelatedObjects=[task])
+
+
+@pytest.mark.parametrize(
+    "complete",
+    [
+        completed_by_status,
+        completed_by_part,
+        completed_by_percent,
+        completed_by_finish,
+        completed_by_what_it_nests_in,
+    ],
+)
+def test_what_is_completed_is_no_job_and_nobody_waits_for_it(read, complete):
+    model, studs, (first, second) = two_studs()
+    complete(model, first)
+    schedule = Schedule.of(found := read(model))
+    assert [(job.element, job.after) for job in schedule.jobs] == [(studs[1].GlobalId, ())]
+    assert schedule.unmade == () and said(found, "completed: not done again")
+
+
+@pytest.mark.parametrize(("status", "part"), [("STARTED", None), (None, 0.5), (None, 50.0), ("who knows", None)])
+def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
+    model, _, (first, _) = two_studs()
+    first.Status = status
+    if part is not None:
+        first.TaskTime = model.make("IfcTaskTime", Completion=part)
+    found = read(model)
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "MAY HAVE BEGUN")
+    assert any("MAY HAVE BEGUN" in remark for remark in Schedule.of(found).remarks[first.GlobalId])
+
+
+def test_a_lag_after_what_is_completed_is_not_waited_for_and_told(read):
+    model = IfcModel()
+    studs = [model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
+    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
+    tasks[0].Status = "COMPLETED"
+    model.sequence(*tasks, lag="P1D")
+    schedule = Schedule.of(read(model))
+    assert any("is not waited for" in note for note in schedule.notes)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"PredefinedType": "DEMOLITION"},
+        {"PredefinedType": "REMOVAL"},
+        {"PredefinedType": "DISMANTLE"},
+        {"PredefinedType": "USERDEFINED", "ObjectType": "Abbruch"},
+    ],
+)
+def test_what_a_task_takes_down_is_no_job_and_what_comes_after_waits(read, kind):
+    model = IfcModel()
+    old, new = (model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("old", "new")))
+    down, up = model.task("take down", [old], **kind), model.task("place", [new])
+    model.sequence(down, up)
+    found = read(model)
+    schedule = Schedule.of(found)
+    assert [job.element for job in schedule.jobs] == [new.GlobalId]
+    assert [(job.id, job.element) for job in schedule.removals] == [(down.GlobalId, old.GlobalId)]
+    assert [wait.job for wait in schedule.jobs[0].after] == [down.GlobalId]
+    assert any(f"twin work removed {down.GlobalId}" in note for note in schedule.notes)
+
+
+def test_a_task_that_only_looks_after_something_places_nothing(read):
+    model, studs, (first, _) = two_studs()
+    first.PredefinedType = "MAINTENANCE"
+    found = read(model)
+    schedule = Schedule.of(found)
+    assert [job.element for job in schedule.jobs] == [studs[1].GlobalId] and schedule.removals == ()
+    assert remarked(found, first, "places nothing")
+
+
+def test_what_exists_or_goes_is_not_proposed(read):
+    model = IfcModel()
+    kept, gone, new = (model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("kept", "gone", "new")))
+    model.properties(kept, "Pset_MemberCommon", Status="EXISTING")
+    model.properties(gone, "Pset_MemberCommon", Status="DEMOLISH")
+    found = read(model)
+    assert workpieces(found) == (new.GlobalId,)
+    schedule = Schedule.of(propose(found).applied(found), True)
+    assert [job.element for job in schedule.jobs] == [new.GlobalId]
+    assert [(job.id, job.element) for job in schedule.removals] == [(f"{gone.GlobalId}/removal", gone.GlobalId)]
+    assert remarked(found, kept, "never placed") and remarked(found, gone, "until a person says")
+
+
+def test_parts_of_what_exists_exist_and_a_task_does_not_place_them(read):
+    model = IfcModel()
+    panel = model.element("IfcElementAssembly", "panel")
+    stud = model.box("stud", (0.1, 0.1, 1.0), within=panel)
+    model.aggregate(panel, [stud])
+    model.properties(panel, "Pset_ElementAssemblyCommon", Status="EXISTING")
+    task = model.task("place", [stud])
+    found = read(model)
+    schedule = Schedule.of(found)
+    assert found.elements[stud.GlobalId].status == "existing"
+    assert schedule.jobs == () and any(task.GlobalId in note and "not placed" in note for note in schedule.notes)
+
+
+def test_what_is_to_go_and_is_given_to_a_task_without_a_kind_is_taken_down_by_it(read):
+    model, studs, (first, second) = two_studs()
+    model.properties(studs[0], "Pset_MemberCommon", Status="DEMOLISH")
+    schedule = Schedule.of(read(model))
+    assert [job.id for job in schedule.removals] == [first.GlobalId]
+    assert [(job.id, [wait.job for wait in job.after]) for job in schedule.jobs] == [
+        (second.GlobalId, [first.GlobalId])
+    ]
+
+
+def test_what_a_task_places_and_another_takes_down_stays_with_a_note(read):
+    model, studs, (first, second) = two_studs()
+    down = model.task("take down a", [studs[0]], PredefinedType="REMOVAL")
+    model.sequence(second, down)
+    schedule = Schedule.of(read(model))
+    assert len(schedule.jobs) == 2 and schedule.removals == ()
+    assert any("which another task places" in note for note in schedule.notes)
+
+
+# -- what the parser drops
+
+
+def text_of_two() -> str:
+    model, _, _ = two_studs()
+    return model.text()
+
+
+def test_an_order_of_an_unknown_kind_is_told_at_its_tasks(read):
+    model, _, tasks = two_studs()
+    found = read(model.text().replace("IFCRELSEQUENCE", "IFCRELSEQUENZE"))
+    assert found.sequences == () and said(found, "LINES LEFT OUT") and said(found, "IFCRELSEQUENZE")
+    assert all(remarked(found, task, "IFCRELSEQUENZE") for task in tasks)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text[: text.index("IFCRELSEQUENCE") + 60] + "\nENDSEC;\nEND-ISO-10303-21;\n", "whole"),
+        (lambda text: text[: text.index("IFCTASK")].rpartition(";")[0] + ";\nENDSEC;\nEND-ISO-10303-21;\n", ""),
+        (lambda text: text.replace("ENDSEC;\nEND-ISO", "/* ENDSEC;\nEND-ISO"), "a text or comment that does not end"),
+        (lambda text: text.replace("'place b'", "'place b"), "a text or comment that does not end"),
+        (lambda text: text.replace("\n#12=", "\n#11="), "two lines of this number"),
+    ],
+)
+def test_half_a_file_is_refused(read, change, words):
+    text = change(text_of_two())
+    if not words:
+        # cut between two lines, nothing refers to what is missing: that is a whole file
+        assert read(text).tasks == {}
+        return
+    with pytest.raises(BuildingError, match=words):
+        read(text)
+
+
+def test_a_line_that_others_need_is_missed(read):
+    lines = text_of_two().splitlines(keepends=True)
+    without = "".join(line for line in lines if "IFCTASK" not in line)
+    with pytest.raises(BuildingError, match="refers to #\\d+, which is not there: the file is not whole"):
+        read(without)
+
+
+_TEXT = text_of_two()
+_DATA, _ENDSEC = _TEXT.index("DATA;"), _TEXT.rindex("ENDSEC;")
+
+
+@settings(max_examples=60, deadline=None)
+@given(cut=st.integers(_DATA + 6, _ENDSEC - 1))
+def test_a_file_cut_inside_of_a_line_is_never_read(tmp_path_factory, cut):
+    kept = _TEXT[:cut]
+    if kept.rstrip().endswith(";"):
+        return
+    path = tmp_path_factory.mktemp("cut") / "cut.ifc"
+    path.write_text(f"{kept}\nENDSEC;\nEND-ISO-10303-21;\n")
+    with pytest.raises(BuildingError):
+        read_ifc(path, 1 << 24)
+
+
+def test_a_line_with_too_few_values_is_told(read):
+    model, studs, _ = two_studs()
+    line = next(line for line in model.text().splitlines() if f"'{studs[0].GlobalId}'" in line)
+    found = read(model.text().replace(line, line.replace(",$,$);", ");")))
+    assert said(found, "values instead of")
+
+
+@pytest.mark.parametrize(("code", "called"), [("utf-8", "UTF-8"), ("cp1252", "Latin-1"), ("utf-8-sig", "UTF-8")])
+def test_letters_that_are_not_ascii_are_kept_and_told(read, code, called):
+    model, _, _ = two_studs()
+    found = read(model.text().replace("'a'", "'Brücke Süd'").encode(code))
+    assert "Brücke Süd" in [element.name for element in found.elements.values()]
+    assert said(found, called)
+
+
+def test_letters_as_ifc_writes_them_need_no_note(read):
+    model, studs, _ = two_studs()
+    studs[0].Name = "Brücke 😀"
+    found = read(model)
+    assert found.elements[studs[0].GlobalId].name == "Brücke 😀" and found.notes == ()
+
+
+# -- shapes
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(0.0, 0.0), (1.0, 0.1), (1.0, 0.0), (0.0, 0.1)],
+        [(0.0, 0.0), (1.0, 0.0), (1.0, 0.1), (0.2, 0.1), (0.2, -0.1), (0.0, -0.1)],
+    ],
+)
+def test_a_profile_that_crosses_itself_is_a_hull_and_no_job_without_doubt(read, corners, mapped):
+    model = IfcModel()
+    body = model.extrusion(model.polygon(corners), 0.1)
+    if mapped:
+        body = model.representation(model.mapped(model.representation(body)), kind="MappedRepresentation")
+    bow = model.element("IfcMember", "bow", body)
+    of_material(model, bow, "Wood", 420.0)
+    found = read(model)
+    element = found.elements[bow.GlobalId]
+    assert "crosses itself" in element.doubt and element.mass is None
+    assert remarked(found, bow, "THE BODY IS DOUBTFUL")
+    (hull,) = element.bodies
+    assert is_closed(hull.triangles) and volume(hull.vertices, hull.triangles) > 0.0
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    assert hull.vertices.min(axis=0) == pytest.approx([*low, 0.0]) and hull.vertices.max(axis=0) == pytest.approx(
+        [*high, 0.1]
+    )
+
+
+def test_an_element_without_a_body_is_told(read):
+    model = IfcModel()
+    stud, pipe = model.box("stud", (0.1, 0.1, 1.0)), model.element("IfcPipeSegment", "pipe")
+    found = read(model)
+    assert remarked(found, pipe, "without a body are no obstacle") and stud.GlobalId not in found.remarks
+
+
+# -- assemblies, calendars, what is not read
+
+
+def test_a_task_that_makes_an_assembly_places_its_parts_once_a_person_accepts_their_order(read):
+    model = IfcModel()
+    panel = model.element("IfcElementAssembly", "panel")
+    upper = model.box("upper", (1.0, 0.1, 0.1), at=(0.0, 0.0, 0.1), within=panel)
+    lower = model.box("lower", (1.0, 0.1, 0.1), within=panel)
+    other = model.box("other", (1.0, 0.1, 0.1), at=(0.0, 1.0, 0.0), within=panel)
+    model.aggregate(panel, [upper, lower, other])
+    task, own = model.task("panel up", [panel]), model.task("other up", [other])
+    schedule = Schedule.of(read(model))
+    assert [(job.task, job.element) for job in schedule.jobs] == [
+        (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId), (own.GlobalId, other.GlobalId),
+    ]  # fmt: skip
+    assert schedule.proposed and any("an assembly without a body" in note for note in schedule.notes)
+
+
+def test_calendars_and_lags_in_working_time_are_told(read):
+    model, _, (first, second) = two_studs()
+    calendar = model.root("IfcWorkCalendar", Name="Five days")
+    model.root("IfcRelAssignsToControl", RelatedObjects=[first], RelatingControl=calendar)
+    model.sequence(first, second, lag="P1D")
+    found = read(model)
+    assert remarked(found, first, "Calendars are not read") and remarked(found, first, "around the clock")
+    assert not remarked(found, second, "Calendars are not read")
+    assert said(found, "Not read: 1 IfcWorkCalendar")
+
+
+def test_what_no_task_waits_for_is_told(read):
+    model, _, (first, _) = two_studs()
+    model.sequence(model.root("IfcEvent", Name="approval"), first)
+    found = read(model)
+    assert said(found, "Not read: 1 IfcEvent") and said(found, "something that is no task")
