@@ -142,7 +142,7 @@ def test_a_planner_that_comes_late_knows_as_much_from_the_latched_message_alone(
 
 
 def test_what_was_removed_is_named_once_and_never_to_a_planner_that_comes_later():
-    """move_group prints an error for each object that it is to detach, and a warning for each it is to remove, and does not know."""
+    """move_group prints an error for each object that it does not know and is to detach, and a warning where it is to remove."""
     carried = Scene((TABLE, PART)).attach("part", "tool0", IN_HAND)
     removed = carried.remove("part")
     first, change, latched, later = told(carried, removed, removed)

@@ -19,7 +19,7 @@ from construction_twin.msg import Execution
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.plan import Plan
+from construction_twin.robot.plan import BY_ACTION, Plan
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.commands.twin_work import WorkCommand
 from construction_twin.ros.commands.watch import watch
@@ -36,7 +36,7 @@ from construction_twin.scene.planner_scene import PlannerObject, planner_scene, 
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.views.arguments import Exit, check, parser
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.texts import plan_lines, scene_lines, status_lines
+from construction_twin.views.texts import caller_line, plan_lines, scene_lines, status_lines
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
@@ -265,7 +265,20 @@ class Command:
         return listener.newest(name) is not None
 
     def _print_plan(self, plan: Plan, listener: RobotListener) -> None:
-        print("\n".join(plan_lines(plan, self._robot().linear, listener.changes(plan.id))))
+        lines = plan_lines(plan, self._robot().linear, listener.changes(plan.id))
+        if plan.source.startswith(f"{BY_ACTION} "):
+            lines.append(self._caller_line(plan, listener))
+        print("\n".join(lines))
+
+    def _caller_line(self, plan: Plan, listener: RobotListener) -> str:
+        def told() -> bool:
+            newest = listener.newest("plan_caller")
+            return newest is not None and newest.plan_id == plan.id
+
+        if not listener.wait(told, min(LATCHED, self._options.timeout)):
+            return caller_line(plan.source.removeprefix(f"{BY_ACTION} "), None)
+        caller = listener.newest("plan_caller")
+        return caller_line(caller.client, caller.connected)
 
     def _verdict(self, plan: Plan, approve: bool) -> str:
         reviewer = self._options.reviewer or account_name()

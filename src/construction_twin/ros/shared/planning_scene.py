@@ -1,8 +1,8 @@
 """Tells MoveIt of the scene and of the other arm, and remembers what it was told: a message is a difference.
 
-What is gone must be named, once: MoveIt prints an error for each object that it is to detach or remove and does not know. So a change
-that takes something away is followed by a message that says all that is there and removes nothing. That one stays latched, for a
-planner that comes later.
+What is gone must be named, once: MoveIt complains of each object that it is to detach or remove and does not know. So a change that
+takes something away is followed by a message that says all that is there and removes nothing. That one stays latched, for a planner
+that comes later.
 """
 
 from __future__ import annotations
