@@ -310,14 +310,14 @@ class FollowJointTrajectoryTest(RobotTest):
         rospy.Subscriber("plan_caller", PlanCaller, callers.append)
 
         def told() -> list[bool]:
-            return [each.connected for each in callers if (each.plan_id, each.client) == (plan.id, "/vanishing")]
+            return [each.connected for each in callers if (each.plan_id, each.client) == (plan.id, "/kr120/vanishing")]
 
         self.client.wait(lambda: told() == [True], "the word that it is connected")
-        self.assertIn("caller     /vanishing is connected and waits for the result", self.shown())
+        self.assertIn("caller     /kr120/vanishing is connected and waits for the result", self.shown())
         process.kill()
         process.wait()
         self.client.wait(lambda: told() == [True, False], "the word that it is gone")
-        self.assertIn("caller     /vanishing is connected no more: nobody waits for the result", self.shown())
+        self.assertIn("caller     /kr120/vanishing is connected no more: nobody waits for the result", self.shown())
         self.results.clear()
         self.approve(plan)
         self.client.wait_for_outcome(plan.id, "finished")
